@@ -1,0 +1,58 @@
+# Two commands are enough on a fresh machine: `make demo` and `make test`.
+# Each makes the environment (.venv) it needs.
+
+PYTHON  ?= python3
+VENV    ?= .venv
+BIN     := $(VENV)/bin
+LIMBCLI := $(BIN)/limbcli
+OUT     ?= out
+DEMO    ?= demo
+CASES   := $(patsubst cases/%/case.toml,%,$(wildcard cases/*/case.toml))
+WORKERS ?= 2
+
+.PHONY: help env demo test test-quick lint types cases bench clean
+.DELETE_ON_ERROR:
+
+help:            ## list what can be made
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## */\t/' | expand -t 14
+
+env: $(VENV)/.ready   ## the environment, in .venv
+
+$(VENV)/.ready: pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "limbcli needs Python 3.11 or newer; try: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+demo: env        ## the main job: a synthetic subject through every stage, to a report
+	$(LIMBCLI) phantom $(DEMO)/subject --seed 7 --force
+	$(LIMBCLI) batch $(DEMO)/subject --out $(DEMO)/results --print-report
+
+lint: env        ## style and format
+	$(BIN)/ruff check limbcli tests
+	$(BIN)/ruff format --check limbcli tests
+
+types: env       ## type checks
+	$(BIN)/mypy
+
+test: lint types      ## everything that must hold
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
+test-quick: env  ## the part that answers in a minute and a half
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+# Every case in cases/: only what changed is redone; results are compared with expected.toml.
+cases: $(CASES:%=$(OUT)/%/.compared)   ## every case in cases/, compared with its expected.toml
+
+.SECONDEXPANSION:
+$(OUT)/%/.compared: $$(wildcard cases/%/*) $$(wildcard cases/%/*/*) $$(wildcard limbcli/*.py limbcli/*/*.py) $(VENV)/.ready
+	$(LIMBCLI) batch cases/$* --out $(OUT)/$* --expect
+	@touch $@
+
+bench: env       ## benchmarks, as tables
+	$(BIN)/python -m tests.benchmarks
+
+clean:           ## what was made, except the environment
+	rm -rf $(OUT) $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache
+	find limbcli tests -name __pycache__ -type d -prune -exec rm -rf {} +

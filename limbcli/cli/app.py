@@ -1,0 +1,90 @@
+"""The command line: one subcommand a file; errors are caught here and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from importlib import import_module
+from typing import Annotated
+
+import typer
+
+from limbcli import __version__
+from limbcli.errors import LimbError
+
+app = typer.Typer(
+    name="limbcli",
+    help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
+    no_args_is_help=True,
+    add_completion=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+)
+
+# In the order a newcomer meets them. Each module defines a function `command`.
+COMMANDS = {
+    "check": "check",
+    "segment": "segment",
+    "mesh": "mesh",
+    "build-feb": "build_feb",
+    "run": "run",
+    "fit": "fit",
+    "report": "report",
+    "batch": "batch",
+    "phantom": "phantom",
+    "synth": "synth",
+}
+INTERRUPTED = 130
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        print(f"limbcli {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+for _name, _module in COMMANDS.items():
+    app.command(_name)(import_module(f"limbcli.cli.{_module}").command)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run; every foreseen error becomes a message and its family's exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        app(args=arguments, standalone_mode=True)
+    except LimbError as error:
+        report_error(error, as_json="--json" in arguments)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("interrupted; nothing half-written was kept. The same command finishes the job.", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def report_error(error: LimbError, *, as_json: bool) -> None:
+    """The message to stderr; with --json also as an object to stdout."""
+    from limbcli.results import plain
+
+    print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    if as_json:
+        content = {
+            "error": type(error).__name__,
+            "exit_code": error.exit_code,
+            "what": error.what,
+            "where": error.where,
+            "fix": error.fix,
+            "facts": plain(error.facts),
+        }
+        print(json.dumps(content, indent=1, default=str))

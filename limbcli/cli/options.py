@@ -1,0 +1,33 @@
+"""Arguments and options that several subcommands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+CaseArg = Annotated[
+    Path, typer.Argument(metavar="CASE", help="Case folder (it holds case.toml).", show_default=False)
+]
+OutOpt = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Output folder; default: out/<name of CASE>.", show_default=False
+    ),
+]
+SiteOpt = Annotated[
+    list[str] | None,
+    typer.Option("--site", "-s", metavar="NAME", help="Only this site (may be repeated); default: all."),
+]
+JsonOpt = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
+QuietOpt = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; only the result.")]
+VerboseOpt = Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: all.")]
+SolverOpt = Annotated[str, typer.Option("--solver", help="auto | febio | reference")]
+FebioOpt = Annotated[
+    Path | None, typer.Option("--febio", metavar="FILE", help="The FEBio binary.", show_default=False)
+]
+TemplatesOpt = Annotated[
+    Path | None,
+    typer.Option("--templates", metavar="DIR", help="Your own templates, used before ours."),
+]

@@ -1,0 +1,45 @@
+"""Where things lie: the templates, the shared reference data, the output folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from limbcli.errors import ToolError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def templates_folder(override: Path | None = None) -> Path:
+    """The folder with `feb/` and `report/` templates.
+
+    The user's own folder first (files missing there are taken from ours), then
+    the repository's `templates/`, then the copy that an installed wheel carries.
+
+    Raises
+    ------
+    ToolError
+        If the folder named, or every usual place, is absent.
+    """
+    if override is not None:
+        if not override.is_dir():
+            raise ToolError(
+                f"the template folder {override} does not exist",
+                where="--templates",
+                fix="name a folder that holds feb/*.j2, or leave the option out",
+            )
+        return override
+    for folder in (_PACKAGE.parent / "templates", _PACKAGE / "_templates"):
+        if (folder / "feb").is_dir():
+            return folder
+    raise ToolError(
+        "limbcli's templates are missing from this installation",
+        where=str(_PACKAGE),
+        fix="install limbcli again: pip install --force-reinstall limbcli",
+    )
+
+
+def default_out(case_folder: Path) -> Path:
+    """Output folder of a case where none is named: `out/<name of the case folder>` here."""
+    base = os.environ.get("LIMBCLI_OUT", "out")
+    return Path(base) / case_folder.resolve().name

@@ -1,0 +1,72 @@
+"""One root, few families, each with an exit code of its own.
+
+A message says what happened, where, and what to do. The numbers behind it are
+kept in `facts`, so that a batch can count them.
+
+>>> error = MeshError("no skin under the probe", where="site p1", fix="move position_mm", gap_mm=31.0)
+>>> print(error)
+no skin under the probe
+  where: site p1
+  fix:   move position_mm
+>>> error.exit_code, error.facts["gap_mm"]
+(5, 31.0)
+"""
+
+from __future__ import annotations
+
+
+class LimbError(Exception):
+    """Whatever limbcli can foresee going wrong.
+
+    Parameters
+    ----------
+    what : one sentence, with the numbers in it
+    where : file, stage, level, node: as near as it is known
+    fix : what a tired person should do next
+    facts : the numbers, for machines
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str, fix: str, **facts: object):
+        super().__init__(f"{what}\n  where: {where}\n  fix:   {fix}")
+        self.what = what
+        self.where = where
+        self.fix = fix
+        self.facts = facts
+
+
+class CaseError(LimbError):
+    """The case folder, or a file the user brought, cannot be used."""
+
+    exit_code = 2
+
+
+class MeasurementError(LimbError):
+    """A measured value is missing, impossible or contradicts another."""
+
+    exit_code = 3
+
+
+class ToolError(LimbError):
+    """A program or package that the work needs is missing or broken."""
+
+    exit_code = 4
+
+
+class MeshError(LimbError):
+    """A surface or a volume mesh cannot be made or is not good enough."""
+
+    exit_code = 5
+
+
+class SolveError(LimbError):
+    """The simulation did not reach its end."""
+
+    exit_code = 6
+
+
+class FitError(LimbError):
+    """The identification did not reach a result that can be stood by."""
+
+    exit_code = 7

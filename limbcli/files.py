@@ -1,0 +1,98 @@
+"""Files that are whole or absent.
+
+Every result is written beside its place and renamed into it, so a run that is
+interrupted leaves the previous result, or nothing, and never a half.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+_PARTIAL = ".partial-"
+
+
+@contextlib.contextmanager
+def atomic_file(target: Path) -> Iterator[Path]:
+    """A path to write to; it becomes `target` when the block ends well.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with atomic_file(folder / "a.txt") as path:
+    ...     _ = path.write_text("whole")
+    >>> (folder / "a.txt").read_text(), len(list(folder.iterdir()))
+    ('whole', 1)
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(
+        prefix=f"{_PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
+    )
+    os.close(handle)
+    partial = Path(name)
+    try:
+        yield partial
+        partial.chmod(0o644)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(target: Path) -> Iterator[Path]:
+    """An empty folder to fill; it replaces `target` when the block ends well.
+
+    What an interrupted earlier run left behind is cleared first.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    clear_partial(target.parent)
+    partial = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target.parent))
+    partial.chmod(0o755)
+    try:
+        yield partial
+        retired = target.parent / f"{_PARTIAL}{os.getpid()}-old-{target.name}"
+        if target.exists():
+            os.replace(target, retired)
+        os.replace(partial, target)
+        shutil.rmtree(retired, ignore_errors=True)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def clear_partial(folder: Path) -> None:
+    """Remove partial files and folders whose maker is no longer running."""
+    for path in folder.glob(f"{_PARTIAL}*"):
+        pid = path.name.removeprefix(_PARTIAL).split("-")[0]
+        if pid.isdigit() and _is_alive(int(pid)):
+            continue
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def sha256(path: Path) -> str:
+    """Hash of a file, or of every file of a folder in name order (hex)."""
+    digest = hashlib.sha256()
+    paths = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+    for each in paths:
+        if path.is_dir():
+            digest.update(str(each.relative_to(path)).encode())
+        with each.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,310 @@
+"""`LimbModel`: the shared noun. Meshing makes it, effects return altered copies,
+solvers consume it, `feb` writes and reads it.
+
+Everything is frozen; change it with the `with_*` methods or `dataclasses.replace`.
+Node and cell numbers count from 0 here (FEBio's from 1; `feb` converts). Node
+order inside a cell is VTK's, which is FEBio's too.
+
+Frame of a site's model: z outward along the mean skin normal under the probe,
+x along the probe's long side, and z = 0 the height of the probe face at first
+touch. The tissue lies at z < 0 under the probe; indentation depth is -z of the
+probe face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CellKind = Literal["tet4", "tet10", "hex8", "penta6", "tri3", "tri6", "quad4"]
+NODES_PER_CELL: dict[str, int] = {
+    "tet4": 4, "tet10": 10, "hex8": 8, "penta6": 6, "tri3": 3, "tri6": 6, "quad4": 4,
+}  # fmt: skip
+SOLID_KINDS = frozenset({"tet4", "tet10", "hex8", "penta6"})
+
+
+# ---------------------------------------------------------------- mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Cells of one kind that share a name (FEBio: one `<Elements>` section).
+
+    cells : int array (n_cells, nodes per cell), from 0
+    """
+
+    name: str
+    kind: CellKind
+    cells: IntArray
+
+    @property
+    def is_solid(self) -> bool:
+        return self.kind in SOLID_KINDS
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Named facets, by kind: {"tri3": (n, 3), "tri6": (n, 6), "quad4": (n, 4)}, outward normals."""
+
+    name: str
+    facets: Mapping[str, IntArray]
+
+    @property
+    def n_facets(self) -> int:
+        return sum(len(each) for each in self.facets.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """points (n_points, 3) mm; cells in blocks; named node sets and surfaces.
+
+    Names that site models use: blocks `tissue` (and `fat`, `skin` where layers are
+    asked for) and `probe`; node sets `bone`, `cut`, `fixed` (bone and cut
+    together), `skin`; surfaces `skin`, `contact` (skin that the probe can reach),
+    `bone`, `cut`, `probe_face`.
+    """
+
+    points: Array
+    blocks: tuple[Block, ...]
+    node_sets: Mapping[str, IntArray] = field(default_factory=dict)
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
+
+    def block(self, name: str) -> Block:
+        return next(each for each in self.blocks if each.name == name)
+
+    @property
+    def solid_blocks(self) -> tuple[Block, ...]:
+        return tuple(each for each in self.blocks if each.is_solid)
+
+
+# ---------------------------------------------------------------- values
+
+
+@dataclass(frozen=True, eq=False)
+class ElementMap:
+    """A value per cell of a block: values (n_cells,) or (n_cells, 3)."""
+
+    name: str
+    block: str
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NodeMap:
+    """A value per node of a node set, in the set's order: values (n,)."""
+
+    name: str
+    node_set: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Curved:
+    """`value` times the load curve named `curve` at the current time."""
+
+    value: float
+    curve: str
+
+
+Value = float | tuple[float, ...] | ElementMap | Curved
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A load curve: points (time_s, value); FEBio's interpolations and extensions."""
+
+    points: tuple[tuple[float, float], ...]
+    interpolate: Literal["linear", "step", "smooth"] = "linear"
+    extend: Literal["constant", "extrapolate", "repeat", "repeat offset"] = "constant"
+
+
+# ---------------------------------------------------------------- material
+
+
+@dataclass(frozen=True)
+class Material:
+    """A law by its name in `limbcli.materials.LAWS`, with parameters in the inside convention.
+
+    `parts` are the solids of a mixture, or the elastic base of a wrapper law
+    (viscoelastic, prestrain). The Ogden law's parameters are those of FEBio's
+    "Ogden unconstrained": c1..c6, m1..m6 and kappa (its cp), so that the ground
+    shear modulus is sum(c)/2 and kappa is Lame's lambda.
+    """
+
+    law: str
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    parts: tuple[Material, ...] = ()
+    density: float = 1e-9
+
+    def with_parameters(self, **changes: Value) -> Material:
+        return replace(self, parameters={**self.parameters, **changes})
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A solid block made of a material. `rule` names a special element ("TET10G4", "ut4-solid")."""
+
+    block: str
+    material: str
+    rule: str | None = None
+    rule_parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+# ---------------------------------------------------------------- supports, bodies, contact, loads
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """Displacement of a node set held at 0 (`value` None) or prescribed.
+
+    dofs : some of "x", "y", "z"; a prescribed one has exactly one dof.
+    value : times `curve`; a NodeMap gives each node its own.
+    """
+
+    node_set: str
+    dofs: tuple[str, ...]
+    value: float | NodeMap | None = None
+    curve: str | None = None
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """Shell blocks and attached node sets that move as one.
+
+    `blocks`: shell blocks that consist of it; `node_sets`: tissue nodes tied to it.
+    """
+
+    name: str
+    center_of_mass: tuple[float, float, float]
+    blocks: tuple[str, ...] = ()
+    node_sets: tuple[str, ...] = ()
+    density: float = 1e-9
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What is prescribed of one degree of freedom of a rigid body.
+
+    dof : "x", "y", "z" (translation) or "u", "v", "w" (rotation about x, y, z)
+    kind : "fixed", "displacement", "rotation", "force" or "moment"
+    """
+
+    body: str
+    dof: Literal["x", "y", "z", "u", "v", "w"]
+    kind: Literal["fixed", "displacement", "rotation", "force", "moment"]
+    value: float = 0.0
+    curve: str | None = None
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Spring:
+    """FEBio's "rigid spring" between two bodies: k N/mm, insertion points, free length."""
+
+    name: str
+    body_a: str
+    body_b: str
+    stiffness: float
+    insertion_a: tuple[float, float, float]
+    insertion_b: tuple[float, float, float]
+    free_length: float
+
+
+@dataclass(frozen=True)
+class Contact:
+    """FEBio's `sliding-elastic`: a soft primary surface against a rigid secondary one."""
+
+    primary: str
+    secondary: str
+    name: str = "probe_contact"
+    penalty: float = 20.0
+    auto_penalty: bool = True
+    update_penalty: bool = False
+    augmented: bool = False
+    tolerance: float = 0.05
+    gap_tolerance: float = 0.0
+    search_radius: float = 20.0
+    friction: float = 0.0
+    symmetric: bool = True
+    two_pass: bool = False
+    knmult: float = 0.0
+    search_tolerance: float = 0.01
+    more: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One analysis step: its length is n_steps * step_size, however steps are cut or grown.
+
+    must_points : times (s, from the start of the step) that are hit exactly
+    control : further solver settings as FEBio names them
+    """
+
+    n_steps: int = 10
+    step_size: float = 0.1
+    analysis: Literal["static", "transient"] = "static"
+    dt_min: float = 1e-3
+    dt_max: float | None = None
+    must_points: tuple[float, ...] = ()
+    max_retries: int = 8
+    opt_iterations: int = 25
+    control: Mapping[str, Any] = field(default_factory=dict)
+    supports: tuple[Support, ...] = ()
+    drives: tuple[Drive, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LogRecord:
+    """A table that the solver writes at every converged step.
+
+    kind : "rigid_body", "node" or "element"; fields : FEBio's names ("Fz", "ux", "sz", "Fxx" ...)
+    items : node, cell numbers (from 0, cells counted over all blocks in order) or
+        None for all; for "rigid_body" the body's name.
+    """
+
+    kind: Literal["rigid_body", "node", "element"]
+    fields: tuple[str, ...]
+    file: str
+    items: IntArray | str | None = None
+
+
+# ---------------------------------------------------------------- the model
+
+
+@dataclass(frozen=True, eq=False)
+class LimbModel:
+    """Mesh, laws, contact, supports and loads: all a solver needs, nothing of the case.
+
+    `info` carries plain facts for pictures and checks (site, probe size, the
+    transform `patient_from_model` as 16 numbers row by row, ...).
+    """
+
+    mesh: Mesh
+    materials: Mapping[str, Material]
+    domains: tuple[Domain, ...]
+    bodies: tuple[RigidBody, ...] = ()
+    supports: tuple[Support, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+    steps: tuple[Step, ...] = (Step(),)
+    records: tuple[LogRecord, ...] = ()
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+    def with_material(self, name: str, material: Material) -> LimbModel:
+        """The same model with one material replaced."""
+        if name not in self.materials:
+            raise KeyError(f"no material {name!r}; there are {sorted(self.materials)}")
+        return replace(self, materials={**self.materials, name: material})
+
+    def with_mesh(self, mesh: Mesh) -> LimbModel:
+        return replace(self, mesh=mesh)

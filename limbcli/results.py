@@ -1,0 +1,213 @@
+"""What a stage leaves behind: a folder, its files, and one JSON that tells of them.
+
+`<out>/<stage>/<stage>.json`, or `<out>/<stage>/<site>/<stage>.json` for stages
+that work site by site. Every later stage, the report and the batch read these.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import platform
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli import __version__
+from limbcli.errors import CaseError
+from limbcli.files import atomic_folder, sha256
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """One stage's outcome for one case, or for one site of it.
+
+    `files` maps a short name to a path relative to `folder`; `data` holds plain
+    JSON values whose keys carry units; `summary` is what a person reads on the
+    terminal, one finding a line; `warnings` are passed on by every later stage.
+    """
+
+    stage: str
+    subject: str
+    folder: Path
+    site: str | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
+    data: Mapping[str, Any] = field(default_factory=dict)
+    summary: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def path(self, name: str) -> Path:
+        """Absolute path of one of `files`."""
+        return self.folder / self.files[name]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "stage": self.stage,
+            "subject": self.subject,
+            "site": self.site,
+            "files": dict(self.files),
+            "data": plain(self.data),
+            "summary": list(self.summary),
+            "warnings": list(self.warnings),
+            "provenance": plain(self.provenance),
+        }
+
+
+def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:
+    """Where a stage's result lies below the output folder."""
+    return out / stage / site if site else out / stage
+
+
+@contextlib.contextmanager
+def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) -> Iterator[StageWriter]:
+    """Fill a stage's folder; it takes its place, whole, when the block ends well.
+
+    >>> import tempfile
+    >>> out = Path(tempfile.mkdtemp())
+    >>> with open_stage(out, "mesh", subject="S1", site="p1") as writer:
+    ...     _ = writer.file("picture", "mesh.txt").write_text("hello")
+    ...     writer.data["n_nodes"] = 12
+    >>> read_result(out, "mesh", site="p1").data["n_nodes"]
+    12
+    """
+    target = stage_folder(out, stage, site)
+    with atomic_folder(target) as work:
+        writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
+        yield writer
+        writer.result = writer.finish()
+
+
+class StageWriter:
+    """Collects what a stage finds while it works in its own folder (`work`)."""
+
+    def __init__(self, *, stage: str, subject: str, site: str | None, work: Path, target: Path):
+        self.stage, self.subject, self.site = stage, subject, site
+        self.work, self.target = work, target
+        self.files: dict[str, str] = {}
+        self.data: dict[str, Any] = {}
+        self.summary: list[str] = []
+        self.warnings: list[str] = []
+        self.inputs: dict[str, str] = {}
+        self.extra_provenance: dict[str, Any] = {}
+        self.result: StageResult | None = None
+        self._start = time.time()
+
+    def file(self, name: str, filename: str) -> Path:
+        """Register a file under a short name; returns the path to write it to."""
+        self.files[name] = filename
+        path = self.work / filename
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def used(self, label: str, path: Path) -> None:
+        """Record the hash of an input (file or folder)."""
+        self.inputs[label] = sha256(path)
+
+    def finish(self) -> StageResult:
+        result = StageResult(
+            stage=self.stage,
+            subject=self.subject,
+            site=self.site,
+            folder=self.target,
+            files=dict(self.files),
+            data=plain(self.data),
+            summary=tuple(self.summary),
+            warnings=tuple(self.warnings),
+            provenance={
+                **provenance(),
+                "seconds": round(time.time() - self._start, 3),
+                "inputs_sha256": dict(self.inputs),
+                **self.extra_provenance,
+            },
+        )
+        text = json.dumps(result.to_json(), indent=1, allow_nan=False)
+        (self.work / f"{self.stage}.json").write_text(text + "\n", encoding="utf-8")
+        return result
+
+
+def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
+    """Read back what a stage left.
+
+    Raises
+    ------
+    CaseError
+        If the stage has not been run or its JSON cannot be read.
+    """
+    folder = stage_folder(out, stage, site)
+    path = folder / f"{stage}.json"
+    if not path.is_file():
+        raise CaseError(
+            f"there is no result of `{stage}`" + (f" for site {site}" if site else ""),
+            where=str(folder),
+            fix=f"run `limbcli {stage} CASE --out {out}` first",
+        )
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return StageResult(
+            stage=content["stage"],
+            subject=content["subject"],
+            site=content["site"],
+            folder=folder,
+            files=content["files"],
+            data=content["data"],
+            summary=tuple(content["summary"]),
+            warnings=tuple(content["warnings"]),
+            provenance=content["provenance"],
+        )
+    except (ValueError, KeyError, UnicodeDecodeError) as error:
+        raise CaseError(
+            f"the result of `{stage}` cannot be read ({error})",
+            where=str(path),
+            fix=f"run `limbcli {stage} CASE --out {out}` again",
+        ) from error
+
+
+def provenance() -> dict[str, Any]:
+    """Command, versions and unit system of this run."""
+    packages = ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio")
+    versions = {}
+    for name in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return {
+        "limbcli": __version__,
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "packages": versions,
+        "units": "mm-N-s (MPa)",
+        "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Plain JSON values: arrays become lists, NaN and infinity become null.
+
+    >>> plain({"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": Path("x")})
+    {'a': [1.0, None], 'b': 3, 'c': 'x'}
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(each) for each in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value

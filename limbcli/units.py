@@ -1,0 +1,56 @@
+"""The only place where conversion factors live.
+
+Inside the package every bare number is in mm, N, MPa, s (mass in tonne). What
+crosses a boundary carries its unit in its name and is converted here.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Number = TypeVar("Number", float, NDArray[np.float64])
+
+GRAVITY_M_PER_S2 = 9.80665
+
+
+def mpa_from_kpa(value_kpa: Number) -> Number:
+    """
+    >>> mpa_from_kpa(5.0)
+    0.005
+    """
+    return cast(Number, value_kpa / 1e3)
+
+
+def kpa_from_mpa(value: Number) -> Number:
+    """
+    >>> kpa_from_mpa(0.005)
+    5.0
+    """
+    return cast(Number, value * 1e3)
+
+
+def mpa_from_pa(value_pa: Number) -> Number:
+    """
+    >>> mpa_from_pa(2000.0)
+    0.002
+    """
+    return cast(Number, value_pa / 1e6)
+
+
+def tonne_per_mm3_from_kg_per_m3(value_kg_per_m3: Number) -> Number:
+    """
+    >>> tonne_per_mm3_from_kg_per_m3(1000.0)
+    1e-09
+    """
+    return cast(Number, value_kg_per_m3 * 1e-12)
+
+
+def m_per_s_from_mm_per_s(value: Number) -> Number:
+    """
+    >>> m_per_s_from_mm_per_s(2000.0)
+    2.0
+    """
+    return cast(Number, value / 1e3)
