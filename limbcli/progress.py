@@ -11,7 +11,11 @@ n_steps, iteration, residual, target, depth), "fit" (iteration, cost, parameters
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 Listener = Callable[[str, dict[str, Any]], None]
@@ -39,3 +43,46 @@ class Progress:
 
 
 SILENT = Progress()
+
+
+@contextlib.contextmanager
+def recorded(progress: Progress, path: Path) -> Iterator[Progress]:
+    """The same progress, with every event also kept in `path`: one JSON object a line.
+
+    Each line has "kind", "elapsed_s" (since the recording began) and the event's
+    facts. A stage that records into its own folder lets the report draw how the
+    solver and the fit converged.
+
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "progress.jsonl"
+    >>> with recorded(SILENT, path) as progress:
+    ...     progress.event("newton", step=1, n_steps=2, residual=3e-2)
+    >>> [(each["kind"], each["residual"]) for each in read_events(path)]
+    [('newton', 0.03)]
+    """
+    start = time.monotonic()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", buffering=1) as stream:
+
+        def keep(kind: str, facts: dict[str, Any]) -> None:
+            line = {"kind": kind, "elapsed_s": round(time.monotonic() - start, 3), **facts}
+            stream.write(json.dumps(line, default=_plain_number) + "\n")
+
+        yield progress.also(keep)
+
+
+def read_events(path: Path) -> list[dict[str, Any]]:
+    """What `recorded` kept. A last line cut short by an interruption is left out."""
+    events = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        with contextlib.suppress(ValueError):
+            event = json.loads(line)
+            if isinstance(event, dict) and "kind" in event:
+                events.append(event)
+    return events
+
+
+def _plain_number(value: object) -> object:
+    """numpy scalars and arrays as plain numbers; anything else by its text."""
+    as_list = getattr(value, "tolist", None)
+    return as_list() if callable(as_list) else str(value)
