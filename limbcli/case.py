@@ -1,16 +1,23 @@
 """The case folder, format 1: what a user brings.
 
-`Case.open(folder)` reads and checks `case.toml` and everything it names that can
-be checked without computing, and reports every problem at once.
+`Case.open(folder)` reads `case.toml`, checks it and that the files it names are
+there, and raises one error with every problem. What is inside the files is
+checked by the room that reads them; `limbcli check` runs all of these at once.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from limbcli.model import Array
+from limbcli import case_schema as schema
+from limbcli.errors import CaseError
+from limbcli.problems import Problem, raise_errors
+
+CASE_FILE = "case.toml"
 
 
 @dataclass(frozen=True)
@@ -35,13 +42,15 @@ class Imaging:
 
 @dataclass(frozen=True)
 class ModelOptions:
+    """margin : mm of tissue kept beyond the probe face; element : "tet10" or "tet4"."""
+
     margin: float = 40.0
     element: str = "tet10"
 
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation each."""
+    """One standard deviation each; `source` says where they come from."""
 
     force: float = 0.1
     depth: float = 0.3
@@ -56,7 +65,7 @@ class Site:
 
     position : (3,) mm patient LPS, or None where `marker` (from 1) is given
     long_axis : "transverse", "axial", or a vector (3,)
-    levels : the path of levels.csv
+    levels, trace, swe_maps : paths of levels.csv, trace.csv, and the folder of SWE maps
     """
 
     name: str
@@ -72,6 +81,8 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Case:
+    """One subject's folder, read and checked."""
+
     folder: Path
     subject: str
     limb: str
@@ -79,4 +90,214 @@ class Case:
     probe: Probe
     model: ModelOptions
     sites: tuple[Site, ...]
-    raw: Mapping[str, object]
+    raw: Mapping[str, Any]
+
+    @property
+    def file(self) -> Path:
+        return self.folder / CASE_FILE
+
+    @staticmethod
+    def open(folder: Path) -> Case:
+        """Read and check a case folder.
+
+        Raises
+        ------
+        CaseError
+            With every problem of case.toml and every file missing.
+        """
+        case, problems = read_case(folder)
+        raise_errors(problems, CaseError)
+        assert case is not None
+        return case
+
+    def site(self, name: str) -> Site:
+        """One site by name.
+
+        Raises
+        ------
+        CaseError
+            If there is none of that name.
+        """
+        for each in self.sites:
+            if each.name == name:
+                return each
+        names = ", ".join(each.name for each in self.sites)
+        raise CaseError(f"there is no site {name!r}", where=str(self.file), fix=f"the sites are: {names}")
+
+    def selected(self, names: list[str] | None) -> tuple[Site, ...]:
+        """The sites named, or all."""
+        return tuple(self.site(name) for name in names) if names else self.sites
+
+
+def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
+    """The case, as far as it can be understood, and every problem found on the way."""
+    raw, problems = _read_toml(folder)
+    if raw is None:
+        return None, problems
+    file = str(folder / CASE_FILE)
+    parts: dict[str, dict[str, Any]] = {}
+    problems += schema.check_table(raw, schema.TOP, name="case.toml", file=file)[1]
+    if "format" not in raw:
+        problems.append(Problem("case.toml lacks 'format'", file, "add `format = 1` as its first line"))
+    tables = {
+        "subject": schema.SUBJECT, "imaging": schema.IMAGING, "probe": schema.PROBE, "model": schema.MODEL,
+    }  # fmt: skip
+    for name, keys in tables.items():
+        if name not in raw and name != "model":
+            problems.append(Problem(f"case.toml lacks the table [{name}]", file, f"add [{name}]"))
+        parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
+        problems += found if name in raw else []
+    sites, found = _read_sites(raw.get("site"), folder)
+    problems += found
+    imaging, found = _read_imaging(parts["imaging"], folder, present="imaging" in raw)
+    problems += found
+    if any(each.severity == "error" for each in problems):
+        return None, problems
+    return _assemble(folder, raw, parts, imaging, sites), problems
+
+
+def _assemble(
+    folder: Path,
+    raw: Mapping[str, Any],
+    parts: Mapping[str, Mapping[str, Any]],
+    imaging: Imaging,
+    sites: list[Site],
+) -> Case:
+    probe, model = parts["probe"], parts["model"]
+    return Case(
+        folder=folder,
+        subject=parts["subject"]["id"],
+        limb=parts["subject"]["limb"],
+        imaging=imaging,
+        probe=Probe(
+            name=probe["name"],
+            length=float(probe["length_mm"]),
+            width=float(probe["width_mm"]),
+            edge_radius=float(probe["edge_radius_mm"]),
+        ),
+        model=ModelOptions(margin=float(model["margin_mm"]), element=model["element"]),
+        sites=tuple(sites),
+        raw=raw,
+    )
+
+
+def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
+    path = folder / CASE_FILE
+    if not folder.is_dir():
+        fix = "name a folder that holds a case.toml"
+        return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
+    if not path.is_file():
+        fix = "write one (see `limbcli phantom DIR` for an example), or name the folder that holds it"
+        return None, [Problem("the folder holds no case.toml", str(folder), fix)]
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")), []
+    except tomllib.TOMLDecodeError as error:
+        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "mend that line")]
+    except UnicodeDecodeError as error:
+        return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
+
+
+def _read_imaging(table: Mapping[str, Any], folder: Path, *, present: bool) -> tuple[Imaging, list[Problem]]:
+    file = str(folder / CASE_FILE)
+    problems: list[Problem] = []
+    if present and not any(table.get(key) for key in ("mri", "labels", "skin")):
+        fix = 'add `mri = "folder"`, `labels = "file"`, or `skin` and `bones`'
+        problems.append(Problem("[imaging] names no geometry", file, fix))
+    if table.get("bones") and not table.get("skin"):
+        problems.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
+    if table.get("skin") and not table.get("bones"):
+        problems.append(Problem("[imaging] has a skin but no bones", file, 'add `bones = ["file", ...]`'))
+    if table.get("mri") and table.get("skin"):
+        problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
+    paths: dict[str, Path | None] = {}
+    for key, is_folder in (("mri", True), ("labels", False), ("skin", False)):
+        paths[key], found = _existing(table.get(key), folder, f"imaging.{key}", is_folder=is_folder)
+        problems += found
+    bones = []
+    for k, name in enumerate(table.get("bones") or []):
+        bone, found = _existing(name, folder, f"imaging.bones[{k}]", is_folder=False)
+        problems += found
+        if bone:
+            bones.append(bone)
+    return Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones)), problems
+
+
+def _read_sites(tables: object, folder: Path) -> tuple[list[Site], list[Problem]]:
+    file = str(folder / CASE_FILE)
+    if not isinstance(tables, list) or not tables:
+        return [], [Problem("case.toml has no site", file, "add a [[site]] (see the case format)")]
+    sites: list[Site] = []
+    problems: list[Problem] = []
+    names: set[str] = set()
+    for k, table in enumerate(tables, 1):
+        site, found = _read_site(table, folder, label=f"site {k}")
+        problems += found
+        if site is None:
+            continue
+        if site.name in names:
+            problems.append(Problem(f"two sites are named {site.name!r}", file, "give each its own name"))
+        names.add(site.name)
+        sites.append(site)
+    return sites, problems
+
+
+def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None, list[Problem]]:
+    file = str(folder / CASE_FILE)
+    values, problems = schema.check_table(table, schema.SITE, name=label, file=file)
+    if not values:
+        return None, problems
+    label = f"site {values['name']}" if values.get("name") else label
+    given = [key for key in ("position_mm", "marker") if isinstance(table, dict) and key in table]
+    if len(given) != 1:
+        what = "has neither position_mm nor marker" if not given else "has both position_mm and marker"
+        problems.append(Problem(f"{label} {what}", file, "give exactly one of the two"))
+    raw_noise = values.get("noise")
+    noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
+    problems += found
+    paths: dict[str, Path | None] = {}
+    for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
+        paths[key], found = _existing(values.get(key), folder, f"{label}: {key}", is_folder=is_folder)
+        problems += found
+    if problems or paths["levels"] is None:
+        return None, problems
+    return _make_site(values, noise, paths, paths["levels"]), problems
+
+
+def _make_site(
+    values: Mapping[str, Any], noise: Mapping[str, Any], paths: Mapping[str, Path | None], levels: Path
+) -> Site:
+    position, long_axis = values["position_mm"], values["long_axis"]
+    return Site(
+        name=values["name"],
+        position=(float(position[0]), float(position[1]), float(position[2])) if position else None,
+        marker=values["marker"],
+        long_axis=long_axis if isinstance(long_axis, str) else (
+            float(long_axis[0]), float(long_axis[1]), float(long_axis[2])
+        ),
+        levels=levels,
+        trace=paths["trace"],
+        swe_maps=paths["swe_maps"],
+        density_kg_per_m3=float(values["density_kg_per_m3"]),
+        noise=Noise(
+            force=float(noise["force_n"]),
+            depth=float(noise["depth_mm"]),
+            swe_level_fraction=float(noise["swe_level_fraction"]),
+            swe_pixel_fraction=float(noise["swe_pixel_fraction"]),
+            source=noise["source"],
+        ),
+    )  # fmt: skip
+
+
+def _existing(
+    name: object, folder: Path, label: str, *, is_folder: bool
+) -> tuple[Path | None, list[Problem]]:
+    if not isinstance(name, str):
+        return None, []
+    path = folder / name
+    if path.is_dir() if is_folder else path.is_file():
+        return path, []
+    kind = "folder" if is_folder else "file"
+    if path.exists():
+        return None, [Problem(f"{label} is not a {kind}: {name}", str(path), f"name a {kind}")]
+    fix = f"put the {kind} there, or correct the name (it is relative to {folder})"
+    return None, [Problem(f"{label} names a {kind} that is not there: {name}", str(path), fix)]

@@ -66,7 +66,9 @@ def main(arguments: list[str] | None = None) -> None:
         report_error(error, as_json="--json" in arguments)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
-        print("interrupted; nothing half-written was kept. The same command finishes the job.", file=sys.stderr)
+        print(
+            "interrupted; nothing half-written was kept. The same command finishes the job.", file=sys.stderr
+        )
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,180 @@
+"""What may stand in case.toml: every key with its type, default and plausible range.
+
+`check_table` walks one table and reports all that is wrong with it; nothing here
+touches a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from limbcli.problems import Problem, suggestion
+
+Check = Callable[[Any], str | None]
+"""Returns what is wrong with a value, or None."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key: its type in words, how to check it, and whether it must be there."""
+
+    kind: str
+    check: Check
+    required: bool = False
+    default: Any = None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def number(low: float, high: float, unit: str) -> Check:
+    """A number within plausible limits."""
+
+    def check(value: object) -> str | None:
+        if not _is_number(value):
+            return f"is {value!r}, not a number"
+        if not low <= value <= high:  # type: ignore[operator]
+            return f"is {value:g} {unit}; plausible is {low:g} to {high:g} {unit}"
+        return None
+
+    return check
+
+
+def text(value: object) -> str | None:
+    return None if isinstance(value, str) and value.strip() else f"is {value!r}, not a text"
+
+
+def plain_name(value: object) -> str | None:
+    """A name that is also a folder name."""
+    wrong = text(value)
+    if wrong is None and not all(letter.isalnum() or letter in "-_." for letter in str(value)):
+        wrong = f"is {value!r}; use letters, digits, '-', '_' and '.' only"
+    if wrong is None and str(value).startswith("."):
+        wrong = f"is {value!r}; it must not begin with '.'"
+    return wrong
+
+
+def one_of(*choices: str) -> Check:
+    def check(value: object) -> str | None:
+        if value in choices:
+            return None
+        hint = suggestion(str(value), choices)
+        return f"is {value!r}; one of {', '.join(map(repr, choices))} ({hint})"
+
+    return check
+
+
+def texts(value: object) -> str | None:
+    good = isinstance(value, list) and value and all(text(each) is None for each in value)
+    return None if good else f"is {value!r}, not a list of texts"
+
+
+def vector(value: object) -> str | None:
+    good = isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
+    return None if good else f"is {value!r}, not three numbers [x, y, z]"
+
+
+def axis(value: object) -> str | None:
+    if isinstance(value, str):
+        return one_of("transverse", "axial")(value)
+    wrong = vector(value)
+    if wrong is None and not any(value):  # type: ignore[arg-type]
+        wrong = "has length zero"
+    return wrong
+
+
+def whole(low: int, high: int) -> Check:
+    def check(value: object) -> str | None:
+        good = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+        return None if good else f"is {value!r}, not a whole number from {low} to {high}"
+
+    return check
+
+
+SUBJECT = {
+    "id": Key("text", plain_name, required=True),
+    "limb": Key("left | right", one_of("left", "right"), required=True),
+}
+IMAGING = {
+    "mri": Key("folder", text),
+    "labels": Key("file", text),
+    "skin": Key("file", text),
+    "bones": Key("list of files", texts),
+}
+PROBE = {
+    "name": Key("text", text, default="probe"),
+    "length_mm": Key("mm", number(5.0, 150.0, "mm"), required=True),
+    "width_mm": Key("mm", number(3.0, 60.0, "mm"), required=True),
+    "edge_radius_mm": Key("mm", number(0.0, 20.0, "mm"), default=3.0),
+}
+MODEL = {
+    "margin_mm": Key("mm", number(5.0, 150.0, "mm"), default=40.0),
+    "element": Key("tet10 | tet4", one_of("tet10", "tet4"), default="tet10"),
+}
+SITE = {
+    "name": Key("text", plain_name, required=True),
+    "position_mm": Key("[x, y, z]", vector),
+    "marker": Key("number", whole(1, 99)),
+    "long_axis": Key("transverse | axial | [x, y, z]", axis, required=True),
+    "levels": Key("file", text, required=True),
+    "trace": Key("file", text),
+    "swe_maps": Key("folder", text),
+    "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
+    "noise": Key("table", lambda value: None if isinstance(value, dict) else f"is {value!r}, not a table"),
+}
+NOISE = {
+    "force_n": Key("N", number(0.0, 5.0, "N"), default=0.1),
+    "depth_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.3),
+    "swe_level_fraction": Key("1", number(0.0, 0.5, ""), default=0.05),
+    "swe_pixel_fraction": Key("1", number(0.0, 1.0, ""), default=0.10),
+    "source": Key("repeats | spec | assumed", one_of("repeats", "spec", "assumed"), default="assumed"),
+}
+TOP = {
+    "format": Key("1", lambda value: None if value == 1 else f"is {value!r}; this program reads format 1"),
+    "subject": Key("table", lambda _: None),
+    "imaging": Key("table", lambda _: None),
+    "probe": Key("table", lambda _: None),
+    "model": Key("table", lambda _: None),
+    "site": Key("list of tables", lambda _: None),
+}
+
+
+def check_table(
+    table: object, schema: Mapping[str, Key], *, name: str, file: str
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Values with defaults filled in, and every problem of one table.
+
+    >>> _, problems = check_table({"lenght_mm": 53}, PROBE, name="probe", file="case.toml")
+    >>> for each in problems: print(each.what)
+    unknown key 'lenght_mm' in [probe]
+    [probe] lacks 'length_mm' (mm)
+    [probe] lacks 'width_mm' (mm)
+    """
+    if not isinstance(table, dict):
+        problem = Problem(f"[{name}] is not a table", file, f"write it as [{name}] with `key = value` lines")
+        return {}, [problem]
+    problems = [
+        Problem(f"unknown key {key!r} in [{name}]", file, suggestion(key, schema))
+        for key in table
+        if key not in schema
+    ]
+    values: dict[str, Any] = {}
+    for key, rule in schema.items():
+        if key not in table:
+            values[key] = rule.default
+            if rule.required:
+                problems.append(
+                    Problem(f"[{name}] lacks {key!r} ({rule.kind})", file, f"add `{key} = ...` to [{name}]")
+                )
+            continue
+        values[key] = table[key]
+        if wrong := rule.check(table[key]):
+            problems.append(
+                Problem(f"{name}.{key} {wrong}", file, f"correct {key} ({rule.kind}) in [{name}]")
+            )
+            values[key] = rule.default
+    return values, problems

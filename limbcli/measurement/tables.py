@@ -1,0 +1,142 @@
+"""Reading a CSV of numbers strictly: every wrong cell and column is reported with its place."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.model import Array
+from limbcli.problems import Problem, suggestion
+
+_SHOWN_PER_FILE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class RawTable:
+    """Columns by name: numbers (NaN where empty) and texts; `lines` are file line numbers."""
+
+    numbers: Mapping[str, Array]
+    texts: Mapping[str, list[str]]
+    lines: list[int]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+def read_table(
+    path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = ()
+) -> tuple[RawTable | None, list[Problem]]:
+    """A comma-separated table with a header line.
+
+    required, optional : names of number columns; texts : names of text columns (optional).
+    Returns the table, or None where it cannot be read at all, and every problem.
+    """
+    content, problems = _read_text(path)
+    if content is None:
+        return None, problems
+    rows = list(csv.reader(io.StringIO(content)))
+    numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
+    if not numbered:
+        return None, [_problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
+    header = [cell.strip() for cell in numbered[0][1]]
+    problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
+    if any(each.severity == "error" for each in problems):
+        return None, problems
+    body = numbered[1:]
+    if not body:
+        return None, [_problem("the table has a header but no rows", path, "add the measured rows")]
+    cells, found = _check_width(body, len(header), path)
+    problems += found
+    numbers: dict[str, Array] = {}
+    found = []
+    for j, name in enumerate(header):
+        if name in texts:
+            continue
+        numbers[name], wrong = _numbers(cells, j, name, path, may_be_empty=name not in required)
+        found += wrong
+    if len(found) > _SHOWN_PER_FILE:
+        more = len(found) - _SHOWN_PER_FILE
+        found = [
+            *found[:_SHOWN_PER_FILE],
+            _problem(f"and {more} more cells like these", path, "mend them all"),
+        ]
+    columns = {name: [row[j].strip() for _, row in cells] for j, name in enumerate(header) if name in texts}
+    return RawTable(numbers, columns, [line for line, _ in cells]), problems + found
+
+
+def _problem(what: str, path: Path, fix: str, *, line: int | None = None) -> Problem:
+    where = f"{path}, line {line}" if line else str(path)
+    return Problem(what, where, fix, family="measurement")
+
+
+def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
+    try:
+        content = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        return None, [_problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
+    except OSError as error:
+        return None, [_problem(f"the file cannot be read ({error.strerror})", path, "check name and rights")]
+    if "\0" in content:
+        return None, [_problem("the file is binary, not CSV", path, "export it as comma-separated text")]
+    return content, []
+
+
+def _check_header(
+    header: list[str], path: Path, *, required: Collection[str], known: Collection[str]
+) -> list[Problem]:
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        fix = "separate with commas (and write decimals with a point)"
+        return [_problem("the columns are not separated by commas", path, fix, line=1)]
+    problems = []
+    for name in header:
+        if name not in known:
+            what = f"unknown column {name!r}" if name else "a column without a name"
+            problems.append(_problem(what, path, suggestion(name, known), line=1))
+    for name in sorted({each for each in header if header.count(each) > 1}):
+        problems.append(_problem(f"column {name!r} stands twice", path, "keep one of them", line=1))
+    for name in required:
+        if name not in header:
+            fix = f"add it; its name carries the unit ({name.rsplit('_', 1)[-1]})"
+            problems.append(_problem(f"column {name!r} is missing", path, fix, line=1))
+    return problems
+
+
+def _check_width(
+    body: list[tuple[int, list[str]]], width: int, path: Path
+) -> tuple[list[tuple[int, list[str]]], list[Problem]]:
+    good, problems = [], []
+    for line, row in body:
+        if len(row) == width:
+            good.append((line, row))
+            continue
+        fix = "one cell a column; write decimals with a point, not a comma"
+        what = f"the row has {len(row)} cells, the header {width}"
+        problems.append(_problem(what, path, fix, line=line))
+    return good, problems[:_SHOWN_PER_FILE]
+
+
+def _numbers(
+    cells: list[tuple[int, list[str]]], column: int, name: str, path: Path, *, may_be_empty: bool
+) -> tuple[Array, list[Problem]]:
+    values = np.full(len(cells), np.nan)
+    problems = []
+    for k, (line, row) in enumerate(cells):
+        cell = row[column].strip()
+        if not cell and may_be_empty:
+            continue
+        try:
+            values[k] = float(cell)
+        except ValueError:
+            what = f"{name} is {cell!r}, not a number" if cell else f"{name} is empty"
+            fix = "write a number with a decimal point, without its unit"
+            problems.append(_problem(what, path, fix, line=line))
+            continue
+        if not np.isfinite(values[k]):
+            fix = "leave the cell empty" if may_be_empty else "remove the row, or measure it again"
+            problems.append(_problem(f"{name} is {cell}", path, fix, line=line))
+    return values, problems

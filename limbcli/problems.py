@@ -1,0 +1,66 @@
+"""Several problems at once: what a check finds, each with its place and its fix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Literal, TypeVar
+
+from limbcli.errors import LimbError
+
+AnyError = TypeVar("AnyError", bound=LimbError)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One finding. An "error" stops the work; a "warning" goes with the result."""
+
+    what: str
+    where: str
+    fix: str
+    severity: Literal["error", "warning"] = "error"
+    family: Literal["case", "measurement"] = "case"
+
+    def __str__(self) -> str:
+        return f"{self.what}\n  where: {self.where}\n  fix:   {self.fix}"
+
+
+def errors_of(problems: Iterable[Problem]) -> list[Problem]:
+    return [each for each in problems if each.severity == "error"]
+
+
+def raise_errors(problems: Iterable[Problem], family: type[AnyError]) -> None:
+    """Raise one error that carries every problem of severity "error", if there is any.
+
+    >>> raise_errors([Problem("a", "b", "c", severity="warning")], LimbError)
+    """
+    found = errors_of(problems)
+    if not found:
+        return
+    first, *others = found
+    facts = {"problems": [vars(each) for each in found]}
+    if not others:
+        raise family(first.what, where=first.where, fix=first.fix, **facts)
+    listed = "".join(f"\n{k}. {each}" for k, each in enumerate(found, 1))
+    raise family(
+        f"{len(found)} problems:{listed}",
+        where=first.where,
+        fix="mend them all, then `limbcli check CASE` to be sure",
+        **facts,
+    )
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """The nearest known name, as a piece of a sentence.
+
+    >>> suggestion("lenght_mm", ["length_mm", "width_mm"])
+    "did you mean 'length_mm'?"
+    >>> suggestion("colour", ["length_mm"])
+    "known here: 'length_mm'"
+    """
+    known = sorted(known)
+    near = get_close_matches(name, known, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    return "known here: " + ", ".join(repr(each) for each in known)
