@@ -1,0 +1,1 @@
+"""A synthetic subject whose truth is known: anatomy, MRI, measurements."""

@@ -1,0 +1,156 @@
+"""`limbcli phantom DIR`: a synthetic subject whose truth is known, as a whole case folder.
+
+    DIR/case.toml, mri/, p1/{levels.csv, trace.csv, swe/}, ...    what a user would bring
+    DIR/truth/{truth.toml, labels.nii.gz, skin.ply, bone_*.ply}   what no stage reads
+
+The force-depth curves come from a simulation on the truth surfaces, on a mesh of
+its own (see `stages.synth`), with noise added. The same seed gives the same folder.
+`cases/phantom` also carries an `expected.toml` for `limbcli batch --expect`, in
+the format of `stages.expect`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.files import atomic_folder
+from limbcli.phantom import truth
+from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
+from limbcli.phantom.dicom_series import write_series
+from limbcli.phantom.mri import Volume, acquire, tissue_fractions
+from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, provenance
+
+TRUTH = "truth"
+
+
+@dataclass(frozen=True)
+class PhantomOptions:
+    """What to make. voxel : mm; site_names : some of `subject.PLACES`; measured : with measurements."""
+
+    seed: int = 7
+    subject_id: str = "phantom"
+    voxel: tuple[float, float, float] = (1.0, 1.0, 4.0)
+    site_names: tuple[str, ...] = tuple(each.name for each in PLACES)
+    element: str = "tet10"
+    measured: bool = True
+    noise: NoiseLaw = field(default_factory=NoiseLaw)
+
+
+def phantom(
+    folder: Path,
+    *,
+    options: PhantomOptions = PhantomOptions(),
+    force: bool = False,
+    progress: Progress = SILENT,
+) -> StageResult:
+    """Make the case folder, whole or not at all.
+
+    Raises
+    ------
+    CaseError
+        If the folder is there already and `force` is not given, or if it holds
+        anything but a synthetic subject.
+    """
+    _check_target(folder, force=force)
+    places = _places(options.site_names)
+    rng_shape, rng_image = (np.random.default_rng([options.seed, k]) for k in (1, 2))
+    subject = make_subject(rng_shape, voxel=options.voxel, places=places)
+    progress.event("stage", name="phantom", site=None)
+    with atomic_folder(folder) as work:
+        volume = _write_image(subject, work, options, rng_image, progress)
+        _write_truth(subject, volume, work, options)
+        _write_case(subject, work, options)
+        for place in places:
+            (work / place.name).mkdir()
+            (work / place.name / "levels.csv").write_text(LEVELS_HEADER, encoding="utf-8")
+    return _result(folder, subject, volume, options)
+
+
+def _check_target(folder: Path, *, force: bool) -> None:
+    if not folder.exists():
+        return
+    if not force:
+        fix = "add --force to replace it, or name another folder"
+        raise CaseError(f"{folder} is there already", where=str(folder), fix=fix)
+    if folder.is_dir() and (not any(folder.iterdir()) or (folder / TRUTH / "truth.toml").is_file()):
+        return
+    what = f"{folder} is not a synthetic subject (it holds no {TRUTH}/truth.toml); --force leaves it alone"
+    raise CaseError(what, where=str(folder), fix="name another folder")
+
+
+def _places(names: tuple[str, ...]) -> tuple[Place, ...]:
+    known = {each.name: each for each in PLACES}
+    for name in names:
+        if name not in known:
+            fix = f"choose from {', '.join(known)}"
+            raise CaseError(f"the phantom has no site {name!r}", where="--site", fix=fix)
+    return tuple(each for each in PLACES if each.name in names)
+
+
+def _write_image(
+    subject: Subject, work: Path, options: PhantomOptions, rng: np.random.Generator, progress: Progress
+) -> Volume:
+    fractions = tissue_fractions(subject.anatomy, subject.grid, subject.limb_from_patient, progress=progress)
+    volume = acquire(fractions, subject.grid, rng=rng)
+    write_series(work / "mri", volume.signal, subject.grid, subject=options.subject_id, seed=options.seed)
+    return volume
+
+
+def _write_truth(subject: Subject, volume: Volume, work: Path, options: PhantomOptions) -> None:
+    folder = work / TRUTH
+    folder.mkdir()
+    truth.write_labels(folder / "labels.nii.gz", volume.labels, subject.grid)
+    for name, surface in truth.surfaces(subject).items():
+        truth.write_surface(folder / f"{name}.ply", surface)
+    table = geometry_truth(subject, seed=options.seed, dice_labels="labels.nii.gz")
+    (folder / "truth.toml").write_text(toml(table), encoding="utf-8")
+
+
+def _write_case(subject: Subject, work: Path, options: PhantomOptions) -> None:
+    sites = []
+    for place in subject.places:
+        marker = 1 if place.by_marker else None
+        sites.append(
+            site_table(place, subject, marker=marker, noise=options.noise, measured=options.measured)
+        )
+    table = case_table(
+        subject_id=options.subject_id, imaging={"mri": "mri"}, sites=sites, element=options.element
+    )
+    (work / "case.toml").write_text(toml(table), encoding="utf-8")
+
+
+def _result(folder: Path, subject: Subject, volume: Volume, options: PhantomOptions) -> StageResult:
+    size = sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
+    labels = volume.labels
+    data: dict[str, Any] = {
+        "seed": options.seed,
+        "image_shape": list(subject.grid.shape),
+        "voxel_mm": subject.grid.spacing,
+        "volume_ml": {
+            "limb": float((labels > 0).sum() * subject.grid.spacing.prod() / 1e3),
+            "bone": float((labels == 2).sum() * subject.grid.spacing.prod() / 1e3),
+        },
+        "sites": [each.name for each in subject.places],
+        "size_bytes": size,
+    }
+    summary = [
+        f"{subject.grid.shape[2]} slices of {subject.grid.shape[0]} x {subject.grid.shape[1]}"
+        f" voxels, {size / 1e6:.1f} MB in all; sites {', '.join(data['sites'])}",
+        f"next: limbcli batch {folder}" if options.measured else f"next: limbcli segment {folder}",
+    ]
+    return StageResult(
+        stage="phantom",
+        subject=options.subject_id,
+        folder=folder,
+        files={"case": "case.toml", "truth": f"{TRUTH}/truth.toml"},
+        data=data,
+        summary=tuple(summary),
+        provenance=provenance(),
+    )
