@@ -165,6 +165,7 @@ class Support:
     """Displacement of a node set held at 0 (`value` None) or prescribed.
 
     dofs : some of "x", "y", "z"; a prescribed one has exactly one dof.
+        "p" alone is the fluid pressure of biphasic tissue, held at 0.
     value : times `curve`; a NodeMap gives each node its own.
     """
 
@@ -220,11 +221,15 @@ class Spring:
 
 @dataclass(frozen=True)
 class Contact:
-    """FEBio's `sliding-elastic`: a soft primary surface against a rigid secondary one."""
+    """FEBio's `sliding-elastic`: a soft primary surface against a rigid secondary one.
+
+    `more` holds FEBio's further settings by their names, as text ("maxaug": "10").
+    """
 
     primary: str
     secondary: str
     name: str = "probe_contact"
+    kind: Literal["sliding-elastic", "sliding-biphasic"] = "sliding-elastic"
     penalty: float = 20.0
     auto_penalty: bool = True
     update_penalty: bool = False
@@ -245,6 +250,9 @@ class Step:
     """One analysis step: its length is n_steps * step_size, however steps are cut or grown.
 
     must_points : times (s, from the start of the step) that are hit exactly
+    adaptive : False: every step is `step_size`, never cut nor grown
+    dt_max_curve : the load curve that gives the largest step size over time, where
+        it is not `dt_max` throughout; its points are the must-points
     control : further solver settings as FEBio names them
     """
 
@@ -256,6 +264,8 @@ class Step:
     must_points: tuple[float, ...] = ()
     max_retries: int = 8
     opt_iterations: int = 25
+    adaptive: bool = True
+    dt_max_curve: str | None = None
     control: Mapping[str, Any] = field(default_factory=dict)
     supports: tuple[Support, ...] = ()
     drives: tuple[Drive, ...] = ()

@@ -1,0 +1,1 @@
+"""FEBio's formats, known nowhere else: model files, logs, record files."""

@@ -1,0 +1,187 @@
+"""`<Control>` and `<Step>`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast
+
+from limbcli.feb.read_loads import Scene, read_boundary, read_rigid
+from limbcli.feb.xml import Tag
+from limbcli.model import Curve, Step
+
+# What FEBio assumes inside <time_stepper> where a tag is left out (FETimeStepController).
+STEPPER_DEFAULTS = {"max_retries": 5, "opt_iter": 11, "dtmin": 0.0}
+_TEXT, _WHOLE, _REAL = "text", "whole", "real"
+STEPPER_DT_MAX = 0.1
+STEPPER_MORE = {"aggressiveness": _WHOLE, "cutback": _REAL, "dtforce": _WHOLE}
+SOLVER = {
+    "symmetric_stiffness": _TEXT,
+    "equation_scheme": _TEXT,
+    "max_refs": _WHOLE,
+    "dtol": _REAL,
+    "etol": _REAL,
+    "rtol": _REAL,
+    "ptol": _REAL,
+    "lstol": _REAL,
+    "lsmin": _REAL,
+    "lsiter": _WHOLE,
+    "min_residual": _REAL,
+    "max_residual": _REAL,
+    "diverge_reform": _WHOLE,
+    "reform_each_time_step": _WHOLE,
+    "reform_augment": _WHOLE,
+    "rhoi": _REAL,
+}
+QUASI_NEWTON = {"max_ups": _WHOLE, "max_buffer_size": _WHOLE, "cycle_buffer": _WHOLE, "cmax": _REAL}
+OUTPUT_CONTROL = {
+    "plot_level": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
+    "output_level": _TEXT, "output_stride": _WHOLE, "adaptor_re_solve": _WHOLE,
+}  # fmt: skip
+_TIME_DIGITS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class _Context:
+    """What a step refers to, and the time at which it starts."""
+
+    scene: Scene
+    curves: Mapping[str, Curve]
+    start: float
+    must_curves: set[str]
+
+
+def read_steps(
+    root: Tag, scene: Scene, curves: Mapping[str, Curve]
+) -> tuple[tuple[Step, ...], frozenset[str]]:
+    """(steps, names of the curves that only held must-points).
+
+    Global times of must-points become times from the start of their step.
+    """
+    control, several = root.child("Control"), root.child("Step")
+    context = _Context(scene, curves, 0.0, set())
+    if several is None:
+        if control is None:
+            raise root.problem("there is neither <Control> nor <Step>", fix="add <Control>")
+        return (_step(control, None, context),), frozenset(context.must_curves)
+    if control is not None:
+        raise control.problem(
+            "a global <Control> beside <Step> is not supported", fix="keep the one in each step"
+        )
+    several.allow(many=("step",))
+    steps: list[Step] = []
+    for each in several:
+        each.allow(attributes=("id", "name", "type"), children=("Control", "Boundary", "Rigid"))
+        steps.append(_step(each.need("Control"), each, context))
+        end = context.start + steps[-1].n_steps * steps[-1].step_size
+        context = replace(context, start=round(end, _TIME_DIGITS))
+    if not steps:
+        raise several.problem("there is no <step> in it", fix="add one")
+    return tuple(steps), frozenset(context.must_curves)
+
+
+def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
+    tag.allow(children=("analysis", "time_steps", "step_size", "time_stepper", "solver", *OUTPUT_CONTROL))
+    analysis = tag.child("analysis")
+    stepper = tag.child("time_stepper")
+    control = _solver(tag.child("solver")) | _settings(tag, OUTPUT_CONTROL)
+    fields: dict[str, Any] = {"adaptive": False}
+    if stepper is not None:
+        fields, more = _stepper(stepper, context)
+        control |= more
+    loads = _loads(owner, context.scene) if owner else {}
+    kind = analysis.choice(("STATIC", "TRANSIENT")).lower() if analysis else "static"
+    return Step(
+        n_steps=tag.need("time_steps").integer(),
+        step_size=tag.need("step_size").number(),
+        analysis=cast(Literal["static", "transient"], kind),
+        control=control,
+        **loads,
+        **fields,
+    )
+
+
+def _loads(owner: Tag, scene: Scene) -> dict[str, Any]:
+    """Supports and drives that hold during one step only."""
+    supports, ties = read_boundary(owner.child("Boundary"), scene)
+    drives, springs = read_rigid(owner.child("Rigid"), scene)
+    if ties or springs:
+        raise owner.problem(
+            "ties to rigid bodies and springs inside a step are not supported",
+            fix="move them out of the step",
+        )
+    return {"supports": supports, "drives": drives}
+
+
+def _stepper(tag: Tag, context: _Context) -> tuple[dict[str, Any], dict[str, Any]]:
+    tag.allow(attributes=("type",), children=(*STEPPER_DEFAULTS, "dtmax", *STEPPER_MORE))
+    if tag.optional("type") not in (None, "default"):
+        raise tag.problem(f"type {tag.optional('type')!r} is not supported", fix='use type="default"')
+    values: dict[str, Any] = dict(STEPPER_DEFAULTS)
+    values |= _settings(tag, {"max_retries": _WHOLE, "opt_iter": _WHOLE, "dtmin": _REAL})
+    fields = {
+        "max_retries": values["max_retries"],
+        "opt_iterations": values["opt_iter"],
+        "dt_min": values["dtmin"],
+        **_largest_step(tag.child("dtmax"), context),
+    }
+    return fields, _settings(tag, STEPPER_MORE)
+
+
+def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
+    """A load curve under <dtmax> makes its points must-points, and its values the largest step.
+
+    Source: FEBio, FETimeStepController::Init and AutoTimeStep (the number in <dtmax> is
+    then ignored).
+    """
+    if tag is None:
+        return {"dt_max": STEPPER_DT_MAX}
+    tag.allow(attributes=("lc",))
+    name = context.scene.curve(tag)
+    if name is None:
+        return {"dt_max": tag.number()}
+    curve = context.curves[name]
+    if curve.extend != "constant":
+        raise tag.problem(
+            "its load curve must have constant extension", fix="write <extend>CONSTANT</extend>"
+        )
+    start = context.start
+    times = tuple(round(time - start, _TIME_DIGITS) if start else time for time, _ in curve.points)
+    found: dict[str, Any] = {
+        "dt_max": max(value for _, value in curve.points),
+        "must_points": tuple(time for time in times if time > 0),
+    }
+    if len({value for _, value in curve.points}) > 1:
+        found["dt_max_curve"] = name
+    else:
+        context.must_curves.add(name)
+    return found
+
+
+def _solver(tag: Tag | None) -> dict[str, Any]:
+    if tag is None:
+        return {}
+    if tag.optional("type") not in (None, "solid", "biphasic"):
+        raise tag.problem(f"solver type {tag.optional('type')!r} is not supported", fix='use type="solid"')
+    tag.allow(attributes=("type",), children=(*SOLVER, "qn_method"))
+    settings = _settings(tag, SOLVER)
+    method = tag.child("qn_method")
+    if method is not None:
+        method.allow(attributes=("type",), children=QUASI_NEWTON)
+        settings["qn_method"] = method.attribute("type")
+        settings |= _settings(method, QUASI_NEWTON)
+    return settings
+
+
+def _settings(tag: Tag, kinds: Mapping[str, str]) -> dict[str, Any]:
+    settings: dict[str, Any] = {}
+    for child in tag:
+        kind = kinds.get(child.name)
+        if kind is None:
+            continue
+        child.allow()
+        if kind == _TEXT:
+            settings[child.name] = child.text
+        else:
+            settings[child.name] = child.integer() if kind == _WHOLE else child.number()
+    return settings

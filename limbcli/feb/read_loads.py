@@ -1,0 +1,340 @@
+"""`<LoadData>`, `<Boundary>`, `<Rigid>` and `<Contact>`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, cast
+
+from limbcli.errors import CaseError
+from limbcli.feb.read_mesh import MeshSection
+from limbcli.feb.xml import Tag
+from limbcli.model import Contact, Curve, Drive, NodeMap, RigidBody, Spring, Support
+
+_INTERPOLATIONS = ("linear", "step", "smooth")
+_EXTENSIONS = ("constant", "extrapolate", "repeat", "repeat offset")
+_DISPLACEMENTS = ("x", "y", "z")
+_RIGID_DOFS = {"Rx": "x", "Ry": "y", "Rz": "z", "Ru": "u", "Rv": "v", "Rw": "w"}
+
+# FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
+CONTACT_DEFAULTS = {
+    "penalty": 1.0,
+    "tolerance": 0.1,
+    "gaptol": 0.0,
+    "search_radius": 1.0,
+    "fric_coeff": 0.0,
+    "knmult": 0.0,
+    "search_tol": 0.01,
+}
+CONTACT_MORE = (
+    "seg_up", "tension", "minaug", "maxaug", "node_reloc", "smooth_aug", "flip_primary", "flip_secondary",
+    "shell_bottom_primary", "shell_bottom_secondary", "offset",
+    "ptol", "pressure_penalty", "contact_frac",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What loads refer to: the mesh, the node maps, the bodies, and the curves by their ids."""
+
+    mesh: MeshSection
+    node_maps: Mapping[str, NodeMap]
+    bodies: Mapping[str, RigidBody]
+    curves: Mapping[str, str]
+    used_maps: set[str] = field(default_factory=set)
+
+    def curve(self, tag: Tag) -> str | None:
+        name = tag.optional("lc")
+        if name is None:
+            return None
+        if name not in self.curves:
+            raise tag.problem(f"there is no load controller {name}", fix="add it to <LoadData>")
+        return self.curves[name]
+
+    def body(self, tag: Tag) -> str:
+        if tag.text not in self.bodies:
+            raise tag.problem(
+                f"there is no rigid body {tag.text!r}", fix=f"name one of {sorted(self.bodies)}, or add it"
+            )
+        return tag.text
+
+
+# ---------------------------------------------------------------- LoadData
+
+
+def read_curves(tag: Tag | None) -> tuple[dict[str, Curve], dict[str, str]]:
+    """(curves by name, names by id)."""
+    curves: dict[str, Curve] = {}
+    by_id: dict[str, str] = {}
+    if tag is None:
+        return curves, by_id
+    tag.allow(many=("load_controller",))
+    for number, each in enumerate(tag, start=1):
+        each.allow(attributes=("id", "name", "type"), children=("interpolate", "extend", "points"))
+        if each.attribute("id") != str(number):
+            raise each.problem(
+                f"id {each.attribute('id')} where {number} was expected",
+                fix="number load controllers from 1 without gaps",
+            )
+        if each.attribute("type") != "loadcurve":
+            raise each.problem(f"type {each.attribute('type')!r} is not supported", fix="use a loadcurve")
+        name = each.optional("name") or f"curve_{number}"
+        if name in curves:
+            raise each.problem(f"two load controllers are named {name!r}", fix="name them differently")
+        curves[name] = _curve(each)
+        by_id[str(number)] = name
+    return curves, by_id
+
+
+def _curve(tag: Tag) -> Curve:
+    interpolate, extend = tag.child("interpolate"), tag.child("extend")
+    points = tag.need("points")
+    points.allow(many=("pt", "point"))
+    pairs: list[tuple[float, float]] = []
+    for each in points:
+        each.allow()
+        time, value = each.numbers(2)
+        if pairs and time < pairs[-1][0]:
+            raise each.problem("its time is before the point above", fix="sort the points by time")
+        pairs.append((time, value))
+    if not pairs:
+        raise points.problem("there is no point", fix="add <pt>time,value</pt>")
+    return Curve(
+        points=tuple(pairs),
+        interpolate=cast(
+            Literal["linear", "step", "smooth"],
+            interpolate.choice(_INTERPOLATIONS) if interpolate else "linear",
+        ),
+        extend=cast(
+            Literal["constant", "extrapolate", "repeat", "repeat offset"],
+            extend.choice(_EXTENSIONS) if extend else "constant",
+        ),
+    )
+
+
+# ---------------------------------------------------------------- Boundary
+
+
+def read_boundary(tag: Tag | None, scene: Scene) -> tuple[tuple[Support, ...], list[tuple[str, str]]]:
+    """(supports, (body, node set) for every node set tied to a rigid body)."""
+    supports: list[Support] = []
+    ties: list[tuple[str, str]] = []
+    if tag is None:
+        return (), ties
+    tag.allow(many=("bc",))
+    for each in tag:
+        kind = each.attribute("type")
+        attributes = ("name", "type", "node_set")
+        node_set = scene.mesh.node_set(each, each.attribute("node_set"))
+        if kind == "zero displacement":
+            each.allow(attributes=attributes, children=[f"{dof}_dof" for dof in _DISPLACEMENTS])
+            supports.append(Support(node_set, _switched_on(each, "{}_dof", _DISPLACEMENTS)))
+        elif kind == "prescribed displacement":
+            each.allow(attributes=attributes, children=("dof", "value", "relative"))
+            supports.append(_prescribed(each, node_set, scene))
+        elif kind == "zero fluid pressure":
+            each.allow(attributes=attributes)
+            supports.append(Support(node_set, ("p",)))
+        elif kind == "rigid":
+            each.allow(attributes=attributes, children=("rb",))
+            ties.append((scene.body(each.need("rb")), node_set))
+        else:
+            raise each.problem(
+                f"a boundary condition of type {kind!r} is not supported",
+                fix="use zero displacement, prescribed displacement or rigid",
+            )
+    return tuple(supports), ties
+
+
+def _switched_on(tag: Tag, pattern: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    chosen = []
+    for name in names:
+        child = tag.child(pattern.format(name))
+        if child is not None and child.flag():
+            chosen.append(name)
+    if not chosen:
+        raise tag.problem("no degree of freedom is chosen", fix=f"switch on one of {list(names)}")
+    return tuple(chosen)
+
+
+def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
+    value = tag.need("value")
+    value.allow(attributes=("lc", "type"))
+    amount: float | NodeMap
+    if value.optional("type") == "map":
+        if value.text not in scene.node_maps:
+            raise value.problem(f"there is no node map {value.text!r}", fix="add it to <MeshData>")
+        scene.used_maps.add(value.text)
+        amount = scene.node_maps[value.text]
+        if amount.node_set != node_set:
+            raise value.problem(
+                f"the map is over the node set {amount.node_set!r}", fix=f"give it over {node_set!r}"
+            )
+    elif value.optional("type") in (None, "const"):
+        amount = value.number()
+    else:
+        raise value.problem(f"type {value.optional('type')!r} is not supported", fix="use a number or a map")
+    return Support(
+        node_set=node_set,
+        dofs=(tag.need("dof").choice(_DISPLACEMENTS),),
+        value=amount,
+        curve=scene.curve(value),
+        relative=_flag(tag, "relative"),
+    )
+
+
+def _flag(tag: Tag, name: str, *, default: bool = False) -> bool:
+    child = tag.child(name)
+    return default if child is None else child.flag()
+
+
+# ---------------------------------------------------------------- Rigid
+
+
+def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[Spring, ...]]:
+    drives: list[Drive] = []
+    springs: list[Spring] = []
+    if tag is None:
+        return (), ()
+    tag.allow(many=("rigid_bc", "rigid_load", "rigid_connector"))
+    for each in tag:
+        kind = each.attribute("type")
+        if kind == "rigid_fixed":
+            drives += _fixed(each, scene)
+        elif kind in ("rigid_displacement", "rigid_rotation") or kind in ("rigid_force", "rigid_moment"):
+            drives.append(_driven(each, scene, kind.removeprefix("rigid_")))
+        elif kind == "rigid spring":
+            springs.append(_spring(each, scene))
+        else:
+            raise each.problem(
+                f"type {kind!r} is not supported",
+                fix="use rigid_fixed, rigid_ displacement, rotation, force or moment, or a rigid spring",
+            )
+    return tuple(drives), tuple(springs)
+
+
+def _fixed(tag: Tag, scene: Scene) -> list[Drive]:
+    tag.allow(attributes=("name", "type"), children=("rb", *(f"{name}_dof" for name in _RIGID_DOFS)))
+    body = scene.body(tag.need("rb"))
+    names = _switched_on(tag, "{}_dof", tuple(_RIGID_DOFS))
+    return [Drive(body, _RIGID_DOFS[name], "fixed") for name in names]  # type: ignore[arg-type]
+
+
+def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
+    children = ["rb", "dof", "value", "relative"]
+    if kind in ("force", "moment"):
+        children.append("load_type")
+        load_type = tag.child("load_type")
+        if load_type is not None and load_type.text not in ("LOAD", "0"):
+            raise load_type.problem(f"{load_type.text!r} is not supported", fix="use LOAD")
+    tag.allow(attributes=("name", "type"), children=children)
+    value = tag.need("value")
+    value.allow(attributes=("lc",))
+    dofs = {"displacement": {"x": "x", "y": "y", "z": "z"}}.get(
+        kind,
+        {
+            name: dof
+            for name, dof in _RIGID_DOFS.items()
+            if (dof in "uvw") == (kind in ("rotation", "moment"))
+        },
+    )
+    return Drive(
+        body=scene.body(tag.need("rb")),
+        dof=dofs[tag.need("dof").choice(tuple(dofs))],  # type: ignore[arg-type]
+        kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
+        value=value.number(),
+        curve=scene.curve(value),
+        relative=_flag(tag, "relative"),
+    )
+
+
+def _spring(tag: Tag, scene: Scene) -> Spring:
+    tag.allow(
+        attributes=("name", "type"),
+        children=("body_a", "body_b", "k", "insertion_a", "insertion_b", "free_length"),
+    )
+    a, b = (tag.need(name).numbers(3) for name in ("insertion_a", "insertion_b"))
+    return Spring(
+        name=tag.optional("name") or "spring",
+        body_a=scene.body(tag.need("body_a")),
+        body_b=scene.body(tag.need("body_b")),
+        stiffness=tag.need("k").number(),
+        insertion_a=(a[0], a[1], a[2]),
+        insertion_b=(b[0], b[1], b[2]),
+        free_length=tag.need("free_length").number(),
+    )
+
+
+# ---------------------------------------------------------------- Contact
+
+
+def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
+    if tag is None:
+        return ()
+    tag.allow(many=("contact",))
+    return tuple(_contact(each, scene) for each in tag)
+
+
+def _contact(tag: Tag, scene: Scene) -> Contact:
+    kind = tag.attribute("type")
+    if kind not in ("sliding-elastic", "sliding-biphasic"):
+        raise tag.problem(f"a contact of type {kind!r} is not supported", fix="use sliding-elastic")
+    switches = ("laugon", "auto_penalty", "update_penalty", "two_pass", "symmetric_stiffness")
+    tag.allow(
+        attributes=("name", "type", "surface_pair"), children=(*switches, *CONTACT_DEFAULTS, *CONTACT_MORE)
+    )
+    pair = tag.attribute("surface_pair")
+    if pair not in scene.mesh.pairs:
+        raise tag.problem(f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name")
+    primary, secondary = scene.mesh.pairs[pair]
+    numbers = dict(CONTACT_DEFAULTS)
+    for name in CONTACT_DEFAULTS:
+        child = tag.child(name)
+        if child is not None:
+            numbers[name] = child.number()
+    return Contact(
+        primary=primary,
+        secondary=secondary,
+        name=tag.optional("name") or pair,
+        kind=cast(Literal["sliding-elastic", "sliding-biphasic"], kind),
+        penalty=numbers["penalty"],
+        auto_penalty=_flag(tag, "auto_penalty"),
+        update_penalty=_flag(tag, "update_penalty"),
+        augmented=_is_augmented(tag.child("laugon")),
+        tolerance=numbers["tolerance"],
+        gap_tolerance=numbers["gaptol"],
+        search_radius=numbers["search_radius"],
+        friction=numbers["fric_coeff"],
+        symmetric=_flag(tag, "symmetric_stiffness", default=True),
+        two_pass=_flag(tag, "two_pass"),
+        knmult=numbers["knmult"],
+        search_tolerance=numbers["search_tol"],
+        more={each.name: each.text for each in tag if each.name in CONTACT_MORE},
+    )
+
+
+def _is_augmented(tag: Tag | None) -> bool:
+    if tag is None:
+        return False
+    return tag.choice(("PENALTY", "AUGLAG", "0", "1")) in ("AUGLAG", "1")
+
+
+def tie(bodies: Mapping[str, RigidBody], ties: list[tuple[str, str]]) -> dict[str, RigidBody]:
+    """The bodies with the node sets that are tied to them."""
+    tied = dict(bodies)
+    for body, node_set in ties:
+        tied[body] = replace(tied[body], node_sets=(*tied[body].node_sets, node_set))
+    return tied
+
+
+def refuse_unused(maps: Mapping[str, object], used: set[str] | frozenset[str], tag: Tag | None) -> None:
+    """A map that nothing uses would be lost in silence."""
+    for name in maps:
+        if name not in used and tag is not None:
+            raise CaseError(
+                f"the map {name!r} in <MeshData> is used by nothing",
+                where=f"{tag.file}, line {tag.line}",
+                fix="remove it, or refer to it",
+                tag="MeshData",
+                line=tag.line,
+            )

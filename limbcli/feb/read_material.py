@@ -1,0 +1,193 @@
+"""`<Material>`: laws into the inside convention, and rigid bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.feb.laws import BY_FEBIO, LawTag, lame
+from limbcli.feb.xml import Tag
+from limbcli.model import Curved, ElementMap, Material, RigidBody, Value
+
+_DEFAULT_DENSITY = 1e-9
+_UNIT_TOLERANCE = 1e-12  # closer to 1 than this is round-off: leave the digits as they are
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialSection:
+    materials: Mapping[str, Material]
+    bodies: Mapping[str, RigidBody]
+    by_id: Mapping[str, str]
+    used_maps: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Names:
+    curves: Mapping[str, str]
+    maps: Mapping[str, ElementMap]
+    used_maps: set[str] = field(default_factory=set)
+
+
+def read_materials(tag: Tag, curves: Mapping[str, str], maps: Mapping[str, ElementMap]) -> MaterialSection:
+    tag.allow(many=("material",))
+    names = _Names(curves, maps)
+    materials: dict[str, Material] = {}
+    bodies: dict[str, RigidBody] = {}
+    by_id: dict[str, str] = {}
+    for number, each in enumerate(tag, start=1):
+        if each.attribute("id") != str(number):
+            raise each.problem(
+                f"id {each.attribute('id')} where {number} was expected",
+                fix="number materials from 1 without gaps",
+            )
+        name = each.optional("name") or f"material_{number}"
+        if name in materials or name in bodies:
+            raise each.problem(f"two materials are named {name!r}", fix="name every material differently")
+        by_id[str(number)] = name
+        if each.attribute("type") == "rigid body":
+            bodies[name] = _rigid_body(each, name)
+        else:
+            materials[name] = _material(each, names, attributes=("id", "name", "type"))
+    return MaterialSection(materials, bodies, by_id, frozenset(names.used_maps))
+
+
+def _rigid_body(tag: Tag, name: str) -> RigidBody:
+    # E and v of a rigid body are only used by auto_penalty of a rigid primary surface: no such contact here.
+    tag.allow(attributes=("id", "name", "type"), children=("density", "center_of_mass", "E", "v"))
+    center = tag.need("center_of_mass").numbers(3)
+    return RigidBody(name=name, center_of_mass=(center[0], center[1], center[2]), density=_density(tag))
+
+
+def _density(tag: Tag) -> float:
+    density = tag.child("density")
+    return _DEFAULT_DENSITY if density is None else density.number()
+
+
+def _material(tag: Tag, names: _Names, *, attributes: tuple[str, ...] = ("type",)) -> Material:
+    law = BY_FEBIO.get(tag.attribute("type"))
+    if law is None:
+        raise tag.problem(
+            f"the material type {tag.attribute('type')!r} is not supported",
+            fix=f"use one of: {', '.join(BY_FEBIO)}, rigid body",
+        )
+    children = [name for name, _ in law.parameters]
+    children += ["E", "v"] if law.elastic_constants else []
+    children += ["fiber"] if law.fiber else []
+    children += ["density"] if law.has_density else []
+    children += {"prestrain": ["prestrain"], "biphasic": ["permeability"]}.get(law.law, [])
+    tag.allow(attributes=attributes, children=children, many=(law.part,) if law.part else ())
+    return Material(
+        law=law.law,
+        parameters=_parameters(tag, law, names),
+        parts=_parts(tag, law, names),
+        density=_density(tag) if law.has_density else _DEFAULT_DENSITY,
+    )
+
+
+def _parts(tag: Tag, law: LawTag, names: _Names) -> tuple[Material, ...]:
+    if law.part is None:
+        return ()
+    parts = tuple(_material(each, names) for each in tag.all(law.part))
+    if not parts or (law.n_parts is not None and len(parts) != law.n_parts):
+        raise tag.problem(
+            f"it has {len(parts)} <{law.part}>, not {law.n_parts or 'one or more'}",
+            fix=f"correct its <{law.part}>",
+        )
+    return parts
+
+
+def _parameters(tag: Tag, law: LawTag, names: _Names) -> dict[str, Value]:
+    values: dict[str, Value] = {}
+    for febio, ours in law.parameters:
+        child = tag.child(febio)
+        if child is not None:
+            values[ours] = _value(child, names)
+    if law.elastic_constants:
+        values["mu"], values["lambda"] = _lame(tag, names)
+    if law.fiber:
+        values["fiber"] = _fiber(tag.need("fiber"), names)
+    if law.law == "prestrain":
+        values |= _prestrain(tag.need("prestrain"), names)
+    if law.law == "biphasic":
+        values["perm"] = _permeability(tag.need("permeability"), names)
+    return values
+
+
+def _value(tag: Tag, names: _Names) -> Value:
+    tag.allow(attributes=("type", "lc"))
+    kind, curve = tag.optional("type"), tag.optional("lc")
+    if kind == "map" and curve is None:
+        return _map(tag, tag.text, names)
+    if kind not in (None, "const"):
+        raise tag.problem(
+            f"a value of type {kind!r} is not supported", fix="use a number, a map or a load curve"
+        )
+    value = tag.number()
+    if curve is None:
+        return value
+    if curve not in names.curves:
+        raise tag.problem(f"there is no load controller {curve}", fix="add it to <LoadData>")
+    return Curved(value, names.curves[curve])
+
+
+def _map(tag: Tag, name: str, names: _Names) -> ElementMap:
+    if name not in names.maps:
+        raise tag.problem(f"there is no element map {name!r}", fix="add it to <MeshData>")
+    names.used_maps.add(name)
+    return names.maps[name]
+
+
+def _lame(tag: Tag, names: _Names) -> tuple[Value, Value]:
+    young, poisson = (_value(tag.need(name), names) for name in ("E", "v"))
+    if isinstance(young, float) and isinstance(poisson, float):
+        if not -1 < poisson < 0.5:
+            raise tag.problem(f"v = {poisson} is not between -1 and 0.5", fix="give a v below 0.5")
+        return lame(young, poisson)
+    if isinstance(young, ElementMap) and isinstance(poisson, float):
+        mu, lam = lame(1.0, poisson)
+        return (
+            ElementMap(f"{young.name}_mu", young.block, mu * young.values),
+            ElementMap(f"{young.name}_lambda", young.block, lam * young.values),
+        )
+    raise tag.problem("only numbers, or E as a map, are supported here", fix="use numbers for E and v")
+
+
+def _fiber(tag: Tag, names: _Names) -> Value:
+    """A unit vector, or a map of vectors."""
+    kind = tag.attribute("type")
+    if kind == "vector":
+        tag.allow(attributes=("type",), children=("vector",))
+        vector = np.array((tag.child("vector") or tag).numbers(3))
+        length = float(np.linalg.norm(vector))
+        if length == 0:
+            raise tag.problem("the fibre direction has no length", fix="give a direction")
+        unit = vector if abs(length - 1) < _UNIT_TOLERANCE else vector / length
+        return tuple(unit.tolist())
+    if kind == "angles":
+        tag.allow(attributes=("type",), children=("theta", "phi"))
+        theta, phi = (math.radians(tag.need(name).number()) for name in ("theta", "phi"))
+        return (math.cos(theta) * math.sin(phi), math.sin(theta) * math.sin(phi), math.cos(phi))
+    if kind == "map":
+        tag.allow(attributes=("type",), children=("map",))
+        return _map(tag, (tag.child("map") or tag).text, names)
+    raise tag.problem(f"a fibre of type {kind!r} is not supported", fix="use vector, angles or map")
+
+
+def _prestrain(tag: Tag, names: _Names) -> dict[str, Value]:
+    if tag.attribute("type") != "prestrain gradient":
+        raise tag.problem(f"type {tag.attribute('type')!r} is not supported", fix='use "prestrain gradient"')
+    tag.allow(attributes=("type",), children=("ramp", "F0"))
+    ramp = tag.child("ramp")
+    gradient = tag.need("F0")
+    gradient.allow()
+    return {"ramp": 1.0 if ramp is None else _value(ramp, names), "F0": gradient.numbers(9)}
+
+
+def _permeability(tag: Tag, names: _Names) -> Value:
+    if tag.attribute("type") != "perm-const-iso":
+        raise tag.problem(f"type {tag.attribute('type')!r} is not supported", fix="use perm-const-iso")
+    tag.allow(attributes=("type",), children=("perm",))
+    return _value(tag.need("perm"), names)

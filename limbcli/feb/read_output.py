@@ -1,0 +1,66 @@
+"""`<Output>`: the record files that the solver writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from limbcli.feb.read_mesh import MeshSection, Numbering
+from limbcli.feb.xml import Tag
+from limbcli.model import IntArray, LogRecord, RigidBody
+
+_DELIMITERS = (None, ",", " ", "\t")
+
+
+def read_output(
+    tag: Tag | None, mesh: MeshSection, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]
+) -> tuple[tuple[LogRecord, ...], tuple[str, ...]]:
+    """(records of the log file, variables of the plot file)."""
+    if tag is None:
+        return (), ()
+    tag.allow(children=("logfile", "plotfile"))
+    variables: tuple[str, ...] = ()
+    plotfile = tag.child("plotfile")
+    if plotfile is not None:
+        plotfile.allow(attributes=("type",), many=("var",))
+        for each in plotfile:
+            each.allow(attributes=("type",))
+        variables = tuple(each.attribute("type") for each in plotfile)
+    logfile = tag.child("logfile")
+    records: list[LogRecord] = []
+    if logfile is not None:
+        logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
+        for each in logfile:
+            each.allow(attributes=("data", "delim", "file", "name"))
+            if each.optional("delim") not in _DELIMITERS:
+                raise each.problem(f"delim={each.optional('delim')!r} is not supported", fix='use delim=","')
+            records.append(_record(each, mesh, bodies, materials_by_id))
+    return tuple(records), variables
+
+
+def _record(
+    tag: Tag, mesh: MeshSection, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]
+) -> LogRecord:
+    fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
+    file = tag.attribute("file")
+    if tag.name == "rigid_body_data":
+        return LogRecord("rigid_body", fields, file, _body(tag, bodies, materials_by_id))
+    if tag.name == "node_data":
+        return LogRecord("node", fields, file, _items(tag, mesh.numbering.nodes, "node"))
+    return LogRecord("element", fields, file, _items(tag, mesh.numbering.cells, "element"))
+
+
+def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
+    return Numbering.look_up(table, tag.ids(), tag, kind) if tag.text else None
+
+
+def _body(tag: Tag, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]) -> str:
+    """A rigid body is listed by its material's id; an empty list means all of them."""
+    if not tag.text and len(bodies) == 1:
+        return next(iter(bodies))
+    name = materials_by_id.get(tag.text, "")
+    if name not in bodies:
+        raise tag.problem(
+            f"{tag.text!r} is not the material id of one rigid body",
+            fix="write one record for each body, by its id",
+        )
+    return name

@@ -1,0 +1,211 @@
+"""An XML tag that knows its file and line, and lets nothing pass that was not asked for."""
+
+from __future__ import annotations
+
+import difflib
+import gzip
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from lxml import etree
+
+from limbcli.errors import CaseError
+from limbcli.model import Array, IntArray
+
+_GZIP_MAGIC = b"\x1f\x8b"
+
+
+@dataclass(frozen=True, eq=False)
+class Tag:
+    """One element of a model file. Every reading method raises CaseError with tag, line and file."""
+
+    element: etree._Element
+    file: Path
+
+    @property
+    def name(self) -> str:
+        return str(self.element.tag)
+
+    @property
+    def line(self) -> int:
+        return cast(int, self.element.sourceline or 0)
+
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        return tuple(str(key) for key, _ in self.element.items())
+
+    @property
+    def text(self) -> str:
+        return (self.element.text or "").strip()
+
+    def problem(self, what: str, *, fix: str) -> CaseError:
+        """The error to raise about this tag."""
+        return CaseError(
+            f"<{self.name}>: {what}",
+            where=f"{self.file}, line {self.line}",
+            fix=fix,
+            tag=self.name,
+            line=self.line,
+            file=str(self.file),
+        )
+
+    # ------------------------------------------------------------ what may be there
+
+    def allow(
+        self, *, attributes: Collection[str] = (), children: Collection[str] = (), many: Collection[str] = ()
+    ) -> None:
+        """Refuse attributes and children that are not named here; only `many` may repeat."""
+        for key in self.attributes:
+            if key not in attributes:
+                raise self.problem(
+                    f"limbcli does not know the attribute {key}={self.element.get(key)!r} here",
+                    fix=_suggestion(key, attributes, "attribute"),
+                )
+        seen = set()
+        for child in self:
+            if child.name not in children and child.name not in many:
+                raise child.problem(
+                    f"limbcli does not know this tag inside <{self.name}>",
+                    fix=_suggestion(child.name, [*children, *many], "tag"),
+                )
+            if child.name in seen and child.name not in many:
+                raise child.problem(f"it is given twice inside <{self.name}>", fix="keep one of them")
+            seen.add(child.name)
+
+    def __iter__(self) -> Iterator[Tag]:
+        return (Tag(each, self.file) for each in self.element if isinstance(each.tag, str))
+
+    def child(self, name: str) -> Tag | None:
+        found = self.element.find(name)
+        return None if found is None else Tag(found, self.file)
+
+    def need(self, name: str) -> Tag:
+        found = self.child(name)
+        if found is None:
+            raise self.problem(f"<{name}> is missing inside it", fix=f"add <{name}>")
+        return found
+
+    def all(self, name: str) -> list[Tag]:
+        return [Tag(each, self.file) for each in self.element.iterfind(name)]
+
+    # ------------------------------------------------------------ values
+
+    def attribute(self, name: str) -> str:
+        value = self.element.get(name)
+        if value is None:
+            raise self.problem(f"the attribute {name} is missing", fix=f'add {name}="..."')
+        return str(value)
+
+    def optional(self, name: str) -> str | None:
+        value = self.element.get(name)
+        return None if value is None else str(value)
+
+    def choice(self, values: Collection[str]) -> str:
+        """The text, which must be one of `values` (compared without case)."""
+        for value in values:
+            if self.text.lower() == value.lower():
+                return value
+        raise self.problem(f"{self.text!r} is not supported", fix=f"use one of: {', '.join(values)}")
+
+    def number(self) -> float:
+        return self.numbers(1)[0]
+
+    def numbers(self, count: int) -> tuple[float, ...]:
+        words = self.text.split(",")
+        try:
+            values = tuple(float(word) for word in words)
+        except ValueError:
+            values = ()
+        if len(values) != count or not np.isfinite(values).all():
+            raise self.problem(
+                f"{self.text!r} is not {count} number(s)", fix="give finite numbers between commas"
+            )
+        return values
+
+    def integer(self) -> int:
+        value = self.number()
+        if value != int(value):
+            raise self.problem(f"{self.text!r} is not a whole number", fix="give a whole number")
+        return int(value)
+
+    def flag(self) -> bool:
+        return bool(self.integer())
+
+    def ids(self) -> IntArray:
+        """Whole numbers between commas (or white space); a:b is a range as in FEBio."""
+        values: list[int] = []
+        try:
+            if ":" not in self.text:
+                return np.array(self.text.replace(",", " ").split(), dtype=np.int64)
+            for word in self.text.replace(",", " ").split():
+                first, last, step = ([int(part) for part in word.split(":")] + [0, 1])[:3]
+                values.extend(range(first, last + 1, step) if ":" in word else [first])
+        except ValueError as error:
+            raise self.problem(
+                "this is not a list of ids", fix="give whole numbers between commas"
+            ) from error
+        return np.array(values, dtype=np.int64)
+
+    def table(self, names: Collection[str], width: int, key: str) -> tuple[IntArray, Array]:
+        """Ids (attribute `key`) and `width` numbers of each child, fast: (n,), (n, width)."""
+        rows = [each for each in self.element if isinstance(each.tag, str)]
+        for each in rows:
+            if each.tag not in names or list(each.attrib) != [key]:
+                Tag(self.element, self.file).allow(attributes=self.attributes, many=names)
+                Tag(each, self.file).allow(attributes=(key,))
+                Tag(each, self.file).attribute(key)
+        try:
+            ids = np.array([each.get(key) for each in rows], dtype=np.int64)
+            text = ",".join(each.text or "" for each in rows)
+            values = np.array(text.split(","), dtype=np.float64) if rows else np.zeros(0)
+            return ids, values.reshape(len(rows), width)
+        except ValueError:
+            pass
+        for each in rows:
+            tag = Tag(each, self.file)
+            tag.numbers(width)
+            if not str(each.get(key)).strip().isdigit():
+                raise tag.problem(f"{key}={each.get(key)!r} is not an id", fix="give a whole number")
+        raise self.problem("its rows cannot be read", fix=f"give {width} number(s) in every row")
+
+
+def _suggestion(name: str, known: Collection[str], kind: str) -> str:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    if near:
+        return f"did you mean {near[0]}? Otherwise remove this {kind}, or run the file with FEBio"
+    listed = f"known here: {', '.join(known)}; " if known else ""
+    return f"{listed}remove this {kind}, or run the file with FEBio (--solver febio)"
+
+
+def open_model(path: Path) -> Tag:
+    """The root tag of a `.feb` or `.feb.gz` file.
+
+    Raises
+    ------
+    CaseError
+        If the file is absent, is not XML, or is not a FEBio 4.0 model.
+    """
+    if not path.is_file():
+        raise CaseError(f"the model file {path} does not exist", where=str(path), fix="check the path")
+    content = path.read_bytes()
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True, remove_pis=True)
+    try:
+        if content.startswith(_GZIP_MAGIC):
+            content = gzip.decompress(content)
+        root = etree.fromstring(content, parser)
+    except (etree.XMLSyntaxError, OSError, EOFError) as error:
+        raise CaseError(
+            f"this is not a readable XML file ({error})", where=str(path), fix="write or copy the file again"
+        ) from error
+    if root is None or root.tag != "febio_spec":
+        raise CaseError("this is not a FEBio model file", where=str(path), fix="name a .feb file")
+    tag = Tag(root, path)
+    if tag.optional("version") != "4.0":
+        raise tag.problem(
+            f"format version {tag.optional('version')!r} is not supported",
+            fix="save the model in FEBio's format 4.0",
+        )
+    return tag
