@@ -27,7 +27,7 @@ $(VENV)/.ready: pyproject.toml
 
 demo: env        ## the main job: a synthetic subject through every stage, to a report
 	$(LIMBCLI) phantom $(DEMO)/subject --seed 7 --force
-	$(LIMBCLI) batch $(DEMO)/subject --out $(DEMO)/results --print-report
+	$(LIMBCLI) batch $(DEMO)/subject --out $(DEMO)/results
 
 lint: env        ## style and format
 	$(BIN)/ruff check limbcli tests

@@ -15,6 +15,7 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.tables import RawTable, read_table
 from limbcli.model import Array
 from limbcli.problems import Problem, raise_errors
+from limbcli.units import mpa_from_pa
 
 REQUIRED = ("force_n", "depth_mm")
 OPTIONAL = ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm")
@@ -27,7 +28,10 @@ TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "acce
 _MAX_FORCE = 150.0
 _MAX_DEPTH = 60.0
 _STIFFNESS_LOW, _STIFFNESS_HIGH = 0.04, 40.0
-_STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.15, 12.0
+_STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.2, 8.0
+_PUNCH_LENGTH = 260.0
+_RATIO_LOW, _RATIO_HIGH = 0.2, 10.0
+_RATIO_UNUSUAL_LOW, _RATIO_UNUSUAL_HIGH = 0.4, 6.0
 _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _TOLERATED_DEPTH_DROP = 1.0
 _TOLERATED_FORCE_DROP = 1.0
@@ -155,7 +159,7 @@ def _check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]
     rules = (
         ("force_n", levels.force, -0.5, _MAX_FORCE, "N; is it in grams (divide by 102), or a tare missing?"),
         ("depth_mm", levels.depth, -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
-        ("swe_sd_m_per_s", levels.swe_sd_m_per_s, 0.0, _SPEED_HIGH_M_PER_S, "m/s"),
+        ("swe_sd_m_per_s", levels.swe_sd_m_per_s, 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
         ("swe_pixels", levels.swe_pixels, 1.0, 1e7, "pixels"),
         ("hold_s", levels.hold, 0.0, 3600.0, "s"),
         ("skin_bone_mm", levels.skin_bone, 0.5, 150.0, "mm"),
@@ -199,28 +203,49 @@ def _check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 def _check_plausible(levels: Levels, path: Path) -> list[Problem]:
     """Wrong units show in the stiffness: cm make it ten times too high, kgf ten times too low."""
     problems = []
-    span_depth = float(levels.depth[levels.loading].max() - levels.depth[levels.loading].min())
-    span_force = float(levels.force[levels.loading].max() - levels.force[levels.loading].min())
+    span_depth = float(np.ptp(levels.depth[levels.loading]))
+    span_force = float(np.ptp(levels.force[levels.loading]))
     if span_force <= 0 or span_depth <= 0:
         fix = "check both columns; the depth is counted from level 0"
         return [_problem("force or depth does not grow over the levels", path, fix)]
     stiffness = span_force / span_depth
-    text = f"{span_force:g} N over {span_depth:g} mm is a stiffness of {stiffness:.3g} N/mm"
-    low, high = _STIFFNESS_LOW, _STIFFNESS_HIGH
-    if stiffness > high:
-        fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
-        problems.append(_problem(f"{text}; no limb is that stiff", path, fix))
-    elif stiffness < low:
-        fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
-        problems.append(_problem(f"{text}; no limb is that soft", path, fix))
-    elif not _STIFFNESS_UNUSUAL_LOW <= stiffness <= _STIFFNESS_UNUSUAL_HIGH:
-        fix = "check the units (N and mm); kgf and cm are the usual slips"
-        problems.append(_problem(f"{text}, which is unusual", path, fix, warning=True))
+    problems += _check_stiffness(stiffness, levels, path)
     if levels.force[0] > 2.0 or levels.depth[0] > 2.0:
         fix = "level 0 is first touch: about 0 N and 0 mm"
         what = f"the first level is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
         problems.append(_problem(what, path, fix, warning=True))
     return problems
+
+
+def _check_stiffness(stiffness: float, levels: Levels, path: Path) -> list[Problem]:
+    """Against what limbs give, and against what this tissue's own wave speed lets expect."""
+    text = f"force over depth is {stiffness:.3g} N/mm"
+    stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
+    soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
+    ratio = stiffness / _expected_stiffness(levels)
+    if stiffness > _STIFFNESS_HIGH or ratio > _RATIO_HIGH:
+        return [_problem(f"{text}; no limb{_than(ratio)} is that stiff", path, stiff_fix)]
+    if stiffness < _STIFFNESS_LOW or ratio < _RATIO_LOW:
+        return [_problem(f"{text}; no limb{_than(ratio)} is that soft", path, soft_fix)]
+    unusual = not _STIFFNESS_UNUSUAL_LOW <= stiffness <= _STIFFNESS_UNUSUAL_HIGH
+    if unusual or ratio > _RATIO_UNUSUAL_HIGH or ratio < _RATIO_UNUSUAL_LOW:
+        fix = "check the units (N, mm, m/s); kgf, cm and kPa are the usual slips"
+        return [_problem(f"{text}, which is unusual{_than(ratio)}", path, fix, warning=True)]
+    return []
+
+
+def _expected_stiffness(levels: Levels) -> float:
+    """N/mm of a flat probe on tissue of the modulus that level 0's wave speed gives; NaN without.
+
+    F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue
+    (linear elastic, bonded to bone).
+    """
+    speed = float(levels.swe_mean_m_per_s[0])
+    return mpa_from_pa(1000.0 * speed**2) * _PUNCH_LENGTH
+
+
+def _than(ratio: float) -> str:
+    return f" ({ratio:.2g} times what its shear-wave speed lets expect)" if np.isfinite(ratio) else ""
 
 
 def _check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:

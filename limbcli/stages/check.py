@@ -1,0 +1,168 @@
+"""check: everything about a case that can be known before computing, all problems at once.
+
+Unlike the stages, which stop at the first thing they cannot use, this reads all
+that can be read even where case.toml itself has faults.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from limbcli.case import CASE_FILE, read_case
+from limbcli.errors import CaseError, LimbError, MeasurementError
+from limbcli.problems import Problem, errors_of
+from limbcli.progress import SILENT, Progress
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What was looked at, and what was found wrong with it."""
+
+    case: Path
+    looked_at: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """0, or the exit code of the worst family: the case before the measurement."""
+        errors = errors_of(self.problems)
+        if not errors:
+            return 0
+        in_case = any(each.family == "case" for each in errors)
+        return CaseError.exit_code if in_case else MeasurementError.exit_code
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "case": str(self.case),
+            "ok": self.exit_code == 0,
+            "looked_at": list(self.looked_at),
+            "problems": [vars(each) for each in self.problems],
+        }
+
+
+def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
+    """Validate a case folder completely; never raises for what is wrong with the case."""
+    progress.event("stage", name="check")
+    case, problems = read_case(folder)
+    looked_at = [CASE_FILE]
+    raw = _raw(folder)
+    for label, path, reader in _readers(raw, folder):
+        looked_at.append(label)
+        problems += reader(path)
+    if case is not None:
+        problems += _contradictions(case)
+    return CheckResult(folder, tuple(looked_at), tuple(problems))
+
+
+Reader = Callable[[Path], list[Problem]]
+
+
+def _raw(folder: Path) -> Mapping[str, Any]:
+    try:
+        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
+def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Reader]]:
+    """Every file that case.toml names and that is there, with who can read it."""
+    listed: list[tuple[object, Reader]] = []
+    imaging = raw.get("imaging")
+    if isinstance(imaging, dict):
+        listed += [(imaging.get("mri"), _read_mri), (imaging.get("labels"), _read_labels)]
+        bones = imaging.get("bones")
+        surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
+        listed += [(each, _read_surface) for each in surfaces]
+    sites = raw.get("site")
+    for site in sites if isinstance(sites, list) else []:
+        if isinstance(site, dict):
+            listed += [(site.get("levels"), _read_levels), (site.get("trace"), _read_trace)]
+            listed += [(site.get("swe_maps"), _read_maps)]
+    return [
+        (name, folder / name, reader)
+        for name, reader in listed
+        if isinstance(name, str) and (folder / name).exists()
+    ]
+
+
+def _read_levels(path: Path) -> list[Problem]:
+    from limbcli.measurement.indentation import check_levels
+
+    return check_levels(path)[1] if path.is_file() else []
+
+
+def _read_trace(path: Path) -> list[Problem]:
+    from limbcli.measurement.indentation import check_trace
+
+    return check_trace(path)[1] if path.is_file() else []
+
+
+def _read_maps(folder: Path) -> list[Problem]:
+    from limbcli.measurement.elastography import read_maps
+
+    return _caught(lambda: read_maps(folder), family="measurement") if folder.is_dir() else []
+
+
+def _read_mri(folder: Path) -> list[Problem]:
+    from limbcli.imaging.dicom import read_series
+
+    return _caught(lambda: read_series(folder)) if folder.is_dir() else []
+
+
+def _read_labels(path: Path) -> list[Problem]:
+    from limbcli.imaging.labels import read_labels
+
+    return _caught(lambda: read_labels(path))
+
+
+def _read_surface(path: Path) -> list[Problem]:
+    from limbcli.imaging.surface import read_surface
+
+    return _caught(lambda: read_surface(path))
+
+
+def _caught(read: Callable[[], object], *, family: str = "case") -> list[Problem]:
+    try:
+        read()
+    except LimbError as error:
+        kind: Any = "measurement" if isinstance(error, MeasurementError) else family
+        return [Problem(error.what, error.where, error.fix, family=kind)]
+    return []
+
+
+def _contradictions(case: Any) -> list[Problem]:
+    """What each file may say alone, but not together with the others."""
+    problems = []
+    probe = case.probe
+    if probe.width > probe.length:
+        problems.append(
+            Problem(
+                f"the probe is wider ({probe.width:g} mm) than long ({probe.length:g} mm)",
+                str(case.file),
+                "length_mm is the long side of the face, width_mm the short one",
+            )
+        )
+    if 2 * probe.edge_radius > min(probe.width, probe.length):
+        problems.append(
+            Problem(
+                f"the probe's edge radius {probe.edge_radius:g} mm does not fit a face "
+                f"{min(probe.width, probe.length):g} mm wide",
+                str(case.file),
+                "edge_radius_mm is at most half of width_mm",
+            )
+        )
+    for site in case.sites:
+        if site.noise.source == "assumed":
+            problems.append(
+                Problem(
+                    f"the noise of site {site.name} is assumed, not measured",
+                    str(case.file),
+                    'repeat a level and state the spread in [site.noise] with source = "repeats"',
+                    severity="warning",
+                )
+            )
+    return problems

@@ -1,0 +1,68 @@
+"""Which stages of a batch need not be run again.
+
+A stage is fresh when nothing that went into it changed (files, options, the code,
+the stages before it) and nothing that it left was touched since.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from pathlib import Path
+
+from limbcli.config import templates_folder
+from limbcli.files import atomic_file, sha256
+from limbcli.results import stage_folder
+
+MEMORY = ".batch.json"
+
+
+@cache
+def code_hash() -> str:
+    """Hash of the package's sources and templates (hex)."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for root, pattern in ((package, "*.py"), (templates_folder(), "*.j2")):
+        for path in sorted(root.rglob(pattern)):
+            digest.update(str(path.relative_to(root)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key_of(*parts: object) -> str:
+    """One hash of what a stage depends on; paths count by their content."""
+    digest = hashlib.sha256()
+    for part in parts:
+        content = sha256(part) if isinstance(part, Path) else repr(part)
+        digest.update(content.encode() + b"\0")
+    return digest.hexdigest()
+
+
+class Memory:
+    """What the last batch into this output folder did: a key and an output hash per stage."""
+
+    def __init__(self, out: Path):
+        self._path = out / MEMORY
+        self._out = out
+        try:
+            self._done: dict[str, list[str]] = json.loads(self._path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            self._done = {}
+
+    def is_fresh(self, stage: str, site: str | None, key: str) -> bool:
+        folder = stage_folder(self._out, stage, site)
+        remembered = self._done.get(_name(stage, site))
+        if remembered is None or not (folder / f"{stage}.json").is_file():
+            return False
+        return remembered == [key, sha256(folder)]
+
+    def remember(self, stage: str, site: str | None, key: str) -> None:
+        folder = stage_folder(self._out, stage, site)
+        self._done[_name(stage, site)] = [key, sha256(folder)]
+        with atomic_file(self._path) as path:
+            path.write_text(json.dumps(self._done, indent=1), encoding="utf-8")
+
+
+def _name(stage: str, site: str | None) -> str:
+    return f"{stage}/{site}" if site else stage

@@ -1,0 +1,66 @@
+"""The command line's manners: quick help, exit codes, messages with a fix, no traceback."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from limbcli import errors
+from limbcli.cli.app import COMMANDS
+
+
+def limbcli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "limbcli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+def test_help_answers_in_under_a_second():
+    limbcli("--help")
+    start = time.monotonic()
+    result = limbcli("--help")
+    assert time.monotonic() - start < 1.0
+    assert all(name in result.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_json_quiet_and_verbose(name: str):
+    result = limbcli(name, "--help")
+    assert result.returncode == 0
+    text = re.sub(r"\x1b\[[0-9;]*m", "", result.stdout)
+    for option in ("--json", "--quiet", "--verbose"):
+        assert option in text, f"{name} lacks {option}"
+
+
+@pytest.mark.parametrize("name", ["check", "segment", "mesh", "build-feb", "run", "fit", "report", "batch"])
+def test_missing_case_is_a_message_with_a_fix_and_exit_code_2(tmp_path: Path, name: str):
+    result = limbcli(name, str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")) if name != "check" else (
+        limbcli(name, str(tmp_path / "nowhere"))
+    )  # fmt: skip
+    assert result.returncode == 2, result.stderr
+    assert "fix:" in result.stderr + result.stdout
+    assert "Traceback" not in result.stderr
+
+
+def test_error_is_json_where_json_was_asked_for(tmp_path: Path):
+    result = limbcli("segment", str(tmp_path / "nowhere"), "--json")
+    content = json.loads(result.stdout)
+    assert (content["error"], content["exit_code"]) == ("CaseError", 2)
+    assert content["fix"]
+
+
+def test_every_error_family_has_an_exit_code_of_its_own():
+    families = [each for each in vars(errors).values() if isinstance(each, type)]
+    codes = [each.exit_code for each in families if issubclass(each, errors.LimbError)]
+    assert sorted(codes) == [1, 2, 3, 4, 5, 6, 7]
+
+
+def test_unknown_option_is_a_usage_error():
+    result = limbcli("segment", "x", "--nonsense")
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr

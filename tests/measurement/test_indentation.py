@@ -1,0 +1,131 @@
+"""levels.csv and trace.csv: a wrong number is never taken for a right one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.indentation import check_levels, read_levels, read_trace
+
+HEADER = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels"
+ROWS = ["0,0,1.65,0.2,90", "2,2.1,1.8,0.2,88", "4,3.9,2.0,0.3,85", "6,5.2,2.3,0.3,84"]
+
+
+def write(folder: Path, header: str = HEADER, rows: list[str] | None = None) -> Path:
+    path = folder / "levels.csv"
+    path.write_text("\n".join([header, *(ROWS if rows is None else rows)]) + "\n")
+    return path
+
+
+def columns(path: Path, *, force: float = 1.0, depth: float = 1.0, speed: float = 1.0) -> Path:
+    """The good table in other units."""
+    rows = []
+    for row in ROWS:
+        cells = [float(each) for each in row.split(",")]
+        rows.append(
+            f"{cells[0] * force},{cells[1] * depth},{cells[2] * speed},{cells[3] * speed},{cells[4]:.0f}"
+        )
+    return write(path, rows=rows)
+
+
+def test_columns_are_read_in_any_order_and_missing_ones_are_nan(tmp_path: Path):
+    levels = read_levels(write(tmp_path, "depth_mm,force_n", ["0,0", "1,2", "2,4"]))
+    np.testing.assert_array_equal(levels.force, [0, 2, 4])
+    np.testing.assert_array_equal(levels.depth, [0, 1, 2])
+    assert not levels.has_swe
+    assert levels.loading.all()
+
+
+def test_unloading_levels_are_told_apart(tmp_path: Path):
+    rows = ["0,0,load", "2,1,load", "4,2,load", "2,1.4,unload", "0,0.2,unload"]
+    levels = read_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
+    np.testing.assert_array_equal(levels.loading, [True, True, True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("force", "depth", "speed", "expected"),
+    [
+        (102.0, 1.0, 1.0, "grams"),
+        (1.0, 0.1, 1.0, "cm"),
+        (0.102, 1.0, 1.0, "kgf"),
+        (1.0, 1.0, 100.0, "cm/s"),
+        (1.0, -1.0, 1.0, "depth"),
+        (-1.0, 1.0, 1.0, "force"),
+    ],
+)
+def test_wrong_units_and_signs_are_refused(tmp_path: Path, force, depth, speed, expected):
+    with pytest.raises(MeasurementError, match="fix: ") as caught:
+        read_levels(columns(tmp_path, force=force, depth=depth, speed=speed))
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ("4,abc,2.0,0.3,85", "line 4"),
+        ("4,,2.0,0.3,85", "depth_mm is empty"),
+        ("4,nan,2.0,0.3,85", "depth_mm is nan"),
+        ("4,inf,2.0,0.3,85", "depth_mm is inf"),
+        ('"4,0",3.9,2.0,0.3,85', "not a number"),
+        ("4,3.9,2.0,0.3", "4 cells"),
+        ("2,2.1,1.8,0.2,88", "repeated"),
+        ("0.2,3.9,2.0,0.3,85", "falls while the depth grows"),
+        ("4,-30,2.0,0.3,85", "depth_mm is -30"),
+    ],
+)
+def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: str):
+    with pytest.raises(MeasurementError, match=r"levels\.csv, line") as caught:
+        read_levels(write(tmp_path, rows=[*ROWS[:2], row, ROWS[3]]))
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
+        (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'"),
+        (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
+        (HEADER.replace(",", ";"), "not separated by commas"),
+    ],
+)
+def test_wrong_header_is_named(tmp_path: Path, header: str, expected: str):
+    with pytest.raises(MeasurementError) as caught:
+        read_levels(write(tmp_path, header=header))
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"), [([], "no rows"), (ROWS[:1], "one level"), (ROWS[:2], "2 levels")]
+)
+def test_too_few_levels_are_refused(tmp_path: Path, rows: list[str], expected: str):
+    with pytest.raises(MeasurementError, match=expected):
+        read_levels(write(tmp_path, rows=rows))
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00\x01", b"a\x00b"])
+def test_file_that_is_no_table_is_refused(tmp_path: Path, content: bytes):
+    path = tmp_path / "levels.csv"
+    path.write_bytes(content)
+    with pytest.raises(MeasurementError, match="fix: "):
+        read_levels(path)
+
+
+def test_missing_speed_at_level_0_is_a_warning(tmp_path: Path):
+    levels, problems = check_levels(write(tmp_path, rows=["0,0,,,", *ROWS[1:]]))
+    assert levels is not None
+    assert {each.severity for each in problems} == {"warning"}
+    assert any("level 0 has no shear-wave speed" in each.what for each in problems)
+
+
+def test_trace_needs_growing_time_and_all_axes(tmp_path: Path):
+    path = tmp_path / "trace.csv"
+    path.write_text("time_s,force_n,accel_x_g\n0,0,0\n0.02,0.1,0\n0.01,0.1,0\n")
+    with pytest.raises(MeasurementError) as caught:
+        read_trace(path)
+    assert "does not grow" in str(caught.value)
+    assert "accel_y_g, accel_z_g is missing" in str(caught.value)
+    path.write_text("time_s,force_n\n0,0\n0.02,0.1\n")
+    np.testing.assert_array_equal(read_trace(path).time, [0, 0.02])

@@ -1,0 +1,101 @@
+"""batch: one failure never hides another's result, and stale results never count."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import MeshError
+from limbcli.results import open_stage
+from limbcli.stages import batch as module
+from limbcli.stages.batch import BatchOptions, batch
+from tests.test_case_text import two_sites
+
+STAGES = ("mesh", "build-feb", "run", "fit")
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Every stage replaced by one that leaves a result; mesh fails for site p2."""
+    made: list[str] = []
+
+    def fake(stage: str):
+        def work(case: Case, *, out: Path, sites=(None,), **_):
+            for site in sites:
+                made.append(f"{stage} {site}" if site else stage)
+                if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
+                    raise MeshError("no skin under the probe", where="site p2", fix="move it")
+                with open_stage(out, stage, subject=case.subject, site=site) as writer:
+                    writer.file("text", "report.html" if stage == "report" else "a.txt").write_text("x")
+
+        return work
+
+    for stage in ("segment", *STAGES, "report"):
+        name = stage.replace("-", "_")
+        holder = type("holder", (), {name: staticmethod(fake(stage))})
+        monkeypatch.setitem(__import__("sys").modules, f"limbcli.stages.{name}", holder)
+    monkeypatch.setattr(module, "code_hash", lambda: "code")
+    return made
+
+
+def test_all_stages_run_once_and_then_nothing(tmp_path: Path, calls: list[str]):
+    case = two_sites(tmp_path / "case")
+    outcome = batch(case, out=tmp_path / "out")
+    assert calls == ["segment", *[f"{s} {p}" for p in ("p1", "p2") for s in STAGES], "report"]
+    assert outcome.report is not None
+    assert outcome.report.is_file()
+    calls.clear()
+    assert batch(case, out=tmp_path / "out").ran == []
+    assert calls == []
+
+
+def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: list[str]):
+    case = two_sites(tmp_path / "case")
+    batch(case, out=tmp_path / "out")
+    calls.clear()
+    (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
+    batch(case, out=tmp_path / "out")
+    assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
+
+
+def test_force_and_another_element_redo(tmp_path: Path, calls: list[str]):
+    case = two_sites(tmp_path / "case")
+    batch(case, out=tmp_path / "out")
+    calls.clear()
+    batch(case, out=tmp_path / "out", options=BatchOptions(element="tet4"))
+    assert calls[0] == "mesh p1"
+    calls.clear()
+    batch(case, out=tmp_path / "out", options=BatchOptions(element="tet4", force=True))
+    assert calls[0] == "segment"
+
+
+def test_one_site_failing_leaves_the_other_and_a_report(tmp_path: Path, calls: list[str]):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    (case / "break").touch()
+    calls.clear()
+    outcome = batch(case, out=out, options=BatchOptions(force=True))
+    assert [(each.stage, each.site) for each in outcome.failures] == [("mesh", "p2")]
+    assert "fit p1" in calls
+    assert "fit p2" not in calls
+    assert calls[-1] == "report"
+    error = json.loads((out / "mesh" / "p2" / "error.json").read_text())
+    assert (error["error"], error["fix"]) == ("MeshError", "move it")
+    stale = json.loads((out / "fit" / "p2" / "error.json").read_text())
+    assert "not run" in stale["what"]
+    assert not (out / "fit" / "p2" / "fit.json").exists()
+
+
+def test_failure_is_tried_again_next_time(tmp_path: Path, calls: list[str]):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    (case / "break").touch()
+    batch(case, out=out)
+    (case / "break").unlink()
+    calls.clear()
+    outcome = batch(case, out=out)
+    assert calls == [*[f"{s} p2" for s in STAGES], "report"]
+    assert not outcome.failures
+    assert not (out / "mesh" / "p2" / "error.json").exists()

@@ -1,0 +1,54 @@
+"""expected.toml: a result outside its tolerance is found, a slip in the file too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.results import open_stage
+from limbcli.stages.expect import compare
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    with open_stage(tmp_path / "out", "fit", subject="S1", site="p1") as writer:
+        writer.data.update({"m": 2.1, "element": "tet10", "flags": {"m": "identified"}, "r2": None})
+    return tmp_path / "out"
+
+
+@pytest.mark.parametrize(
+    ("rule", "holds"),
+    [
+        ("m = { value = 2.0, tolerance = 0.2 }", True),
+        ("m = { value = 2.0, tolerance = 0.05 }", False),
+        ("m = { value = 2.0, relative = 0.06 }", True),
+        ("m = { min = 2.2 }", False),
+        ("m = { max = 2.2 }", True),
+        ('element = { is = "tet4" }', False),
+        ('"flags.m" = { is = "identified" }', True),
+        ("r2 = { min = 0.9 }", False),
+        ("absent = { min = 0.9 }", False),
+    ],
+)
+def test_rule_holds_or_not(tmp_path: Path, out: Path, rule: str, holds: bool):
+    (tmp_path / "expected.toml").write_text(f"[site.p1]\n{rule}\n")
+    assert [each.holds for each in compare(tmp_path, out)] == [holds]
+
+
+def test_missing_result_is_a_failure(tmp_path: Path, out: Path):
+    (tmp_path / "expected.toml").write_text("[site.p2]\nm = { min = 0 }\n")
+    assert [each.holds for each in compare(tmp_path, out)] == [False]
+
+
+@pytest.mark.parametrize("rule", ["m = { valu = 2.0 }", "m = 2.0", "m = {}"])
+def test_misspelt_rule_is_refused(tmp_path: Path, out: Path, rule: str):
+    (tmp_path / "expected.toml").write_text(f"[site.p1]\n{rule}\n")
+    with pytest.raises(CaseError, match="not understood"):
+        compare(tmp_path, out)
+
+
+def test_case_without_expectations_says_how_to_write_them(tmp_path: Path, out: Path):
+    with pytest.raises(CaseError, match=r"no expected\.toml"):
+        compare(tmp_path, out)

@@ -1,0 +1,39 @@
+"""A stage is redone when, and only when, something that matters changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.results import open_stage, stage_folder
+from limbcli.stages.freshness import Memory, key_of
+
+
+def make(out: Path) -> None:
+    with open_stage(out, "mesh", subject="S1", site="p1") as writer:
+        writer.file("a", "a.txt").write_text("a")
+
+
+def test_stage_is_fresh_until_its_key_or_its_files_change(tmp_path: Path):
+    make(tmp_path)
+    Memory(tmp_path).remember("mesh", "p1", "key")
+    assert Memory(tmp_path).is_fresh("mesh", "p1", "key")
+    assert not Memory(tmp_path).is_fresh("mesh", "p1", "other")
+    assert not Memory(tmp_path).is_fresh("mesh", "p2", "key")
+    (stage_folder(tmp_path, "mesh", "p1") / "a.txt").write_text("edited")
+    assert not Memory(tmp_path).is_fresh("mesh", "p1", "key")
+
+
+def test_damaged_memory_only_means_more_work(tmp_path: Path):
+    make(tmp_path)
+    (tmp_path / ".batch.json").write_text("{")
+    assert not Memory(tmp_path).is_fresh("mesh", "p1", "key")
+
+
+def test_key_follows_the_content_of_files(tmp_path: Path):
+    path = tmp_path / "levels.csv"
+    path.write_text("1")
+    first = key_of("x", path)
+    assert first == key_of("x", path)
+    path.write_text("2")
+    assert first != key_of("x", path)
+    assert key_of("x", None) != key_of("x", "None ")

@@ -1,0 +1,83 @@
+"""The rooms' arrows: imports point right or down, siblings meet only in `stages`."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
+GROUND = {"model", "case", "case_schema", "config", "units", "errors", "progress", "files", "results",
+          "problems", "model_io"}  # fmt: skip
+SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
+ALLOWED = {
+    **{room: set() for room in SIBLINGS},
+    "materials": set(),
+    "feb": {"materials"},
+    "fem": {"materials"},
+    "solvers": {"feb", "fem", "materials"},
+    "effects": {"materials", "meshing"},
+    "reporting": {"measurement"},
+    "phantom": {"imaging", "measurement", "materials", "meshing"},
+    "stages": SIBLINGS | {"solvers", "effects", "reporting", "phantom", "materials", "feb"},
+    "cli": {"stages"},
+}
+KNOW_CASE = {"stages", "cli", "reporting", "case", "phantom"}
+
+
+def room_of(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else path.stem
+
+
+def imports_of(path: Path) -> list[tuple[int, str]]:
+    """(line, dotted name below limbcli) of every import, also those inside functions."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "limbcli":
+            below = node.module.split(".")[1:]
+            found += (
+                [(node.lineno, ".".join(below))] if below else [(node.lineno, n.name) for n in node.names]
+            )
+        elif isinstance(node, ast.Import):
+            names = [each.name for each in node.names if each.name.startswith("limbcli.")]
+            found += [(node.lineno, name.removeprefix("limbcli.")) for name in names]
+    return found
+
+
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_right_or_down(path: Path):
+    room = room_of(path)
+    wrong = []
+    for line, name in imports_of(path):
+        target = name.split(".")[0]
+        if target in GROUND | {room, "__version__"}:
+            continue
+        if target not in ALLOWED.get(room, set()) and room != "__main__":
+            wrong.append(f"{path.name}:{line} {room} -> {target}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_only_stages_cli_and_reporting_know_the_case(path: Path):
+    if room_of(path) not in KNOW_CASE:
+        assert not [name for _, name in imports_of(path) if name == "case"]
+
+
+def test_ground_floor_imports_nothing_above():
+    for path in SOURCES:
+        if room_of(path) in GROUND:
+            assert {name.split(".")[0] for _, name in imports_of(path)} <= GROUND | {"__version__"}, path
+
+
+def test_nothing_below_the_command_line_prints():
+    for path in SOURCES:
+        if room_of(path) in {"cli", "__main__"}:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in {"print", "exit"}, f"{path}:{node.lineno}"

@@ -1,0 +1,134 @@
+"""case.toml: every problem at once, each with its fix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from limbcli.case import Case, read_case
+from limbcli.errors import CaseError
+
+GOOD = """
+format = 1
+[subject]
+id = "S1"
+limb = "left"
+[imaging]
+mri = "mri"
+[probe]
+name = "GE 9L"
+length_mm = 53.0
+width_mm = 14.0
+edge_radius_mm = 3.0
+[[site]]
+name = "p1"
+position_mm = [12.0, 48.5, -60.0]
+long_axis = "transverse"
+levels = "p1/levels.csv"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "mri").mkdir()
+    (tmp_path / "p1").mkdir()
+    (tmp_path / "p1" / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n")
+    return tmp_path
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "case.toml").write_text(text)
+    return folder
+
+
+def whats(folder: Path) -> list[str]:
+    return [each.what for each in read_case(folder)[1]]
+
+
+def test_complete_case_opens_with_defaults(folder: Path):
+    case = Case.open(write(folder, GOOD))
+    assert case.subject == "S1"
+    assert (case.probe.length, case.probe.width) == (53.0, 14.0)
+    assert (case.model.margin, case.model.element) == (40.0, "tet10")
+    assert case.sites[0].noise.source == "assumed"
+    assert case.sites[0].density_kg_per_m3 == 1000.0
+    assert case.sites[0].levels == folder / "p1" / "levels.csv"
+
+
+def test_example_of_the_case_format_is_read_whole(folder: Path):
+    text = GOOD + '[site.noise]\nforce_n = 0.2\nsource = "repeats"\n'
+    noise = Case.open(write(folder, text)).sites[0].noise
+    assert (noise.force, noise.depth, noise.source) == (0.2, 0.3, "repeats")
+
+
+def test_every_problem_is_listed_at_once(folder: Path):
+    text = (
+        GOOD.replace("length_mm", "lenght_mm").replace('"left"', '"lefft"').replace("p1/levels", "p2/levels")
+    )
+    found = whats(write(folder, text))
+    assert any("unknown key 'lenght_mm'" in each for each in found)
+    assert any("limb is 'lefft'" in each and "'left'" in each for each in found)
+    assert any("p2/levels.csv" in each for each in found)
+    with pytest.raises(CaseError, match="problems") as caught:
+        Case.open(folder)
+    assert len(caught.value.facts["problems"]) == len(found)
+
+
+def test_unknown_key_suggests_the_nearest(folder: Path):
+    problems = read_case(write(folder, GOOD + "densty_kg_per_m3 = 1000.0\n"))[1]
+    assert [each.fix for each in problems] == ["did you mean 'density_kg_per_m3'?"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("format = 1", "format = 2", "format"),
+        ("format = 1", "", "lacks 'format'"),
+        ('mri = "mri"', "", "names no geometry"),
+        ('mri = "mri"', 'mri = "nowhere"', "not there"),
+        ('mri = "mri"', 'mri = "case.toml"', "is not a folder"),
+        ("length_mm = 53.0", "length_mm = 5300", "plausible"),
+        ("length_mm = 53.0", 'length_mm = "53"', "not a number"),
+        ("length_mm = 53.0", "length_mm = nan", "not a number"),
+        ("length_mm = 53.0", "length_mm = true", "not a number"),
+        ("position_mm = [12.0, 48.5, -60.0]", "position_mm = [12.0, 48.5]", "three numbers"),
+        ("position_mm = [12.0, 48.5, -60.0]", "", "neither position_mm nor marker"),
+        ('long_axis = "transverse"', 'long_axis = "across"', "one of"),
+        ('long_axis = "transverse"', "long_axis = [0, 0, 0]", "length zero"),
+        ('name = "p1"', 'name = "../p1"', "letters"),
+        ('id = "S1"', "id = 7", "not a text"),
+        ("[probe]", "[prob]", "unknown key 'prob'"),
+        ("[[site]]", "[site]", "no site"),
+        ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
+    ],
+)
+def test_wrong_case_is_refused_with_a_fix(folder: Path, old: str, new: str, expected: str):
+    assert old in GOOD
+    with pytest.raises(CaseError, match="fix: ") as caught:
+        Case.open(write(folder, GOOD.replace(old, new)))
+    assert expected in str(caught.value)
+
+
+def test_position_and_marker_together_are_refused(folder: Path):
+    with pytest.raises(CaseError, match="both position_mm and marker"):
+        Case.open(write(folder, GOOD + "marker = 1\n"))
+
+
+def test_two_sites_of_one_name_are_refused(folder: Path):
+    site = GOOD[GOOD.index("[[site]]") :]
+    with pytest.raises(CaseError, match="two sites are named 'p1'"):
+        Case.open(write(folder, GOOD + site))
+
+
+def test_missing_folder_and_missing_file_differ(tmp_path: Path):
+    with pytest.raises(CaseError, match="there is no case folder"):
+        Case.open(tmp_path / "nowhere")
+    with pytest.raises(CaseError, match=r"holds no case\.toml"):
+        Case.open(tmp_path)
+
+
+def test_unknown_site_names_the_known_ones(folder: Path):
+    case = Case.open(write(folder, GOOD))
+    with pytest.raises(CaseError, match="the sites are: p1"):
+        case.selected(["p9"])

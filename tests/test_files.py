@@ -1,0 +1,69 @@
+"""Files and folders are whole or absent, whatever happens while they are made."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from limbcli.files import atomic_file, atomic_folder, clear_partial, sha256
+from limbcli.results import open_stage, read_result
+
+
+def test_failure_keeps_the_previous_file(tmp_path: Path):
+    target = tmp_path / "a.txt"
+    target.write_text("before")
+    with pytest.raises(KeyboardInterrupt), atomic_file(target) as path:  # noqa: PT012
+        path.write_text("half")
+        raise KeyboardInterrupt
+    assert target.read_text() == "before"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_failure_keeps_the_previous_folder(tmp_path: Path):
+    target = tmp_path / "stage"
+    with atomic_folder(target) as work:
+        (work / "a").write_text("before")
+    with pytest.raises(KeyboardInterrupt), atomic_folder(target) as work:  # noqa: PT012
+        (work / "a").write_text("half")
+        raise KeyboardInterrupt
+    assert (target / "a").read_text() == "before"
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_folder_is_replaced_whole(tmp_path: Path):
+    for name in ("a", "b"):
+        with atomic_folder(tmp_path / "stage") as work:
+            (work / name).write_text(name)
+    assert os.listdir(tmp_path / "stage") == ["b"]
+
+
+def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path: Path):
+    process = subprocess.Popen(["true"])
+    process.wait()
+    (tmp_path / f".partial-{process.pid}-x").mkdir()
+    (tmp_path / f".partial-{os.getpid()}-x").mkdir()
+    clear_partial(tmp_path)
+    assert os.listdir(tmp_path) == [f".partial-{os.getpid()}-x"]
+
+
+def test_hash_of_a_folder_sees_names_and_contents(tmp_path: Path):
+    (tmp_path / "a").write_text("1")
+    first = sha256(tmp_path)
+    (tmp_path / "a").rename(tmp_path / "b")
+    second = sha256(tmp_path)
+    (tmp_path / "b").write_text("2")
+    assert len({first, second, sha256(tmp_path)}) == 3
+
+
+def test_stage_result_reads_back_what_was_written(tmp_path: Path):
+    with open_stage(tmp_path, "mesh", subject="S1", site="p1") as writer:
+        writer.file("picture", "mesh.png").write_bytes(b"x")
+        writer.data["depth_mm"] = 1.5
+        writer.warnings.append("thin")
+    result = read_result(tmp_path, "mesh", site="p1")
+    assert result.path("picture").read_bytes() == b"x"
+    assert (result.data["depth_mm"], result.warnings) == (1.5, ("thin",))
+    assert result.provenance["units"] == "mm-N-s (MPa)"
