@@ -1,0 +1,121 @@
+"""A `LimbModel` as one `.npz` file: exact, portable, and without pickled code.
+
+The arrays are stored as arrays; everything else is one JSON text that names them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli import model as nouns
+from limbcli.errors import CaseError
+from limbcli.files import atomic_file
+from limbcli.model import LimbModel
+
+FORMAT = 1
+_TYPES = {
+    each.__name__: each
+    for each in vars(nouns).values()
+    if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == nouns.__name__
+}
+_TEXT = "model_json"
+
+
+def save_model(model: LimbModel, path: Path) -> None:
+    """Write a model; `load_model` gives it back to the last bit.
+
+    Raises
+    ------
+    CaseError
+        If `info` or another free field holds something that is not plain data
+        (numbers, text, arrays, tuples, lists, mappings with text keys).
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        text = json.dumps({"format": FORMAT, "model": _encode(model, arrays)})
+    except TypeError as error:
+        raise CaseError(
+            f"the model cannot be stored: {error}", where=str(path), fix="keep only plain data in `info`"
+        ) from error
+    arrays[_TEXT] = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
+    with atomic_file(path) as partial, partial.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+def load_model(path: Path) -> LimbModel:
+    """Read back what `save_model` wrote.
+
+    Raises
+    ------
+    CaseError
+        If the file is missing, damaged, or of a newer format.
+    """
+    if not path.is_file():
+        raise CaseError(
+            f"the model {path.name} is missing", where=str(path.parent), fix="run `limbcli mesh CASE` first"
+        )
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        described = json.loads(arrays.pop(_TEXT).tobytes().decode("utf-8"))
+        if described["format"] != FORMAT:
+            raise ValueError(f"format {described['format']} where {FORMAT} was expected")
+        found = _decode(described["model"], arrays)
+        if not isinstance(found, LimbModel):
+            raise ValueError("it holds no model")
+        return found
+    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise CaseError(
+            f"the stored model cannot be read ({error})",
+            where=str(path),
+            fix="run `limbcli mesh CASE` again",
+        ) from error
+
+
+def _encode(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Plain JSON; arrays go to `arrays`, and what JSON has no word for is marked with `@`."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise TypeError("an array of objects")
+        name = f"array_{len(arrays)}"
+        arrays[name] = value
+        return {"@array": name}
+    if dataclasses.is_dataclass(value) and type(value).__name__ in _TYPES:
+        fields = {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+        return {"@type": type(value).__name__, **{key: _encode(each, arrays) for key, each in fields.items()}}
+    if isinstance(value, Mapping):
+        if not all(isinstance(key, str) for key in value):
+            raise TypeError("a mapping whose keys are not text")
+        return {"@map": {key: _encode(each, arrays) for key, each in value.items()}}
+    if isinstance(value, tuple):
+        return {"@tuple": [_encode(each, arrays) for each in value]}
+    if isinstance(value, list):
+        return [_encode(each, arrays) for each in value]
+    if isinstance(value, np.generic):
+        return _encode(value.item(), arrays)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"a {type(value).__name__}")
+
+
+def _decode(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    if isinstance(value, list):
+        return [_decode(each, arrays) for each in value]
+    if not isinstance(value, dict):
+        return value
+    if "@array" in value:
+        return arrays[value["@array"]]
+    if "@map" in value:
+        return {key: _decode(each, arrays) for key, each in value["@map"].items()}
+    if "@tuple" in value:
+        return tuple(_decode(each, arrays) for each in value["@tuple"])
+    kind = _TYPES[value["@type"]]
+    return kind(**{key: _decode(each, arrays) for key, each in value.items() if key != "@type"})
