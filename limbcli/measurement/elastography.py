@@ -1,0 +1,235 @@
+"""Shear-wave elastography: speeds, maps, and what they say about stiffness.
+
+A map is in the probe's frame: `lateral` along its long side from its centre,
+`depth` down from its face, both mm, in the tissue as it is at that force level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli import units
+from limbcli.errors import MeasurementError
+from limbcli.files import atomic_file
+from limbcli.measurement.tables import RawTable, read_table
+from limbcli.model import Array
+from limbcli.problems import Problem, raise_errors
+
+COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
+SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
+_MAX_LATERAL, _MAX_DEPTH = 75.0, 120.0
+_SHOWN = 4
+
+
+def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m3: float = 1000.0) -> Array:
+    """Small-strain shear modulus seen by shear-wave elastography.
+
+    mu = rho * v**2: linear, isotropic, unbounded, lossless tissue. In a thin or
+    pre-stretched layer this is a biased reading.
+
+    Parameters
+    ----------
+    wave_speed_m_per_s : array, shape (n_samples,), m/s, > 0
+    density_kg_per_m3 : float, kg/m^3
+
+    Returns
+    -------
+    array, shape (n_samples,), MPa
+
+    Raises
+    ------
+    MeasurementError
+        If a speed is not finite and positive (index and value given).
+
+    Source: Sarvazyan et al. 1998, Ultrasound Med Biol 24:1419.
+
+    >>> shear_modulus_from_wave_speed(np.array([2.0]))
+    array([0.004])
+    """
+    speed = np.asarray(wave_speed_m_per_s, dtype=float)
+    wrong = np.flatnonzero(~(np.isfinite(speed) & (speed > 0)).ravel())
+    if len(wrong):
+        value = float(speed.ravel()[wrong[0]])
+        raise MeasurementError(
+            f"the shear-wave speed of sample {wrong[0]} is {value:g} m/s, not a positive number",
+            where="shear-wave speeds",
+            fix="leave the sample out, or correct it (m/s)",
+            index=int(wrong[0]),
+            value_m_per_s=value,
+        )
+    return units.mpa_from_pa(density_kg_per_m3 * speed**2)
+
+
+@dataclass(frozen=True, eq=False)
+class SweMap:
+    """One level's pixels: lateral, depth (mm) and speed_m_per_s, all (n_pixels,)."""
+
+    lateral: Array
+    depth: Array
+    speed_m_per_s: Array
+    path: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.speed_m_per_s)
+
+    def within(self, *, lateral: tuple[float, float], depth: tuple[float, float]) -> SweMap:
+        """The pixels of a region of interest (mm, limits included)."""
+        keep = (self.lateral >= lateral[0]) & (self.lateral <= lateral[1])
+        keep &= (self.depth >= depth[0]) & (self.depth <= depth[1])
+        return SweMap(self.lateral[keep], self.depth[keep], self.speed_m_per_s[keep], self.path)
+
+
+@dataclass(frozen=True)
+class SweStatistics:
+    """Of one level: mean and standard deviation over pixels, quartiles (m/s), pixel count."""
+
+    mean_m_per_s: float
+    sd_m_per_s: float
+    quartiles_m_per_s: tuple[float, float, float]
+    n_pixels: int
+
+
+def statistics(swe: SweMap) -> SweStatistics:
+    """Mean, spread and count of a map's pixels.
+
+    The mean is of speeds, not of moduli: E[v^2] = mean^2 + SD^2, so rho mean^2 is below the
+    mean modulus by (SD / mean)^2.
+
+    Raises
+    ------
+    MeasurementError
+        If the map has no pixels.
+
+    >>> found = statistics(SweMap(np.zeros(3), np.arange(3.0), np.array([1.0, 2.0, 3.0])))
+    >>> found.mean_m_per_s, found.sd_m_per_s, found.n_pixels
+    (2.0, 1.0, 3)
+    """
+    if not len(swe):
+        raise MeasurementError(
+            "the shear-wave map has no pixels in the region of interest",
+            where=str(swe.path or "shear-wave map"),
+            fix="widen the region of interest, or leave the level's map out",
+        )
+    speed = swe.speed_m_per_s
+    q1, q2, q3 = (float(each) for each in np.quantile(speed, [0.25, 0.5, 0.75]))
+    sd = float(speed.std(ddof=1)) if len(speed) > 1 else 0.0
+    return SweStatistics(float(speed.mean()), sd, (q1, q2, q3), len(speed))
+
+
+def map_file(folder: Path, level: int) -> Path:
+    """Where the map of a row of levels.csv lies.
+
+    >>> map_file(Path("swe"), 3).as_posix()
+    'swe/level_03.csv'
+    """
+    return folder / f"level_{level:02d}.csv"
+
+
+def write_map(path: Path, swe: SweMap) -> None:
+    """Write one map in long form, whole or not at all."""
+    rows = zip(swe.lateral, swe.depth, swe.speed_m_per_s, strict=True)
+    lines = [",".join(COLUMNS), *(f"{x:.6g},{z:.6g},{v:.4f}" for x, z, v in rows)]
+    with atomic_file(path) as partial:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_map(path: Path) -> SweMap:
+    """Read and check one map.
+
+    Raises
+    ------
+    MeasurementError
+        With every problem of the file and its line.
+    """
+    swe, problems = check_map(path)
+    raise_errors(problems, MeasurementError)
+    assert swe is not None
+    return swe
+
+
+def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
+    """The maps of all levels, in order; as many as levels.csv has rows, where that is given.
+
+    Raises
+    ------
+    MeasurementError
+        With every problem of every file; a level without its file is one.
+    """
+    maps, problems = check_maps(folder, n_levels)
+    raise_errors(problems, MeasurementError)
+    return maps
+
+
+def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap], list[Problem]]:
+    """The maps that can be used, and every problem: missing, surplus and faulty files."""
+    problems: list[Problem] = []
+    maps = []
+    if n_levels is None:
+        n_levels = max(1, len(list(folder.glob("level_*.csv"))))
+    expected = [map_file(folder, level) for level in range(n_levels)]
+    for path in expected:
+        if not path.is_file():
+            fix = "write a file a row of levels.csv, or leave swe_maps out of the site"
+            problems.append(_problem(f"the map {path.name} is missing", folder, fix))
+            continue
+        swe, found = check_map(path)
+        problems += found
+        if swe is not None:
+            maps.append(swe)
+    for path in sorted(folder.glob("*")):
+        if path not in expected and not path.name.startswith("."):
+            fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
+            problems.append(_problem(f"{path.name} belongs to no level", folder, fix))
+    return maps, problems
+
+
+def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
+    """One map, where it can be used, and every problem (errors and warnings)."""
+    table, problems = read_table(path, required=COLUMNS, optional=())
+    if table is None or any(each.severity == "error" for each in problems):
+        return None, problems
+    lateral, depth, speed = (table.numbers[name] for name in COLUMNS)
+    swe = SweMap(lateral, depth, speed, path)
+    problems += _check_ranges(swe, table, path)
+    problems += _check_repeats(swe, table, path)
+    return swe, problems
+
+
+def _problem(what: str, path: Path, fix: str, *, line: int | None = None) -> Problem:
+    where = f"{path}, line {line}" if line else str(path)
+    return Problem(what, where, fix, family="measurement")
+
+
+def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
+    rules: Sequence[tuple[str, Array, float, float, str]] = (
+        ("lateral_mm", swe.lateral, -_MAX_LATERAL, _MAX_LATERAL, "mm from the probe's centre, not pixels"),
+        ("depth_mm", swe.depth, 0.0, _MAX_DEPTH, "mm below the probe face, downwards positive, not pixels"),
+        ("speed_m_per_s", swe.speed_m_per_s, SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S, "m/s, not cm/s or kPa; "
+         "leave pixels without a reading out"),
+    )  # fmt: skip
+    problems = []
+    for name, values, low, high, fix in rules:
+        rows = np.flatnonzero((values < low) | (values > high))
+        for k in rows[:_SHOWN]:
+            what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
+            problems.append(_problem(what, path, f"it is in {fix}", line=table.lines[k]))
+        if len(rows) > _SHOWN:
+            what = f"and {len(rows) - _SHOWN} more values of {name} like these"
+            problems.append(_problem(what, path, f"it is in {fix}"))
+    return problems
+
+
+def _check_repeats(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
+    pixels = np.round(np.stack([swe.lateral, swe.depth], axis=1), 6)
+    _, first, count = np.unique(pixels, axis=0, return_index=True, return_counts=True)
+    again = first[count > 1]
+    if not len(again):
+        return []
+    k = int(again[0])
+    first_pixel = f"lateral {swe.lateral[k]:g}, depth {swe.depth[k]:g}"
+    what = f"{len(again)} pixels stand more than once (first: {first_pixel})"
+    return [_problem(what, path, "keep one reading a pixel", line=table.lines[k])]

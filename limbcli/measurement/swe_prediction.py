@@ -1,0 +1,110 @@
+"""What the scanner would show of a simulated tissue: wave speeds on the pixels of its window.
+
+Positions are in the site's frame (x along the probe's long side, z outward); the
+window hangs below the probe face and moves with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.elastography import SweMap
+from limbcli.model import Array
+
+_FEWEST, _MOST = 32, 400  # elements that a pixel is fitted to
+_REACH = 2.5  # of the Gaussian, in its standard deviations
+
+
+@dataclass(frozen=True)
+class Window:
+    """The scanner's region of interest: centred under the probe, mm.
+
+    smoothing : full width at half maximum of the averaging; elevation : half thickness of the slice.
+    """
+
+    half_width: float = 12.0
+    depth_from: float = 2.0
+    depth_to: float = 25.0
+    pixel: float = 1.0
+    smoothing: float = 3.0
+    elevation: float = 3.0
+
+    def pixels(self) -> tuple[Array, Array]:
+        """lateral, depth of all pixels, (n_pixels,) each, row by row downwards."""
+        n = round(self.half_width / self.pixel)
+        lateral = self.pixel * np.arange(-n, n + 1)
+        depth = np.arange(self.depth_from, self.depth_to + 1e-9, self.pixel)
+        z, x = np.meshgrid(depth, lateral, indexing="ij")
+        return x.ravel(), z.ravel()
+
+
+def predict_map(
+    positions: Array, speed_m_per_s: Array, *, face_height: float, window: Window = Window()
+) -> SweMap:
+    """Speeds at elements, averaged onto the window's pixels.
+
+    Each pixel takes the value at its centre of a local linear fit to the speeds
+    around it, with Gaussian weights of the window's smoothing: a speed that is linear in
+    space comes out exactly, at edges too. Pixels outside the tissue (bone, beyond the
+    model) and places without a wave are left out.
+
+    Parameters
+    ----------
+    positions : (n_elements, 3) mm, in the deformed tissue, site frame
+    speed_m_per_s : (n_elements,), NaN where no wave runs
+    face_height : z of the probe face, mm
+
+    Raises
+    ------
+    MeasurementError
+        If no pixel lies in the tissue.
+    """
+    lateral, depth = window.pixels()
+    near = np.isfinite(speed_m_per_s) & (np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
+    targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
+    if near.sum() < _FEWEST:
+        raise _no_pixel(face_height)
+    points, values = positions[near], speed_m_per_s[near]
+    tree = cKDTree(points)
+    sigma = window.smoothing / 2.355
+    counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
+    count = min(int(np.clip(np.max(counts), _FEWEST, _MOST)), len(points))
+    distance, index = tree.query(targets, k=count)
+    spacing = np.median(tree.query(points, k=2)[0][:, 1])
+    inside = _surrounded(points, targets, distance, index, reach=max(3.0 * spacing, window.pixel))
+    if not inside.any():
+        raise _no_pixel(face_height)
+    offset = points[index[inside]] - targets[inside][:, None, :]
+    speed = _local_linear(offset, values[index[inside]], sigma=sigma)
+    good = np.isfinite(speed) & (speed > 0)
+    return SweMap(lateral[inside][good], depth[inside][good], speed[good])
+
+
+def _no_pixel(face_height: float) -> MeasurementError:
+    return MeasurementError(
+        "the scanner's window holds no tissue of the model",
+        where=f"shear-wave prediction, probe face at z = {face_height:.1f} mm",
+        fix="check that the positions are in the site's frame and in mm",
+    )
+
+
+def _surrounded(points: Array, targets: Array, distance: Array, index: Array, *, reach: float) -> Array:
+    """(n_targets,) bool: an element is near, and the nearest eight are not a cluster far off."""
+    offset = points[index[:, :8]] - targets[:, None, :]
+    center = np.linalg.norm(offset.mean(axis=1), axis=1)
+    spread = np.linalg.norm(offset - offset.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
+    return np.asarray((distance[:, 0] <= reach) & (center <= 1.5 * spread))
+
+
+def _local_linear(offset: Array, values: Array, *, sigma: float) -> Array:
+    """Value at offset 0 of a weighted linear fit, (n,); offset (n, k, 3), values (n, k)."""
+    weight = np.exp(-0.5 * np.sum((offset / sigma) ** 2, axis=2)) + 1e-9
+    design = np.concatenate([np.ones((*values.shape, 1)), offset], axis=2)
+    normal = np.einsum("nk,nki,nkj->nij", weight, design, design)
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.diag([0.0, 1.0, 1.0, 1.0])
+    right = np.einsum("nk,nki,nk->ni", weight, design, values)
+    return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, 0, 0])

@@ -1,0 +1,86 @@
+"""Shear-wave maps: files, checks, statistics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement import elastography as swe
+from limbcli.measurement.elastography import SweMap
+
+
+def square_map(speed=2.0):
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-2.0, 3), np.arange(1.0, 6)))
+    return SweMap(x, z, np.full(x.size, speed))
+
+
+def test_modulus_is_rho_v_squared_in_mpa():
+    assert swe.shear_modulus_from_wave_speed(np.array([1.0, 3.0])).tolist() == [0.001, 0.009]
+    assert swe.shear_modulus_from_wave_speed(np.array([2.0]), density_kg_per_m3=1060.0)[0] == 0.00424
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_impossible_speed_is_refused_with_its_index(bad):
+    with pytest.raises(MeasurementError) as caught:
+        swe.shear_modulus_from_wave_speed(np.array([2.0, bad]))
+    assert caught.value.facts["index"] == 1
+
+
+def test_map_survives_the_round_trip(tmp_path, rng):
+    pixels = square_map()
+    written = SweMap(pixels.lateral, pixels.depth, rng.uniform(1, 5, len(pixels)))
+    swe.write_map(tmp_path / "level_00.csv", written)
+    read = swe.read_map(tmp_path / "level_00.csv")
+    assert np.array_equal(read.lateral, written.lateral)
+    assert np.array_equal(read.depth, written.depth)
+    assert read.speed_m_per_s == pytest.approx(written.speed_m_per_s, abs=5e-5)
+
+
+FAULTS = {
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,2\n0,1,2.1\n": "more than once",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,210\n": "speed_m_per_s is 210",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,-1,2\n": "depth_mm is -1",
+    "lateral_mm,depth_mm,speed_m_per_s\n300,1,2\n": "lateral_mm is 300",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,0\n": "speed_m_per_s is 0",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,nan\n": "speed_m_per_s is nan",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,\n": "speed_m_per_s is empty",
+    "lateral_mm,depth_mm,speed\n0,1,2\n": "'speed'",
+    "lateral_mm,depth_mm,speed_m_per_s\n": "no rows",
+    "lateral_mm;depth_mm;speed_m_per_s\n0;1;2\n": "not separated by commas",
+    "": "empty",
+}
+
+
+@pytest.mark.parametrize("text", FAULTS)
+def test_faulty_map_is_named_with_place_and_fix(tmp_path, text):
+    path = tmp_path / "level_00.csv"
+    path.write_text(text)
+    with pytest.raises(MeasurementError) as caught:
+        swe.read_map(path)
+    assert FAULTS[text] in str(caught.value)
+    assert "level_00.csv" in str(caught.value)
+    assert "fix:" in str(caught.value)
+
+
+def test_missing_and_surplus_maps_are_both_found(tmp_path):
+    for level in (0, 2, 5):
+        swe.write_map(swe.map_file(tmp_path, level), square_map())
+    maps, problems = swe.check_maps(tmp_path, 3)
+    assert len(maps) == 2
+    assert [each.what for each in problems] == [
+        "the map level_01.csv is missing",
+        "level_05.csv belongs to no level",
+    ]
+
+
+def test_statistics_of_a_region_of_interest():
+    whole = square_map()
+    whole = SweMap(whole.lateral, whole.depth, whole.depth.copy())
+    part = whole.within(lateral=(-1, 1), depth=(2, 4))
+    found = swe.statistics(part)
+    assert (found.mean_m_per_s, found.n_pixels) == (3.0, 9)
+    assert found.sd_m_per_s == pytest.approx(np.std([2, 3, 4] * 3, ddof=1))
+    assert found.quartiles_m_per_s == (2.0, 3.0, 4.0)
+    with pytest.raises(MeasurementError, match="no pixels"):
+        swe.statistics(whole.within(lateral=(50, 60), depth=(0, 1)))
