@@ -1,0 +1,25 @@
+"""A site's measured files: levels.csv, trace.csv, swe/level_00.csv, ..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.measurement.elastography import map_file, write_map
+from limbcli.phantom.noise import Readings, levels_rows
+
+TRACE_HEADER = "time_s,force_n,accel_x_g,accel_y_g,accel_z_g"
+
+
+def write_readings(folder: Path, readings: Readings) -> None:
+    """Write a site's folder as the case format has it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    header, rows = levels_rows(readings)
+    _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])
+    trace = (f"{t:.4f},{f:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, x, y, z in readings.trace)
+    _write(folder / "trace.csv", [TRACE_HEADER, *trace])
+    for level, swe in enumerate(readings.maps):
+        write_map(map_file(folder / "swe", level), swe)
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

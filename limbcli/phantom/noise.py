@@ -1,0 +1,97 @@
+"""Measuring what is true: readings with noise, and the load cell's record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.measurement.elastography import SPEED_HIGH_M_PER_S, SPEED_LOW_M_PER_S, SweMap, statistics
+from limbcli.model import Array
+from limbcli.phantom.case_folder import NoiseLaw
+from limbcli.phantom.protocol import Protocol, TrueLevels
+
+SAMPLE_NOISE_N = 0.03
+_PROBE_DOWN_G = (0.0, -0.05, -0.99)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """One measurement as it would be written down, a row a level.
+
+    skin_bone is None where the beam meets no bone; trace: columns time s, force N and
+    three accelerations in g.
+    """
+
+    force: Array
+    depth: Array
+    maps: tuple[SweMap, ...]
+    skin_bone: Array | None
+    hold: float
+    trace: Array
+
+
+def measure(true: TrueLevels, law: NoiseLaw, *, protocol: Protocol, rng: np.random.Generator) -> Readings:
+    """Read every level off once.
+
+    Force and depth errors are independent from level to level; level 0 is the tare and
+    the reference of the depth, so it is 0 by definition. A speed carries an error common
+    to its level's pixels and one of each pixel's own, both relative.
+    """
+    n = len(true.force)
+    first = np.arange(n) == 0
+    force = true.force + np.where(first, 0.0, law.force_n * rng.standard_normal(n))
+    depth = true.depth + np.where(first, 0.0, law.depth_mm * rng.standard_normal(n))
+    common = 1 + law.swe_level_fraction * rng.standard_normal(n)
+    maps = tuple(
+        _noisy_map(each, factor, law.swe_pixel_fraction, rng)
+        for each, factor in zip(true.maps, common, strict=True)
+    )
+    return Readings(
+        force=force,
+        depth=depth,
+        maps=maps,
+        skin_bone=None if true.skin_bone is None else true.skin_bone - depth,
+        hold=protocol.hold,
+        trace=_trace(force, protocol, rng, quiet=law.force_n == 0),
+    )
+
+
+def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generator) -> SweMap:
+    """A pixel whose reading leaves the scanner's range has no reading."""
+    speed = swe.speed_m_per_s * factor * (1 + pixel * rng.standard_normal(len(swe)))
+    keep = (speed >= SPEED_LOW_M_PER_S) & (speed <= SPEED_HIGH_M_PER_S)
+    return SweMap(swe.lateral[keep], swe.depth[keep], speed[keep])
+
+
+def _trace(force: Array, protocol: Protocol, rng: np.random.Generator, *, quiet: bool) -> Array:
+    """Force against time: smooth ramps and holds, sampled; the probe's weight lies along z."""
+    per_ramp = round(protocol.ramp * protocol.sampling_hz)
+    per_hold = round(protocol.hold * protocol.sampling_hz)
+    s = (np.arange(per_ramp) + 1.0) / per_ramp
+    rise = s * s * (3 - 2 * s)
+    pieces = [np.full(per_hold, force[0])]
+    for before, after in zip(force[:-1], force[1:], strict=True):
+        pieces += [before + (after - before) * rise, np.full(per_hold, after)]
+    level = np.concatenate(pieces)
+    time = np.arange(len(level)) / protocol.sampling_hz
+    noise = 0.0 if quiet else 1.0
+    level = level + noise * SAMPLE_NOISE_N * rng.standard_normal(len(level))
+    acceleration = np.array(_PROBE_DOWN_G) + noise * 0.004 * rng.standard_normal((len(level), 3))
+    return np.column_stack([time, level, acceleration])
+
+
+def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of levels.csv."""
+    header = ["force_n", "depth_mm", "swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "phase", "hold_s"]
+    rows = []
+    for k, swe in enumerate(readings.maps):
+        found = statistics(swe)
+        row = [f"{readings.force[k]:.6g}", f"{readings.depth[k]:.7g}", f"{found.mean_m_per_s:.6g}"]
+        row += [f"{found.sd_m_per_s:.4g}", str(found.n_pixels), "load", f"{readings.hold:g}"]
+        rows.append(row)
+    if readings.skin_bone is not None:
+        header.append("skin_bone_mm")
+        for k, row in enumerate(rows):
+            row.append(f"{readings.skin_bone[k]:.6g}")
+    return header, rows

@@ -1,0 +1,88 @@
+"""How a measurement is taken: force in steps, each held; what is true at every level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from limbcli.errors import SolveError
+from limbcli.measurement.elastography import SweMap
+from limbcli.model import Array
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Force-controlled steps (N) up to a force or a strain, each held; the load cell's record.
+
+    max_strain : largest depth as a share of the skin-bone distance under the probe
+    """
+
+    step: float = 2.0
+    max_force: float = 20.0
+    max_strain: float = 0.45
+    hold: float = 6.0
+    ramp: float = 1.0
+    sampling_hz: float = 60.0
+
+    def forces(self, *, reached: float) -> Array:
+        """The levels' forces from 0 up, as far as a simulation reached.
+
+        >>> Protocol(step=2.0, max_force=20.0).forces(reached=7.0)
+        array([0., 2., 4., 6.])
+        """
+        top = min(self.max_force, reached) + 1e-9
+        return self.step * np.arange(int(top // self.step) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class TrueLevels:
+    """What is so at every level, before it is measured: force N, depth mm, and the speed map.
+
+    skin_bone : mm under the probe's centre before loading, or None where the beam meets no bone.
+    """
+
+    force: Array
+    depth: Array
+    maps: tuple[SweMap, ...]
+    skin_bone: float | None
+
+
+def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
+    """Depths at which a simulated curve reaches given forces.
+
+    The curve is PCHIP through the simulated points and is inverted as it stands
+    (bisection), so that sampling the same curve at the answer gives the force back.
+
+    Raises
+    ------
+    SolveError
+        If the force does not grow with depth, or never reaches a target.
+
+    >>> depth_at_force(np.arange(5.0), np.arange(5.0) ** 2, np.array([0.0, 9.0])).round(9)
+    array([0., 3.])
+    """
+    if np.any(np.diff(force) <= 0):
+        k = int(np.argmin(np.diff(force)))
+        raise SolveError(
+            f"the simulated force does not grow between {depth[k]:.2f} and {depth[k + 1]:.2f} mm",
+            where="simulated measurement",
+            fix="choose another mesh or smaller depth",
+            depth_mm=float(depth[k]),
+        )
+    if targets.max() > force[-1] * (1 + 1e-12):
+        raise SolveError(
+            f"the simulation reaches {force[-1]:.2f} N at {depth[-1]:.2f} mm, not {targets.max():g} N",
+            where="simulated measurement",
+            fix="ask for a smaller force or a larger depth",
+        )
+    curve = PchipInterpolator(depth, force)
+    low = np.full(len(targets), depth[0])
+    high = np.full(len(targets), depth[-1])
+    for _ in range(60):
+        middle = (low + high) / 2
+        below = curve(middle) < targets
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    found = (low + high) / 2
+    return np.asarray(np.where(targets <= force[0], depth[0], found))
