@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def _trace(force: Array, protocol: Protocol, rng: np.random.Generator, *, quiet:
     s = (np.arange(per_ramp) + 1.0) / per_ramp
     rise = s * s * (3 - 2 * s)
     pieces = [np.full(per_hold, force[0])]
-    for before, after in zip(force[:-1], force[1:], strict=True):
+    for before, after in pairwise(force):
         pieces += [before + (after - before) * rise, np.full(per_hold, after)]
     level = np.concatenate(pieces)
     time = np.arange(len(level)) / protocol.sampling_hz

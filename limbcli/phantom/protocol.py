@@ -33,7 +33,7 @@ class Protocol:
         array([0., 2., 4., 6.])
         """
         top = min(self.max_force, reached) + 1e-9
-        return self.step * np.arange(int(top // self.step) + 1)
+        return np.asarray(self.step * np.arange(int(top // self.step) + 1), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
