@@ -1,0 +1,368 @@
+"""DICOM series to `Volume`: slices in order of position, in the patient's frame.
+
+Only geometry, signal and a few technical facts leave this module; nothing that
+could tell who the patient is.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydicom
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+from pydicom.errors import InvalidDicomError
+
+from limbcli.errors import CaseError
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+_PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
+_DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
+_MISSING = 1.5  # a gap wider than this many spacings lacks a slice
+_UNEVEN = 0.02  # larger relative changes of the slice distance are resampled
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One image series.
+
+    volume : signal after rescale slope and intercept, with its place in the patient
+    facts : technical facts without identity (modality, spacing_mm, n_slices, ...)
+    notes : what was mended on the way in, one sentence each
+    """
+
+    volume: Volume
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """One image plane: pixels (rows, columns), its first pixel's centre and directions."""
+
+    name: str
+    pixels: NDArray[np.float32]
+    position: Array
+    along_row: Array
+    along_column: Array
+    pixel_spacing: tuple[float, float]
+
+    @property
+    def normal(self) -> Array:
+        return np.cross(self.along_row, self.along_column)
+
+
+def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
+    """Read the one DICOM series of a folder.
+
+    Parameters
+    ----------
+    folder : searched with its subfolders; other files (licence, DICOMDIR) are passed over
+
+    Returns
+    -------
+    Series, signal in the scanner's units (HU for CT)
+
+    Raises
+    ------
+    CaseError
+        No DICOM at all, no pixel data, two series, slices missing, doubled, not
+        parallel or of different size; the message names the tag and the way out.
+    """
+    datasets = _images(folder, progress)
+    remarks = _one_series(datasets, folder)
+    slices = [_slice(dataset, name) for name, dataset in datasets]
+    _same_shape(slices, folder)
+    normal = _common_normal(slices, folder)
+    heights = np.array([each.position @ normal for each in slices])
+    order = np.argsort(heights, kind="stable")
+    slices, heights = [slices[n] for n in order], heights[order]
+    step = _slice_step(slices, heights, folder, datasets[0][1])
+    volume, notes = _stack(slices, heights, step)
+    return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
+
+
+def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
+    """Every DICOM image below `folder`, by name."""
+    if not folder.is_dir():
+        raise CaseError(
+            "the folder of the MRI series does not exist",
+            where=str(folder),
+            fix="set [imaging] mri in case.toml",
+        )
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != "DICOMDIR")
+    found, without_pixels = [], 0
+    for number, path in enumerate(paths, 1):
+        dataset = _read(path)
+        if dataset is None:
+            continue
+        if "PixelData" in dataset:
+            found.append((path.name, dataset))
+        else:
+            without_pixels += 1
+        if number % 20 == 0 or number == len(paths):
+            progress.event("task", name="reading DICOM", done=number, total=len(paths))
+    if found:
+        return found
+    if without_pixels:
+        raise CaseError(
+            f"the {without_pixels} DICOM files hold no pixel data (7FE0,0010)",
+            where=str(folder),
+            fix="export the images again, not only their headers or a DICOMDIR",
+        )
+    raise CaseError(
+        f"there is no DICOM file among the {len(paths)} files",
+        where=str(folder),
+        fix="[imaging] mri must name the folder that holds one DICOM series",
+    )
+
+
+def _read(path: Path) -> Dataset | None:
+    """A dataset, or None where the file is no DICOM. Files without the DICM preamble count too."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return pydicom.dcmread(path)
+        except InvalidDicomError:
+            pass
+        try:
+            dataset = pydicom.dcmread(path, force=True)
+        except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError, NotImplementedError):
+            return None
+    return dataset if "SOPClassUID" in dataset and "Rows" in dataset else None
+
+
+def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
+    """Refuse a folder with several series; returns a note where the series UIDs are unusable."""
+    uids = Counter(str(dataset.get("SeriesInstanceUID", "")) for _, dataset in datasets)
+    if len(uids) == 1:
+        return ()
+    kinds = Counter(_kind(dataset) for _, dataset in datasets)
+    if len(uids) == len(datasets) and len(kinds) == 1:
+        return (
+            "every image has a Series Instance UID (0020,000E) of its own; taken as one series, all else agrees",
+        )
+    if len(uids) == len(datasets):
+        listed = ", ".join(
+            f"series {kind[0] or '?'} with {count} images" for kind, count in kinds.most_common()
+        )
+        n_series = len(kinds)
+    else:
+        numbers = {
+            str(dataset.get("SeriesInstanceUID", "")): dataset.get("SeriesNumber") for _, dataset in datasets
+        }
+        listed = ", ".join(f"series {numbers[uid] or '?'} with {n} images" for uid, n in uids.most_common(6))
+        n_series = len(uids)
+    raise CaseError(
+        f"the folder holds {n_series} series: {listed}",
+        where=str(folder),
+        fix="move every series but one (Series Instance UID, 0020,000E) to another folder",
+        n_series=n_series,
+    )
+
+
+def _kind(dataset: Dataset) -> tuple[str, ...]:
+    """What images of one series share, whatever their UIDs say."""
+    names = (
+        "SeriesNumber",
+        "Modality",
+        "Rows",
+        "Columns",
+        "EchoTime",
+        "ImageOrientationPatient",
+        "PixelSpacing",
+    )
+    return tuple(str(dataset.get(name, "")) for name in names)
+
+
+def _slice(dataset: Dataset, name: str) -> Slice:
+    orientation = _numbers(dataset, "ImageOrientationPatient", 6, name)
+    position = _numbers(dataset, "ImagePositionPatient", 3, name)
+    spacing = _numbers(dataset, "PixelSpacing", 2, name)
+    along_row, along_column = orientation[:3], orientation[3:]
+    lengths = np.linalg.norm(along_row), np.linalg.norm(along_column)
+    if abs(lengths[0] - 1) > 0.01 or abs(lengths[1] - 1) > 0.01 or abs(along_row @ along_column) > 0.01:
+        raise CaseError(
+            "Image Orientation (0020,0037) is not a pair of perpendicular unit vectors",
+            where=name,
+            fix="export the series again from the scanner or the archive",
+        )
+    if min(spacing) <= 0:
+        raise CaseError(
+            f"Pixel Spacing (0028,0030) is {spacing[0]:g}, {spacing[1]:g} mm",
+            where=name,
+            fix="export the series again from the scanner or the archive",
+        )
+    return Slice(
+        name=name,
+        pixels=_signal(dataset, name),
+        position=position,
+        along_row=along_row / lengths[0],
+        along_column=along_column / lengths[1],
+        pixel_spacing=(float(spacing[0]), float(spacing[1])),
+    )
+
+
+def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
+    """A tag's numbers; a missing or broken tag is an error that names it."""
+    tag = pydicom.datadict.tag_for_keyword(keyword)
+    label = f"{pydicom.datadict.dictionary_description(keyword)} ({(tag or 0) >> 16:04X},{(tag or 0) & 0xFFFF:04X})"
+    try:
+        values = np.array([float(each) for each in dataset[keyword].value], dtype=float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CaseError(
+            f"{label} is missing or not {count} numbers",
+            where=name,
+            fix="export the series again with its geometry, or convert it to a label map or surfaces",
+        ) from error
+    if len(values) != count or not np.isfinite(values).all():
+        raise CaseError(
+            f"{label} should be {count} numbers, it is {len(values)}",
+            where=name,
+            fix="export the series again with its geometry, or convert it to a label map or surfaces",
+        )
+    return values
+
+
+def _signal(dataset: Dataset, name: str) -> NDArray[np.float32]:
+    """Pixels (rows, columns) after Rescale Slope and Intercept."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            pixels = dataset.pixel_array
+    except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError) as error:
+        syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
+        raise CaseError(
+            f"the pixel data cannot be decoded (transfer syntax {getattr(syntax, 'name', 'unknown')})",
+            where=name,
+            fix="pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export the series uncompressed",
+        ) from error
+    if pixels.ndim != 2:
+        raise CaseError(
+            f"the image has {pixels.ndim} dimensions {pixels.shape}; a grey-value slice has two",
+            where=name,
+            fix="export the series as single-frame grey-value images",
+        )
+    slope = float(dataset.get("RescaleSlope", 1) or 1)
+    intercept = float(dataset.get("RescaleIntercept", 0) or 0)
+    return pixels.astype(np.float32) * np.float32(slope) + np.float32(intercept)
+
+
+def _same_shape(slices: list[Slice], folder: Path) -> None:
+    if len(slices) < 3:
+        raise CaseError(
+            f"the series has {len(slices)} image(s); a volume needs at least 3",
+            where=str(folder),
+            fix="put every slice of the series into the folder",
+        )
+    kinds = Counter((each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) for each in slices)
+    if len(kinds) > 1:
+        usual = kinds.most_common(1)[0][0]
+        odd = [
+            each.name
+            for each in slices
+            if (each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) != usual
+        ]
+        raise CaseError(
+            f"{len(odd)} of {len(slices)} images differ in size or Pixel Spacing (0028,0030): {_some(odd)}",
+            where=str(folder),
+            fix="remove the images that do not belong to the volume (localiser, screen shot)",
+        )
+
+
+def _common_normal(slices: list[Slice], folder: Path) -> Array:
+    first = slices[0]
+    odd = [
+        each.name
+        for each in slices
+        if np.abs(each.along_row - first.along_row).max() > _PARALLEL
+        or np.abs(each.along_column - first.along_column).max() > _PARALLEL
+    ]
+    if odd:
+        raise CaseError(
+            f"{len(odd)} of {len(slices)} slices are not parallel to the first, by Image Orientation "
+            f"(0020,0037): {_some(odd)}",
+            where=str(folder),
+            fix="remove the slices that do not belong to the volume (localiser)",
+            n_not_parallel=len(odd),
+        )
+    return first.normal
+
+
+def _slice_step(slices: list[Slice], heights: Array, folder: Path, header: Dataset) -> float:
+    """The usual distance between slices; doubled and missing ones are errors."""
+    gaps = np.diff(heights)
+    step = float(np.median(gaps))
+    if step <= 0 or (gaps < _DOUBLED * max(step, 1e-6)).any():
+        pairs = np.flatnonzero(gaps < max(_DOUBLED * step, 1e-3))
+        named = [f"{slices[n].name} = {slices[n + 1].name}" for n in pairs]
+        raise CaseError(
+            f"{len(pairs)} slices lie at the same place as another: {_some(named)}",
+            where=str(folder),
+            fix="remove the doubled files; several echoes or time points must be separate folders",
+            n_doubled=len(pairs),
+        )
+    wide = np.flatnonzero(gaps > _MISSING * step)
+    if len(wide):
+        named = [f"between {slices[n].name} and {slices[n + 1].name} ({gaps[n]:.2f} mm)" for n in wide]
+        missing = int(np.round(gaps[wide] / step - 1).sum())
+        raise CaseError(
+            f"about {missing} slice(s) are missing: {_some(named)}; the usual distance is {step:.2f} mm",
+            where=str(folder),
+            fix="copy the whole series again",
+            n_missing=missing,
+        )
+    return step
+
+
+def _stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
+    """Volume indexed [column, row, slice]; uneven distances are resampled to even ones."""
+    values = np.stack([each.pixels.T for each in slices], axis=2)
+    first, last = slices[0], slices[-1]
+    notes = []
+    gaps = np.diff(heights)
+    if np.abs(gaps / step - 1).max() > _UNEVEN:
+        notes.append(
+            f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; resampled to even ones"
+        )
+        values = _even(values, heights)
+    direction = (last.position - first.position) / (len(slices) - 1)
+    tilt = np.degrees(np.arccos(np.clip(direction @ first.normal / np.linalg.norm(direction), -1, 1)))
+    if tilt > 0.5:
+        notes.append(f"the slices are sheared by {tilt:.1f} degrees (gantry tilt); the affine keeps that")
+    affine = np.eye(4)
+    affine[:3, 0] = first.along_row * first.pixel_spacing[1]
+    affine[:3, 1] = first.along_column * first.pixel_spacing[0]
+    affine[:3, 2] = direction
+    affine[:3, 3] = first.position
+    return Volume(values, affine), tuple(notes)
+
+
+def _even(values: NDArray[np.float32], heights: Array) -> NDArray[np.float32]:
+    """Linear interpolation to as many evenly spaced slices."""
+    at = np.linspace(heights[0], heights[-1], len(heights))
+    low = np.clip(np.searchsorted(heights, at, side="right") - 1, 0, len(heights) - 2)
+    weight = ((at - heights[low]) / (heights[low + 1] - heights[low])).astype(np.float32)
+    return values[:, :, low] * (1 - weight) + values[:, :, low + 1] * weight
+
+
+def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
+    """Technical facts only. Free-text tags (descriptions, institution) may identify and stay behind."""
+    return {
+        "modality": str(dataset.get("Modality", "")),
+        "n_slices": volume.shape[2],
+        "matrix": list(volume.shape[:2]),
+        "spacing_mm": [round(float(each), 4) for each in volume.spacing],
+    }
+
+
+def _some(names: list[str], most: int = 4) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,148 @@
+"""Signal levels of muscle and fat, and the slow shading (bias field) over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+SHADING_LENGTH = 25.0  # mm: the bias field of a coil varies over more than this
+_WORK_SPACING = 3.0  # mm: the field is estimated on a coarse grid
+_ROUNDS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Normalised image: muscle is 1 everywhere, fat is `fat`, air and cortex near 0.
+
+    values : float32 array, the image over the local level of muscle
+    muscle_signal : level of muscle in the image's own units (middle of the limb)
+    fat : ratio of fat to muscle
+    noise : standard deviation of the signal inside muscle, muscle = 1
+    """
+
+    values: NDArray[np.float32]
+    muscle_signal: float
+    fat: float
+    noise: float
+
+    @property
+    def between(self) -> float:
+        """Half way from muscle to fat."""
+        return 0.5 * (1.0 + self.fat)
+
+
+def otsu(values: Array, n_bins: int = 256) -> float:
+    """The threshold that best splits values into two groups (Otsu 1979).
+
+    >>> values = np.concatenate([np.full(50, 1.0), np.full(50, 5.0)])
+    >>> 1.0 < otsu(values) < 5.0
+    True
+    """
+    counts, edges = np.histogram(values, bins=n_bins)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(counts)
+    above = below[-1] - below
+    sums = np.cumsum(counts * centres)
+    mean_below = sums / np.maximum(below, 1)
+    mean_above = (sums[-1] - sums) / np.maximum(above, 1)
+    between = below * above * (mean_below - mean_above) ** 2
+    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
+    return float(centres[best].mean())
+
+
+def normalise(volume: Volume, limb: NDArray[np.bool_]) -> Levels:
+    """Divide the image by its bias field and by the level of muscle.
+
+    Two tissue classes (muscle, fat) times one smooth field explain the bright
+    part of the image: the classes are assigned by the nearest level in the
+    logarithm, the field is the smoothed residual, and both are found in turn
+    (the idea of Wells et al. 1996, IEEE TMI 15:429, with hard classes). Dark voxels
+    (cortex, vessels, air) take no part.
+
+    Parameters
+    ----------
+    volume : image with k along the limb
+    limb : bool array, the limb's rough outline
+
+    Returns
+    -------
+    Levels
+    """
+    step = np.maximum(1, np.round(_WORK_SPACING / volume.spacing)).astype(int)
+    coarse = _block_mean(volume.values, step)
+    inside = _block_mean(limb.astype(np.float32), step) > 0.9
+    sigma = SHADING_LENGTH / (volume.spacing * step)
+    floor = 0.3 * np.median(coarse[inside])
+    use = inside & (coarse > floor)
+    log_signal = np.log(np.maximum(coarse, floor))
+    split = otsu(log_signal[use])
+    levels = np.array(
+        [
+            np.median(log_signal[use & (log_signal < split)]),
+            np.median(log_signal[use & (log_signal >= split)]),
+        ]
+    )
+    field = np.zeros_like(log_signal)
+    for _ in range(_ROUNDS):
+        flat = log_signal - field
+        fat = np.abs(flat - levels[1]) < np.abs(flat - levels[0])
+        residual = log_signal - np.where(fat, levels[1], levels[0])
+        near = use & (np.abs(residual - field) < 0.5)
+        field = _smooth(residual, near, sigma)
+        flat = log_signal - field
+        levels = np.array([np.median(flat[near & ~fat]), np.median(flat[near & fat])])
+    shading = _refine(np.exp(field), step, volume.shape)
+    muscle = float(np.exp(levels[0]))
+    values = (volume.values / (shading * muscle)).astype(np.float32)
+    fat_ratio = float(np.exp(levels[1] - levels[0]))
+    return Levels(values=values, muscle_signal=muscle, fat=fat_ratio, noise=_noise(values, limb))
+
+
+def _block_mean(values: NDArray, step: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Mean over blocks of `step` voxels; the last incomplete blocks are padded with the edge."""
+    pad = [(0, -n % s) for n, s in zip(values.shape, step, strict=True)]
+    padded = np.pad(np.asarray(values, dtype=np.float32), pad, mode="edge")
+    a, b, c = (n // s for n, s in zip(padded.shape, step, strict=True))
+    return padded.reshape(a, step[0], b, step[1], c, step[2]).mean(axis=(1, 3, 5)).astype(float)
+
+
+def _smooth(values: Array, weight: NDArray[np.bool_], sigma: Array) -> Array:
+    """Gaussian mean of `values` where `weight`, carried on smoothly elsewhere."""
+    w = weight.astype(float)
+    top = ndimage.gaussian_filter(values * w, sigma, mode="constant")
+    bottom = ndimage.gaussian_filter(w, sigma, mode="constant")
+    wide = ndimage.gaussian_filter(values * w, 3 * sigma, mode="nearest")
+    wide_weight = ndimage.gaussian_filter(w, 3 * sigma, mode="nearest")
+    trust = 1e-3
+    return (top + trust * wide / np.maximum(wide_weight, 1e-9)) / (bottom + trust)
+
+
+def _refine(coarse: Array, step: NDArray[np.int_], shape: tuple[int, int, int]) -> NDArray[np.float32]:
+    """The coarse field on the full grid, linear between block centres; one axis at a time."""
+    fine = coarse.astype(np.float32)
+    for axis in range(3):
+        at = (np.arange(shape[axis]) - (step[axis] - 1) / 2) / step[axis]
+        at = np.clip(at, 0, fine.shape[axis] - 1)
+        low = np.minimum(at.astype(int), max(fine.shape[axis] - 2, 0))
+        high = np.minimum(low + 1, fine.shape[axis] - 1)
+        shape_of_weight = [1, 1, 1]
+        shape_of_weight[axis] = len(at)
+        weight = (at - low).astype(np.float32).reshape(shape_of_weight)
+        fine = np.take(fine, low, axis) * (1 - weight) + np.take(fine, high, axis) * weight
+    return fine
+
+
+def _noise(values: NDArray[np.float32], limb: NDArray[np.bool_]) -> float:
+    """Robust deviation of second differences inside muscle."""
+    muscle = limb & (np.abs(values - 1.0) < 0.4)
+    triple = muscle[:-2] & muscle[1:-1] & muscle[2:]
+    if triple.sum() < 100:
+        return 0.0
+    second = (values[:-2] - 2 * values[1:-1] + values[2:])[triple]
+    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0))

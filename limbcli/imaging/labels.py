@@ -1,0 +1,127 @@
+"""Label maps on disk: NIfTI, as 3D Slicer reads and writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+from nibabel.filebasedimages import ImageFileError
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.errors import CaseError
+from limbcli.files import atomic_file
+from limbcli.imaging.fields import filled_by_slice, largest
+from limbcli.imaging.markers import Marker, number_markers
+from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
+from limbcli.imaging.volume import RAS_FROM_LPS, Volume
+from limbcli.model import Array
+
+_KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
+_LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
+
+
+def write_labels(path: Path, labels: Volume) -> None:
+    """A label map as NIfTI (uint8); the affine is turned from LPS to the format's RAS."""
+    affine = RAS_FROM_LPS @ labels.affine
+    image = nib.Nifti1Image(np.ascontiguousarray(labels.values, dtype=np.uint8), affine)
+    image.header.set_xyzt_units("mm")
+    image.set_sform(affine, code=1)
+    image.set_qform(affine, code=1)
+    with atomic_file(
+        path.with_name(path.name.removesuffix(".gz").removesuffix(".nii") + ".nii.gz")
+    ) as partial:
+        whole = partial.with_name(partial.name + ".nii.gz")
+        try:
+            nib.save(image, whole)
+            whole.replace(partial)
+        finally:
+            whole.unlink(missing_ok=True)
+
+
+def read_labels(path: Path) -> Volume:
+    """A label map from NIfTI, in patient LPS.
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be read, is not three-dimensional, or holds values other than
+        0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
+    """
+    try:
+        image = nib.load(path)
+        values = np.asarray(image.dataobj)  # type: ignore[attr-defined]
+        affine = np.asarray(image.affine, dtype=float)  # type: ignore[attr-defined]
+    except (ImageFileError, OSError, ValueError, EOFError) as error:
+        raise CaseError(
+            "the label map cannot be read",
+            where=str(path),
+            fix="save it again from 3D Slicer as NIfTI (.nii.gz)",
+        ) from error
+    while values.ndim > 3 and values.shape[-1] == 1:
+        values = values[..., 0]
+    return checked_labels(Volume(values, RAS_FROM_LPS @ affine), path)
+
+
+def checked_labels(labels: Volume, path: Path) -> Volume:
+    """The label map as uint8, or an error that says what is wrong with it."""
+    if labels.values.ndim != 3 or min(labels.values.shape) < 3:
+        raise CaseError(
+            f"the label map has shape {labels.values.shape}; it needs three dimensions of at least 3 voxels",
+            where=str(path),
+            fix="export the segmentation as one label map volume",
+        )
+    if not np.isfinite(labels.affine).all() or abs(np.linalg.det(labels.affine[:3, :3])) < 1e-9:
+        raise CaseError(
+            "the label map's affine is singular", where=str(path), fix="export it again with its geometry"
+        )
+    found = np.unique(labels.values)
+    unknown = [each for each in found if each not in _KNOWN]
+    if unknown:
+        raise CaseError(
+            f"the label map holds the value(s) {', '.join(f'{each:g}' for each in unknown[:6])}",
+            where=str(path),
+            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
+        )
+    missing = [
+        name for value, name in ((SOFT_TISSUE, "1 (soft tissue)"), (BONE, "2 (bone)")) if value not in found
+    ]
+    if missing:
+        raise CaseError(
+            f"the label map has no voxel of {' and '.join(missing)}",
+            where=str(path),
+            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
+        )
+    return labels.with_values(labels.values.astype(np.uint8))
+
+
+def segmentation_from(labels: Volume) -> Segmentation:
+    """Skin, bones and markers of a label map (k need not run along the limb)."""
+    turned, _, _ = labels.along_limb()
+    limb = np.isin(turned.values, (SOFT_TISSUE, BONE, FAT))
+    limb = filled_by_slice(largest(limb))
+    bones = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
+    return Segmentation(
+        labels=labels,
+        skin=turned.with_values(limb),
+        bones=tuple(turned.with_values(each) for each in bones),
+        markers=_markers(turned, limb),
+    )
+
+
+def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> list[NDArray[np.bool_]]:
+    """Connected parts of at least `least` mm^3, largest first."""
+    parts, n_parts = ndimage.label(mask)
+    sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:] * volume.voxel_volume
+    order = np.argsort(-sizes, kind="stable")
+    return [parts == n + 1 for n in order if sizes[n] >= least]
+
+
+def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[Marker, ...]:
+    parts, n_parts = ndimage.label(volume.values == MARKER, np.ones((3, 3, 3), bool))
+    if n_parts == 0:
+        return ()
+    centres = np.array(ndimage.center_of_mass(parts > 0, parts, np.arange(1, n_parts + 1)))
+    sizes: Array = np.bincount(parts.ravel())[1:] * volume.voxel_volume
+    return number_markers(volume.to_patient(centres), sizes, volume, limb)

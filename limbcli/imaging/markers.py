@@ -1,0 +1,127 @@
+"""Skin markers: bright capsules that stand proud of the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.fields import box_around
+from limbcli.imaging.intensity import Levels
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+_BALL = 12.0  # mm: an opening with this ball leaves the limb and takes markers off
+_PROUD = 2.0  # mm a marker must rise above the skin
+_SIZE = (30.0, 4000.0)  # mm^3
+_AWAY = 15.0  # mm: nothing further from the limb is a marker on it
+_SAME_HEIGHT = 5.0  # mm: markers within this are numbered by angle
+_LONGEST = 35.0  # mm
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A capsule's centre (patient LPS, mm), its number from 1, volume (mm^3)."""
+
+    number: int
+    position: tuple[float, float, float]
+    volume: float
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMarkers:
+    markers: tuple[Marker, ...]
+    mask: NDArray[np.bool_]
+
+
+def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> FoundMarkers:
+    """Bright, compact things that stand on the skin, numbered.
+
+    From distal to proximal; those at the same height (within 5 mm) by their angle about the
+    limb's middle, from anterior over the patient's left and posterior to the right.
+
+    Parameters
+    ----------
+    volume : image with k along the limb towards proximal
+    levels : its normalised values
+    limb : everything that stands out from the air, markers included or not
+
+    Returns
+    -------
+    FoundMarkers
+    """
+    spacing = volume.spacing
+    body = _body(limb, spacing)
+    height = ndimage.distance_transform_edt(~body, sampling=spacing)
+    bright = (levels.values > 0.5 * levels.fat) & (height > 0) & (height < _AWAY)
+    parts, n_parts = ndimage.label(bright, np.ones((3, 3, 3), bool))
+    kept = np.zeros(limb.shape, bool)
+    centres, sizes = [], []
+    if n_parts:
+        volumes = np.bincount(parts.ravel(), minlength=n_parts + 1) * volume.voxel_volume
+        highest = ndimage.maximum(height, parts, np.arange(n_parts + 1))
+        boxes = ndimage.find_objects(parts)
+        for number in range(1, n_parts + 1):
+            extent = [(s.stop - s.start) * h for s, h in zip(boxes[number - 1], spacing, strict=True)]
+            right_size = _SIZE[0] <= volumes[number] <= _SIZE[1] and max(extent) <= _LONGEST
+            if not right_size or highest[number] < _PROUD:
+                continue
+            here = parts == number
+            kept |= here
+            weight = levels.values * here
+            centres.append(ndimage.center_of_mass(weight))
+            sizes.append(float(volumes[number]))
+    positions = volume.to_patient(np.array(centres).reshape(-1, 3))
+    return FoundMarkers(markers=number_markers(positions, np.array(sizes), volume, body), mask=kept)
+
+
+def number_markers(
+    positions: Array, sizes: Array, volume: Volume, body: NDArray[np.bool_]
+) -> tuple[Marker, ...]:
+    """Numbers from distal to proximal, then by angle."""
+    if not len(positions):
+        return ()
+    axis = volume.affine[:3, 2] / volume.spacing[2]
+    heights = positions @ axis
+    middle = np.array([_centre(body, volume, each) for each in positions])
+    outward = positions - middle
+    angles = np.degrees(np.arctan2(outward[:, 0], -outward[:, 1])) % 360.0
+    order = np.argsort(heights)
+    group, groups = 0, np.zeros(len(positions), int)
+    for before, after in zip(order[:-1], order[1:], strict=True):
+        group += heights[after] - heights[before] > _SAME_HEIGHT
+        groups[after] = group
+    ranked = sorted(range(len(positions)), key=lambda n: (groups[n], angles[n]))
+    return tuple(
+        Marker(number, tuple(float(x) for x in positions[n]), float(sizes[n]))  # type: ignore[arg-type]
+        for number, n in enumerate(ranked, 1)
+    )
+
+
+def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
+    """The limb without anything small that stands on it; on a coarse grid, for speed."""
+    step = np.maximum(1, np.floor(1.5 / spacing)).astype(int)
+    window = box_around(limb, 1 + np.ceil(4.0 / spacing))
+    fine = limb[window]
+    coarse = fine[:: step[0], :: step[1], :: step[2]]
+    grid = spacing * step
+    pad = [(0, 0), (0, 0), (int(np.ceil(_BALL / grid[2])) + 1,) * 2]
+    wide = np.pad(coarse, pad, mode="edge")
+    core = ndimage.distance_transform_edt(wide, sampling=grid) > _BALL
+    near = ndimage.distance_transform_edt(~core, sampling=grid) - _BALL
+    near = near[:, :, pad[2][0] : wide.shape[2] - pad[2][1]]
+    at = [np.clip(np.arange(n) / s, 0, m - 1) for n, s, m in zip(fine.shape, step, near.shape, strict=True)]
+    smooth = ndimage.map_coordinates(near, np.meshgrid(*at, indexing="ij"), order=1)
+    body = np.zeros_like(limb)
+    body[window] = (smooth <= 0) & fine
+    return body
+
+
+def _centre(body: NDArray[np.bool_], volume: Volume, position: Array) -> Array:
+    """Middle of the limb's section at a position's height, patient LPS."""
+    k = int(np.clip(np.round(volume.to_voxel(position[None])[0, 2]), 0, body.shape[2] - 1))
+    section = body[:, :, k] if body[:, :, k].any() else body.any(axis=2)
+    i, j = ndimage.center_of_mass(section)
+    return volume.to_patient(np.array([[i, j, k]]))[0]

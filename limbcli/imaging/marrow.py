@@ -1,0 +1,212 @@
+"""Marrow: bright, enclosed by a dark ring of cortex, continuing from slice to slice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.morphology import disk
+from skimage.segmentation import watershed
+
+from limbcli.imaging.fields import box_around, opened
+from limbcli.imaging.intensity import Levels
+from limbcli.model import Array
+
+_DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker
+_RING = 3.0  # mm: the ring is looked for this far out
+_SURE, _LIKELY = 0.75, 0.5  # share of the ring that is dark
+_LEAST_AREA = 8.0  # mm^2 of marrow in a slice
+_LEAST_LENGTH = 12.0  # mm along the limb
+_FLARE = 1.0  # mm outward per mm along the limb that a bone may widen ...
+_SLACK = 1.0  # ... plus this, mm
+_MUSCLE = 1.25  # muscle and noise stay below this
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An enclosed bright region in one slice."""
+
+    k: int
+    box: tuple[slice, slice]
+    mask: NDArray[np.bool_]
+    enclosed: float
+
+
+def find_marrow(
+    levels: Levels, limb: NDArray[np.bool_], spacing: Array, *, seeds: Array | None = None
+) -> list[NDArray[np.bool_]]:
+    """One mask of marrow per bone, largest first.
+
+    Where the dark ring is nearly closed a slice speaks for itself; such slices that
+    follow each other make a bone. From them the marrow is followed through the other
+    slices, where cortex has thinned to a faint line, up to its ends.
+
+    Parameters
+    ----------
+    levels, limb : normalised image and limb mask, k along the limb
+    spacing : mm
+    seeds : voxel indices (n, 3) that lie in marrow, each a bone of its own or a part of
+        one that was found
+
+    Returns
+    -------
+    list of bool arrays
+    """
+    smooth = ndimage.gaussian_filter(levels.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
+    parts = np.zeros(limb.shape, np.int32)
+    scores = [0.0]
+    for candidate in _candidates(smooth, levels, limb, spacing):
+        scores.append(candidate.enclosed)
+        region = parts[*candidate.box, candidate.k]
+        region[candidate.mask] = len(scores) - 1
+    tracks = _tracks(parts, np.array(scores), spacing)
+    for seed in () if seeds is None else np.round(seeds).astype(int):
+        if not any(track[tuple(seed)] for track in tracks):
+            tracks.append(_planted(smooth, levels, tuple(seed), spacing))
+    grown = [follow(track, smooth, levels, spacing) for track in tracks]
+    return sorted(_apart(grown), key=lambda each: -int(each.sum()))
+
+
+def _candidates(smooth: NDArray[np.float32], levels: Levels, limb: NDArray[np.bool_], spacing: Array):
+    """Bright regions whose surroundings, within a few mm, are dark for most of the way round."""
+    in_plane = spacing[:2]
+    pixel = float(np.prod(in_plane))
+    pad = int(np.ceil(_RING / in_plane.min())) + 2
+    bright_level = 0.9 * levels.between
+    for k in range(limb.shape[2]):
+        under_skin = ndimage.distance_transform_edt(limb[:, :, k], sampling=in_plane) > 1.5
+        ring_values = np.where(under_skin, smooth[:, :, k], levels.fat)
+        parts, n_parts = ndimage.label((smooth[:, :, k] > bright_level) & limb[:, :, k])
+        sizes = np.bincount(parts.ravel(), minlength=n_parts + 1) * pixel
+        for number, box in enumerate(ndimage.find_objects(parts), 1):
+            if sizes[number] < _LEAST_AREA:
+                continue
+            wide = tuple(slice(max(0, s.start - pad), s.stop + pad) for s in box)
+            part = parts[wide] == number
+            filled = ndimage.binary_fill_holes(part)
+            if filled.sum() > 1.4 * part.sum():
+                continue
+            enclosed = _dark_share(filled, ring_values[wide], in_plane)
+            if enclosed >= _LIKELY:
+                yield Candidate(k, (wide[0], wide[1]), filled, enclosed)
+
+
+def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: Array) -> float:
+    """Share of a region's edge that meets dark within the ring's width."""
+    distance, nearest = ndimage.distance_transform_edt(~mask, sampling=spacing, return_indices=True)
+    band = (distance > 0) & (distance <= _RING)
+    edge = nearest[0][band] * mask.shape[1] + nearest[1][band]
+    darkest = np.full(mask.size, np.inf)
+    np.minimum.at(darkest, edge, values[band])
+    on_edge = np.isfinite(darkest)
+    return float((darkest[on_edge] < _DARK).mean()) if on_edge.any() else 0.0
+
+
+def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDArray[np.bool_]]:
+    """Candidates that follow each other along the limb, joined; surely enclosed somewhere."""
+    linked, n_tracks = ndimage.label(parts > 0)
+    tracks = []
+    for number, box in enumerate(ndimage.find_objects(linked), 1):
+        here = linked[box] == number
+        length = (box[2].stop - box[2].start) * spacing[2]
+        members = np.unique(parts[box][here])
+        sure = (scores[members] >= _SURE).mean()
+        if length >= _LEAST_LENGTH and sure >= 0.3:
+            track = np.zeros(parts.shape, bool)
+            track[box] = here
+            tracks.append(track)
+    return tracks
+
+
+def _planted(
+    smooth: NDArray[np.float32], levels: Levels, seed: tuple[int, ...], spacing: Array
+) -> NDArray[np.bool_]:
+    """A small disc round a seed the user gave, to follow from."""
+    track = np.zeros(smooth.shape, bool)
+    i, j = np.indices(smooth.shape[:2])
+    near = np.hypot((i - seed[0]) * spacing[0], (j - seed[1]) * spacing[1]) <= 2.0
+    track[:, :, seed[2]] = near
+    track[:, :, seed[2]] = _next_slice(near, smooth[:, :, seed[2]], levels, spacing, flare=6.0)
+    if not track.any():
+        track[:, :, seed[2]] = near
+    return track
+
+
+def follow(
+    track: NDArray[np.bool_], smooth: NDArray[np.float32], levels: Levels, spacing: Array
+) -> NDArray[np.bool_]:
+    """Marrow in the slices between and beyond those of a track."""
+    marrow = track.copy()
+    known = np.flatnonzero(track.any(axis=(0, 1)))
+    middle = int(known[len(known) // 2])
+    flare = _FLARE * spacing[2] + _SLACK
+    for direction, stop in ((1, track.shape[2]), (-1, -1)):
+        for k in range(middle + direction, stop, direction):
+            if marrow[:, :, k].any():
+                continue
+            before = marrow[:, :, k - direction]
+            if not before.any():
+                break
+            marrow[:, :, k] = _next_slice(before, smooth[:, :, k], levels, spacing, flare=flare)
+    return marrow
+
+
+def _next_slice(
+    before: NDArray[np.bool_], values: NDArray[np.float32], levels: Levels, spacing: Array, *, flare: float
+) -> NDArray[np.bool_]:
+    """Marrow of one slice from its neighbour's: a watershed whose ridge is the line of cortex.
+
+    Inside grows from the neighbour's core, outside from everything further away than a
+    bone can widen and from muscle; both flood from bright to dark, thin dark lines
+    deepened by a black top-hat.
+    """
+    in_plane = spacing[:2]
+    pixels = 1.0 / in_plane.min()
+    window = box_around(before, np.ceil((flare + 8.0) / in_plane))
+    here, core_of = values[window], before[window]
+    outside = ndimage.distance_transform_edt(~core_of, sampling=in_plane)
+    inside = ndimage.distance_transform_edt(core_of, sampling=in_plane)
+    line = ndimage.grey_closing(here, footprint=disk(max(1, round(1.5 * pixels)))) - here
+    markers = np.zeros(here.shape, np.int32)
+    calm = ndimage.gaussian_filter(here, 0.73 * pixels)
+    markers[(inside > min(1.5, 0.5 * inside.max())) & (here > levels.between)] = 1
+    markers[outside > flare] = 2
+    markers[(here < _MUSCLE) & (calm < _MUSCLE) & (outside > 1.0)] = 2
+    found = np.zeros(before.shape, bool)
+    if not (markers == 1).any():
+        return found
+    basin = watershed(line - here, markers) == 1
+    bright = opened(basin & (here > 0.9 * levels.between), 0.9, in_plane)
+    parts, n_parts = ndimage.label(bright)
+    if n_parts == 0:
+        return found
+    part = parts == np.bincount(parts[parts > 0]).argmax()
+    if part.sum() * np.prod(in_plane) < 0.5 * _LEAST_AREA:
+        return found
+    found[window] = _closed(part, 2.0, in_plane)
+    return found
+
+
+def _closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
+    """Closing with a disc of `radius` mm, holes filled."""
+    pad = int(np.ceil(radius / spacing.min())) + 1
+    wide = np.pad(mask, pad)
+    grown = ndimage.distance_transform_edt(~wide, sampling=spacing) <= radius
+    shrunk = ndimage.distance_transform_edt(grown, sampling=spacing) > radius
+    return ndimage.binary_fill_holes(shrunk | wide)[pad:-pad, pad:-pad]
+
+
+def _apart(bones: list[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+    """Tracks that grew into each other are one bone."""
+    merged: list[NDArray[np.bool_]] = []
+    for bone in bones:
+        if not bone.any():
+            continue
+        touching = [each for each in merged if (each & bone).any()]
+        merged = [each for each in merged if not (each & bone).any()]
+        for each in touching:
+            bone = bone | each
+        merged.append(bone)
+    return merged

@@ -1,0 +1,79 @@
+"""The limb's outline: everything inside the skin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.errors import CaseError
+from limbcli.imaging.fields import evened, filled_by_slice, largest, opened
+from limbcli.imaging.intensity import Levels, otsu
+from limbcli.imaging.volume import Volume
+
+_ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) still exceeds
+_SKIN = (0.25, 0.6)  # bounds of the skin edge's threshold, muscle = 1
+_NOISE = 0.8  # share of the air's threshold that the skin edge's is at least
+_GHOST = 4.0  # mm: thinner things outside the limb are ghosts of vessels
+_LEAST_VOLUME = 5e4  # mm^3
+
+
+def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[np.bool_]:
+    """The limb without knowledge of its tissues: above the air, largest part, filled.
+
+    Raises
+    ------
+    CaseError
+        If nothing as large as a limb stands out from the background.
+    """
+    values = _blurred(volume)
+    level = background_threshold(values) if threshold is None else threshold
+    mask = largest(values > level)
+    mask = filled_by_slice(mask)
+    if mask.sum() * volume.voxel_volume < _LEAST_VOLUME:
+        raise CaseError(
+            f"no limb stands out from the background (largest part {mask.sum() * volume.voxel_volume / 1e3:.0f} cm3)",
+            where="MRI series",
+            fix="check that the series shows the limb; else give --threshold, a label map or surfaces",
+        )
+    return mask
+
+
+def background_threshold(values: NDArray) -> float:
+    """A signal that air stays below and skin is above."""
+    sample = values[::2, ::2, ::2].ravel()
+    split = otsu(sample[sample <= np.percentile(sample, 99.5)])
+    air = sample[sample < _ROUGH * split]
+    noise = 1.4826 * np.median(np.abs(air - np.median(air))) if len(air) else 0.0
+    return float(max(_ROUGH * split, np.median(air) + 4 * noise if len(air) else 0.0))
+
+
+def skin_outline(volume: Volume, levels: Levels, rough: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The limb with its edge where the signal is half of the outermost tissue's.
+
+    Skin is a grey band of 1 to 2 mm on T1, darker than muscle; its outer edge is taken.
+    Ghosts of pulsating vessels beside the limb are cut off, and the edge is evened out in
+    its distance field.
+    """
+    raw = _blurred(volume)
+    values = _blurred(volume.with_values(levels.values))
+    reach = [max(1, round(1.0 / each)) for each in volume.spacing[:2]]
+    beside = ndimage.grey_dilation(values, footprint=_ellipse(*reach)[:, :, None])
+    threshold = np.clip(0.5 * beside, *_SKIN)
+    near = ndimage.binary_dilation(rough, _ellipse(*(3 * n for n in reach))[:, :, None])
+    above = (values > threshold) & (raw > _NOISE * background_threshold(raw)) & near
+    mask = filled_by_slice(largest(above))
+    for k in range(mask.shape[2]):
+        mask[:, :, k] = opened(mask[:, :, k], _GHOST, volume.spacing[:2])
+    return evened(filled_by_slice(largest(mask)), volume.spacing)
+
+
+def _blurred(volume: Volume) -> NDArray[np.float32]:
+    sigma = 0.4 / volume.spacing
+    sigma[2] = 0.0
+    return ndimage.gaussian_filter(volume.values.astype(np.float32), sigma)
+
+
+def _ellipse(a: int, b: int) -> NDArray[np.bool_]:
+    x, y = np.mgrid[-a : a + 1, -b : b + 1]
+    return (x / a) ** 2 + (y / b) ** 2 <= 1.0

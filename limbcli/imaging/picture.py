@@ -1,0 +1,86 @@
+"""The contact sheet: outlines over slices, for one look at the whole segmentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from limbcli.imaging.fields import box_around
+from limbcli.imaging.segmentation import MARKER, Segmentation
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+_COLUMNS, _ROWS = 5, 4
+_SKIN, _BONES, _MARKER, _FAT = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff", "#66ff99"
+
+
+def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str) -> None:
+    """Twenty slices from distal to proximal with skin, bones and markers outlined.
+
+    image : the grey values (or the labels themselves where there is no image), any orientation
+    """
+    grey, _, _ = image.along_limb()
+    labels, _, _ = found.labels.along_limb()
+    chosen = np.unique(np.linspace(*_ends(labels.values), _COLUMNS * _ROWS).round().astype(int))
+    rows = int(np.ceil(len(chosen) / _COLUMNS))
+    window = box_around((labels.values > 0).any(axis=2), np.ceil(6.0 / grey.spacing[:2]))
+    height = (window[1].stop - window[1].start) * grey.spacing[1]
+    width = (window[0].stop - window[0].start) * grey.spacing[0]
+    figure = Figure(figsize=(3.2 * _COLUMNS, 3.2 * height / width * rows + 0.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    top = float(np.percentile(grey.values[labels.values > 0], 99.5))
+    markers = labels.values == MARKER
+    for number, k in enumerate(chosen, 1):
+        axes = figure.add_subplot(rows, _COLUMNS, number)
+        extent = _extent(window, grey.spacing)
+        section = np.clip(grey.values[*window, k].T / max(top, 1e-9), 0, 1) ** 0.7
+        axes.imshow(section, cmap="gray", vmin=0, vmax=1, extent=extent, interpolation="bilinear")
+        _outlines(axes, found, markers, grey, int(k))
+        axes.set_xlim(extent[0], extent[1])
+        axes.set_ylim(extent[2], extent[3])
+        height_mm = grey.to_patient(np.array([[*(n / 2 for n in grey.shape[:2]), k]]))[0, 2]
+        axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
+        axes.tick_params(labelsize=6)
+        if number > len(chosen) - _COLUMNS:
+            axes.set_xlabel("mm along i", fontsize=7)
+        if number % _COLUMNS == 1:
+            axes.set_ylabel("mm along j", fontsize=7)
+    figure.suptitle(title, fontsize=12)
+    figure.savefig(path, dpi=80, format="png")
+
+
+def _ends(labels: NDArray) -> tuple[int, int]:
+    filled = np.flatnonzero((labels > 0).any(axis=(0, 1)))
+    return int(filled[0]), int(filled[-1])
+
+
+def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, float, float]:
+    i, j = window[0], window[1]
+    return (
+        (i.start - 0.5) * spacing[0],
+        (i.stop - 0.5) * spacing[0],
+        (j.stop - 0.5) * spacing[1],
+        (j.start - 0.5) * spacing[1],
+    )
+
+
+def _outlines(axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
+    """Contours of the working masks, placed by the image's in-plane mm."""
+    _outline(axes, found.skin, grey, k, _SKIN)
+    for number, bone in enumerate(found.bones):
+        _outline(axes, bone, grey, k, _BONES[number % len(_BONES)])
+    _outline(axes, grey.with_values(markers), grey, k, _MARKER)
+
+
+def _outline(axes, mask: Volume, grey: Volume, k: int, colour: str) -> None:
+    section = mask.values[:, :, k]
+    if not section.any():
+        return
+    first = grey.to_voxel(mask.affine[:3, 3][None])[0]
+    ratio = mask.spacing[:2] / grey.spacing[:2]
+    x, y = ((first[n] + np.arange(section.shape[n]) * ratio[n]) * grey.spacing[n] for n in range(2))
+    axes.contour(x, y, section.T.astype(float), [0.5], colors=colour, linewidths=0.9)

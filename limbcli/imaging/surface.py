@@ -1,0 +1,201 @@
+"""Masks to closed, smooth surfaces; surfaces to and from files.
+
+Marching cubes runs on the smoothed distance field of a mask, so that voxel steps do not
+show and nothing shrinks; where the limb leaves the image the surface is closed by the
+image's flat outer face.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from skimage import measure
+
+from limbcli.errors import CaseError, MeshError
+from limbcli.files import atomic_file
+from limbcli.imaging.fields import box_around, signed_distance
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array, IntArray
+
+SMOOTH = 0.7  # mm: standard deviation of the Gaussian over the distance field
+_SHARE_OF_SLICE = 0.45  # ... or this share of the slice distance where that is more
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedSurface:
+    """points (n, 3) mm patient LPS; triangles (m, 3) with outward normals."""
+
+    points: Array
+    triangles: IntArray
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, mm^3; positive where normals point outward (divergence theorem)."""
+        a, b, c = (self.points[self.triangles[:, n]] for n in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+    @property
+    def is_closed(self) -> bool:
+        """Every edge belongs to exactly two triangles that run through it in opposite directions."""
+        edges = np.concatenate(
+            [self.triangles[:, [0, 1]], self.triangles[:, [1, 2]], self.triangles[:, [2, 0]]]
+        )
+        forward = np.unique(edges, axis=0)
+        backward = np.unique(edges[:, ::-1], axis=0)
+        return len(forward) == len(edges) and np.array_equal(forward, backward)
+
+    @property
+    def n_parts(self) -> int:
+        """Number of pieces that share no point."""
+        a, b = self.triangles[:, [0, 1, 2]].ravel(), self.triangles[:, [1, 2, 0]].ravel()
+        used, numbers = np.unique(np.concatenate([a, b]), return_inverse=True)
+        graph = coo_matrix((np.ones(len(a)), (numbers[: len(a)], numbers[len(a) :])), shape=(len(used),) * 2)
+        return int(connected_components(graph, directed=False)[0])
+
+
+def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH) -> ClosedSurface:
+    """The closed surface of a mask.
+
+    Parameters
+    ----------
+    mask : Volume of bool
+    edge : about the length of a triangle's edge, mm
+    smooth : standard deviation of the smoothing, mm
+
+    Returns
+    -------
+    ClosedSurface in patient LPS, watertight and two-manifold
+
+    Raises
+    ------
+    MeshError
+        If the mask is empty or no closed surface comes out.
+
+    >>> grid = np.indices((24, 24, 24)) - 11.5
+    >>> ball = Volume((grid**2).sum(axis=0) < 81, np.diag([1.0, 1.0, 1.0, 1.0]))
+    >>> surface = surface_of(ball, edge=1.5)
+    >>> surface.is_closed, abs(surface.volume / (4 / 3 * np.pi * 9**3) - 1) < 0.02
+    (True, True)
+    """
+    if not mask.values.any():
+        raise MeshError("the mask is empty", where="surface", fix="look at the label map")
+    raw = _marching_cubes(mask, edge=0.8 * edge, smooth=smooth)
+    surface = remeshed(raw, edge=edge)
+    if not (surface.is_closed and surface.volume > 0):
+        surface = raw
+    if not (surface.is_closed and surface.volume > 0):
+        raise MeshError(
+            "the surface of the label map is not closed",
+            where="surface",
+            fix="smooth the label map (--smooth) or mend it in 3D Slicer",
+        )
+    return surface
+
+
+def _marching_cubes(mask: Volume, *, edge: float, smooth: float) -> ClosedSurface:
+    spacing = mask.spacing
+    window = box_around(mask.values, np.ceil(6.0 / spacing))
+    field = signed_distance(mask.values[window], spacing)
+    sigma = np.maximum(smooth, _SHARE_OF_SLICE * spacing) / spacing if smooth > 0 else 0.0
+    field = ndimage.gaussian_filter(field, sigma, mode="nearest")
+    start = np.array([each.start for each in window], float)
+    step = edge / spacing
+    axes = [np.arange(-0.5 - 1.5 * h, n - 0.5 + 1.5 * h, h) for n, h in zip(field.shape, step, strict=True)]
+    grid = np.meshgrid(*axes, indexing="ij")
+    values = ndimage.map_coordinates(field, grid, order=3, mode="nearest", output=np.float32)
+    for axis, (n, at) in enumerate(zip(mask.shape, axes, strict=True)):
+        place = at + start[axis]
+        depth = (np.minimum(place + 0.5, n - 0.5 - place) * spacing[axis]).astype(np.float32)
+        values = np.minimum(values, depth.reshape([-1 if each == axis else 1 for each in range(3)]))
+    values = _largest_part(values)
+    points, triangles, *_ = measure.marching_cubes(values, 0.0, gradient_direction="ascent")
+    index = np.stack([np.interp(points[:, n], np.arange(len(axes[n])), axes[n]) for n in range(3)], axis=1)
+    surface = ClosedSurface(mask.to_patient(index + start), triangles.astype(np.int64))
+    return surface if surface.volume > 0 else replace(surface, triangles=surface.triangles[:, ::-1].copy())
+
+
+def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Everything but the largest part of the inside, and every hole in it, is levelled away."""
+    tiny = np.float32(1e-3)
+    values = np.where(np.abs(values) < tiny, np.copysign(tiny, values), values)
+    parts, n_parts = ndimage.label(values > 0)
+    if n_parts > 1:
+        keep = np.bincount(parts.ravel())[1:].argmax() + 1
+        values = np.where((values > 0) & (parts != keep), -tiny, values)
+    holes = ndimage.binary_fill_holes(values > 0) & (values <= 0)
+    return np.where(holes, tiny, values)
+
+
+def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
+    """Nearly equilateral triangles of about `edge` mm; sharp rims (over 40 degrees) stay."""
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(surface.points, surface.triangles.astype(np.int32)))
+    meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(1e-3 * edge))
+    meshes.meshing_isotropic_explicit_remeshing(
+        iterations=4, targetlen=pymeshlab.PureValue(edge), featuredeg=40.0, adaptive=False
+    )
+    meshes.meshing_remove_duplicate_vertices()
+    meshes.meshing_remove_null_faces()
+    meshes.meshing_repair_non_manifold_edges()
+    meshes.meshing_remove_unreferenced_vertices()
+    mesh = meshes.current_mesh()
+    return ClosedSurface(np.asarray(mesh.vertex_matrix()), np.asarray(mesh.face_matrix(), dtype=np.int64))
+
+
+def write_surface(path: Path, surface: ClosedSurface) -> None:
+    """A binary PLY, mm, patient LPS."""
+    mesh = meshio.Mesh(surface.points.astype(np.float32), [("triangle", surface.triangles.astype(np.int32))])
+    with atomic_file(path) as partial:
+        meshio.write(partial, mesh, file_format="ply", binary=True)
+
+
+def read_surface(path: Path) -> ClosedSurface:
+    """Triangles from an STL, PLY or OBJ file, coinciding points joined.
+
+    Raises
+    ------
+    CaseError
+        If the file is no surface or has no triangles.
+    """
+    try:
+        mesh = meshio.read(path)
+        points = np.asarray(mesh.points, dtype=float)
+        faces = [_triangles(block.data) for block in mesh.cells if block.data.shape[1] in (3, 4)]
+    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
+        raise CaseError(
+            "the surface cannot be read",
+            where=str(path),
+            fix="save it again as STL, PLY or OBJ with triangles",
+        ) from error
+    if not faces or not len(points) or not np.isfinite(points).all():
+        raise CaseError(
+            "the surface holds no triangles",
+            where=str(path),
+            fix="save it again as STL, PLY or OBJ with triangles",
+        )
+    return joined(ClosedSurface(points[:, :3], np.concatenate(faces)))
+
+
+def _triangles(cells: NDArray) -> IntArray:
+    cells = np.asarray(cells, dtype=np.int64)
+    return cells if cells.shape[1] == 3 else np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+
+
+def joined(surface: ClosedSurface) -> ClosedSurface:
+    """Points that coincide become one; degenerate and unused ones go."""
+    size = np.ptp(surface.points, axis=0).max()
+    keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
+    _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    triangles = numbers.ravel()[surface.triangles]
+    whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
+    used, renumbered = np.unique(triangles[whole], return_inverse=True)
+    return ClosedSurface(surface.points[first[used]], renumbered.reshape(-1, 3).astype(np.int64))

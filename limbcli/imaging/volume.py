@@ -1,0 +1,94 @@
+"""`Volume`: an image and where its voxels lie in the patient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.model import Array
+
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Voxel values and the frame they lie in.
+
+    values : array (n_i, n_j, n_k), indexed [i, j, k]
+    affine : (4, 4), voxel index (of a voxel's centre) to patient LPS, mm
+
+    >>> volume = Volume(np.zeros((4, 5, 6)), np.diag([2.0, 2.0, 3.0, 1.0]))
+    >>> volume.spacing
+    array([2., 2., 3.])
+    >>> volume.to_patient(np.array([[1.0, 0.0, 2.0]]))
+    array([[2., 0., 6.]])
+    """
+
+    values: NDArray
+    affine: Array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        n_i, n_j, n_k = self.values.shape
+        return n_i, n_j, n_k
+
+    @property
+    def spacing(self) -> Array:
+        """Distance between neighbouring voxel centres along i, j, k, mm."""
+        return np.linalg.norm(self.affine[:3, :3], axis=0)
+
+    @property
+    def voxel_volume(self) -> float:
+        """mm^3; right for sheared grids (gantry tilt) too."""
+        return float(abs(np.linalg.det(self.affine[:3, :3])))
+
+    def to_patient(self, index: Array) -> Array:
+        """Voxel indices (n, 3), fractions allowed, to patient LPS (n, 3), mm."""
+        return np.asarray(index) @ self.affine[:3, :3].T + self.affine[:3, 3]
+
+    def to_voxel(self, points: Array) -> Array:
+        """Patient LPS (n, 3), mm, to voxel indices (n, 3), fractions kept."""
+        return np.linalg.solve(self.affine[:3, :3], (np.asarray(points) - self.affine[:3, 3]).T).T
+
+    def with_values(self, values: NDArray) -> Volume:
+        """The same grid with other values."""
+        return replace(self, values=values)
+
+    @property
+    def limb_axis(self) -> int:
+        """The voxel axis that runs along the limb: the one nearest to head-feet."""
+        return int(np.argmax(np.abs(self.affine[2, :3]) / self.spacing))
+
+    def along_limb(self) -> tuple[Volume, tuple[int, ...], bool]:
+        """The same image with k along the limb, growing towards proximal (the head).
+
+        Returns
+        -------
+        volume, the order of axes taken, and whether k was turned round; `back` undoes it.
+
+        >>> values = np.arange(24).reshape(2, 3, 4)
+        >>> coronal = Volume(values, np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
+        >>> turned, order, flipped = coronal.along_limb()
+        >>> turned.shape, order, flipped
+        ((2, 4, 3), (0, 2, 1), True)
+        >>> np.array_equal(back(turned.values, order, flipped), values)
+        True
+        """
+        axis = self.limb_axis
+        order = (*(each for each in range(3) if each != axis), axis)
+        affine = self.affine[:, [*order, 3]].copy()
+        values = np.transpose(self.values, order)
+        flipped = bool(affine[2, 2] < 0)
+        if flipped:
+            affine[:3, 3] += affine[:3, 2] * (values.shape[2] - 1)
+            affine[:3, 2] *= -1
+            values = values[:, :, ::-1]
+        return Volume(values, affine), order, flipped
+
+
+def back(values: NDArray, order: tuple[int, ...], flipped: bool) -> NDArray:
+    """Values from `Volume.along_limb`'s grid to the grid it was made from."""
+    turned = values[:, :, ::-1] if flipped else values
+    return np.ascontiguousarray(np.transpose(turned, np.argsort(order)))
