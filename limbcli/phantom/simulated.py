@@ -1,0 +1,85 @@
+"""From a simulated indentation to what is true at every level of a protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.measurement.acoustoelasticity import OgdenTerms, wave_speed_m_per_s
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.swe_prediction import Window, predict_map
+from limbcli.model import Array
+from limbcli.phantom.protocol import Protocol, TrueLevels, depth_at_force
+
+
+@dataclass(frozen=True, eq=False)
+class Indentation:
+    """A simulated indentation, states from first touch on (n_states of them).
+
+    depth mm, force N (n_states,); positions (n_states, n_elements, 3) mm in the site's frame;
+    deformation_gradient (n_states, n_elements, 3, 3)
+    """
+
+    depth: Array
+    force: Array
+    positions: Array
+    deformation_gradient: Array
+
+    def at(self, depth: float) -> tuple[Array, Array]:
+        """Positions and deformation gradients at a depth, linear between the two nearest states."""
+        after = int(np.clip(np.searchsorted(self.depth, depth), 1, len(self.depth) - 1))
+        low, high = self.depth[after - 1], self.depth[after]
+        share = (depth - low) / (high - low)
+
+        def between(values: Array) -> Array:
+            return np.asarray((1 - share) * values[after - 1] + share * values[after])
+
+        return between(self.positions), between(self.deformation_gradient)
+
+
+def true_levels(
+    simulated: Indentation,
+    terms: OgdenTerms,
+    *,
+    protocol: Protocol,
+    skin_bone: float | None,
+    window: Window = Window(),
+    density_kg_per_m3: float = 1000.0,
+) -> TrueLevels:
+    """Depth and speed map at every force step that the simulation reaches.
+
+    Raises
+    ------
+    SolveError
+        If it reaches fewer than three.
+    """
+    forces = protocol.forces(reached=float(simulated.force[-1]))
+    if len(forces) < 3:
+        raise SolveError(
+            f"the simulation reaches {simulated.force[-1]:.2f} N at {simulated.depth[-1]:.1f} mm: "
+            f"{len(forces)} levels of {protocol.step:g} N",
+            where="simulated measurement",
+            fix="choose stiffer tissue, a larger strain (--max-strain) or smaller steps (--step-n)",
+            reached_n=float(simulated.force[-1]),
+        )
+    depths = depth_at_force(simulated.depth, simulated.force, forces)
+    maps = tuple(
+        _map(*simulated.at(depth), terms, face_height=-depth, window=window, density=density_kg_per_m3)
+        for depth in depths
+    )
+    return TrueLevels(force=forces, depth=depths, maps=maps, skin_bone=skin_bone)
+
+
+def _map(
+    positions: Array, F: Array, terms: OgdenTerms, *, face_height: float, window: Window, density: float
+) -> SweMap:
+    """Only elements about the window are looked at."""
+    reach = window.half_width + 2 * window.smoothing
+    near = (np.abs(positions[:, 0]) <= reach) & (
+        np.abs(positions[:, 1]) <= window.elevation + 2 * window.smoothing
+    )
+    near &= positions[:, 2] >= face_height - window.depth_to - 2 * window.smoothing
+    speed = wave_speed_m_per_s(F[near], terms, density_kg_per_m3=density)
+    return predict_map(positions[near], speed, face_height=face_height, window=window)
