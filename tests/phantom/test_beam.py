@@ -11,10 +11,10 @@ from limbcli.phantom.beam import skin_bone_distance
 
 def model(bone_x=0.0):
     plate = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]])
-    skin = plate + [0, 0, -0.5]
-    bone = plate * 0.4 + [bone_x, 0, 0]
+    skin = plate + np.array([0, 0, -0.5])
+    bone = plate * 0.4 + np.array([bone_x, 0, 0])
     bone[:, 2] = -30.0 + 0.1 * bone[:, 0]  # slanted
-    points = np.vstack([skin, bone, bone - [0, 0, 12.0]])
+    points = np.vstack([skin, bone, bone - np.array([0, 0, 12.0])])
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     return LimbModel(
         mesh=Mesh(
