@@ -54,3 +54,14 @@ def m_per_s_from_mm_per_s(value: Number) -> Number:
     2.0
     """
     return cast(Number, value / 1e3)
+
+
+FORCE_UNITS_IN_N = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kgf": GRAVITY_M_PER_S2,
+    "gf": GRAVITY_M_PER_S2 / 1e3,
+    "lbf": 4.4482216152605,
+}
+LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
+SPEED_UNITS_IN_M_PER_S = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}

@@ -102,9 +102,9 @@ def _read_trace(path: Path) -> list[Problem]:
 
 
 def _read_maps(folder: Path) -> list[Problem]:
-    from limbcli.measurement.elastography import read_maps
+    from limbcli.measurement.elastography import check_maps
 
-    return _caught(lambda: read_maps(folder), family="measurement") if folder.is_dir() else []
+    return check_maps(folder)[1] if folder.is_dir() else []
 
 
 def _read_mri(folder: Path) -> list[Problem]:
@@ -125,12 +125,11 @@ def _read_surface(path: Path) -> list[Problem]:
     return _caught(lambda: read_surface(path))
 
 
-def _caught(read: Callable[[], object], *, family: str = "case") -> list[Problem]:
+def _caught(read: Callable[[], object]) -> list[Problem]:
     try:
         read()
     except LimbError as error:
-        kind: Any = "measurement" if isinstance(error, MeasurementError) else family
-        return [Problem(error.what, error.where, error.fix, family=kind)]
+        return [Problem(error.what, error.where, error.fix)]
     return []
 
 
@@ -156,6 +155,7 @@ def _contradictions(case: Any) -> list[Problem]:
             )
         )
     for site in case.sites:
+        problems += _missing_maps(site)
         if site.noise.source == "assumed":
             problems.append(
                 Problem(
@@ -166,3 +166,15 @@ def _contradictions(case: Any) -> list[Problem]:
                 )
             )
     return problems
+
+
+def _missing_maps(site: Any) -> list[Problem]:
+    """A map for every row of levels.csv, where there are maps."""
+    from limbcli.measurement.elastography import check_maps
+    from limbcli.measurement.indentation import check_levels
+
+    levels, _ = check_levels(site.levels)
+    if site.swe_maps is None or levels is None:
+        return []
+    seen = {str(each) for each in check_maps(site.swe_maps)[1]}
+    return [each for each in check_maps(site.swe_maps, len(levels))[1] if str(each) not in seen]

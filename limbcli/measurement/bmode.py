@@ -1,0 +1,206 @@
+"""Skin-bone distance on B-mode images, followed through the force levels.
+
+Bone is a bright line across the image with shadow below it. It is found once, at
+the first level (or told), and then followed: a strip around it is sought in the
+next image by normalised cross-correlation, to a fraction of a pixel, column band by
+column band; the spread between bands is the uncertainty. The skin is the face of
+the probe, the top of the image, or the first bright line below a gel layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.ultrasound_image import UltrasoundImage
+from limbcli.model import Array
+
+_STRIP_WIDTH = 10.0  # mm across the centre line
+_BANDS = 5
+_TEMPLATE_HALF = 2.5  # mm above and below the line
+_WORST_CORRELATION = 0.3
+_SHADOW = 4.0  # mm of image there must be below the bone
+_LEAST_BRIGHTNESS = 0.45  # of the weakest column of the line, relative to the brightest row
+_DARKEST_SHADE = 0.2  # brightness behind the line relative to the tissue in front
+
+
+@dataclass(frozen=True)
+class BoneLine:
+    """Where the bone is below the probe face at one level.
+
+    distance, sd : mm; correlation : -1 to 1 of the match (1 for the first level)
+    """
+
+    distance: float
+    sd: float
+    correlation: float
+
+
+def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
+    """The bone line of a single image: bright right across the strip, shadow below it.
+
+    An aponeurosis is as bright, but the muscle behind it still echoes; behind bone the
+    image is dark against the tissue above. Where that is not so nothing is named.
+
+    least : mm below the probe face from which on it is sought
+
+    Raises
+    ------
+    MeasurementError
+        If nothing in the image looks like bone.
+    """
+    strip, step = _strip(image)
+    smooth = gaussian_filter(strip, (0.4 / step, 1.0 / step))
+    row, brightness, shade = _darkest_behind(smooth, round(least / step), step)
+    if row is None or brightness < _LEAST_BRIGHTNESS or shade > _DARKEST_SHADE:
+        raise MeasurementError(
+            "no bone line is visible: nothing bright across the image with shadow below it",
+            where=str(image.path),
+            fix="state where it is with bone_mm (below the probe face), or choose a better frame",
+            brightness=brightness,
+            shade=shade,
+        )
+    distances = [
+        _peak(gaussian_filter1d(band.mean(axis=1), 0.3 / step), row, round(1.0 / step)) * step
+        for band in _bands(strip)
+    ]
+    return BoneLine(float(np.median(distances)), _spread(distances), 1.0)
+
+
+def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None, float, float]:
+    """The best bone candidate: its row, its brightness across the strip, and how dark it is behind.
+
+    Brightness is relative to the brightest row, shade (behind over in front) to the tissue above.
+    """
+    profile, weakest = smooth.mean(axis=1), smooth.min(axis=1)
+    gap, shadow = round(1.5 / step), round(_SHADOW / step)
+    best: tuple[int | None, float, float] = (None, 0.0, float("inf"))
+    for row in range(first, len(profile) - shadow):
+        if profile[row] < profile[max(0, row - gap) : row + gap].max():
+            continue
+        front = float(profile[first // 2 : max(first, row - gap)].mean())
+        behind = float(profile[row + gap :].mean())
+        shade = behind / max(front, 1e-6)
+        brightness = float(weakest[row] / max(profile.max(), 1e-6))
+        if brightness >= _LEAST_BRIGHTNESS and shade < best[2]:
+            best = (row, brightness, shade)
+    return best
+
+
+def follow_bone(
+    images: Sequence[UltrasoundImage],
+    *,
+    bone: float | None = None,
+    largest_change: float = 8.0,
+) -> list[BoneLine]:
+    """The skin-bone distance at every level.
+
+    bone : mm below the probe face at the first level; None finds it.
+    largest_change : mm between neighbouring levels within which it is sought.
+
+    Raises
+    ------
+    MeasurementError
+        If the line cannot be found or is lost; the message names the image.
+    """
+    first = find_bone(images[0]) if bone is None else BoneLine(bone, 0.3, 1.0)
+    lines = [first]
+    for previous, image in pairwise(images):
+        lines.append(_next(previous, image, lines[-1], largest_change))
+    return lines
+
+
+def _next(
+    previous: UltrasoundImage, image: UltrasoundImage, line: BoneLine, largest_change: float
+) -> BoneLine:
+    old, old_step = _strip(previous)
+    new, step = _strip(image)
+    if abs(step / old_step - 1.0) > 0.02:
+        raise MeasurementError(
+            f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
+            where=str(image.path),
+            fix="give every level the same depth setting, or measure this one by hand (skin_bone_mm)",
+        )
+    shifts, correlations = [], []
+    for a, b in zip(_bands(old), _bands(new), strict=True):
+        shift, correlation = _match(a, b, line.distance / step, largest_change / step, step)
+        shifts.append(shift * step)
+        correlations.append(correlation)
+    best = float(np.median(correlations))
+    if best < _WORST_CORRELATION:
+        raise MeasurementError(
+            f"the bone line is lost: the best match correlates {best:.2f} only",
+            where=str(image.path),
+            fix="measure this level by hand (skin_bone_mm), or leave the image out",
+            correlation=best,
+        )
+    keep = np.array(correlations) >= min(best, 0.5)
+    moved = np.array(shifts)[keep]
+    sd = float(np.hypot(_spread(moved.tolist()), line.sd if len(moved) < 2 else 0.0))
+    return BoneLine(line.distance + float(np.median(moved)), max(sd, 0.1 * step), best)
+
+
+def _strip(image: UltrasoundImage) -> tuple[Array, float]:
+    """Brightness around the centre line from the probe face down, and mm per pixel (square)."""
+    region = image.main_region()
+    centre = (region.left + region.right) / 2.0
+    half = _STRIP_WIDTH / 2.0 / region.mm_per_pixel_x
+    left, right = max(region.left, int(centre - half)), min(region.right, int(centre + half))
+    strip = image.grey[region.top : region.bottom + 1, left : right + 1]
+    if min(strip.shape) < 2 * _BANDS:
+        what = f"the calibrated region is {strip.shape[1]} by {strip.shape[0]} pixels only"
+        raise MeasurementError(what, where=str(image.path), fix="export the frame in full resolution")
+    return strip, region.mm_per_pixel_y
+
+
+def _bands(strip: Array) -> list[Array]:
+    return np.array_split(strip, _BANDS, axis=1)
+
+
+def _match(old: Array, new: Array, row: float, reach: float, step: float) -> tuple[float, float]:
+    """Shift (pixels, with fraction) of the neighbourhood of `row`, and its correlation."""
+    half = round(_TEMPLATE_HALF / step)
+    centre = round(row)
+    top = max(0, centre - half)
+    template = gaussian_filter(old, 0.15 / step)[top : centre + half + 1]
+    field = gaussian_filter(new, 0.15 / step)
+    template = template - template.mean()
+    norm = float(np.sqrt((template**2).sum()))
+    rows = range(max(0, top - int(reach)), min(len(field) - len(template), top + int(reach)) + 1)
+    values = np.full(len(rows), -1.0)
+    for k, start in enumerate(rows):
+        part = field[start : start + len(template)]
+        part = part - part.mean()
+        values[k] = float((part * template).sum()) / (norm * float(np.sqrt((part**2).sum())) + 1e-12)
+    if not len(values):
+        return 0.0, -1.0
+    best = int(np.argmax(values))
+    return rows[0] + _parabola(values, best) - top, float(values[best])
+
+
+def _peak(profile: Array, row: int, reach: int) -> float:
+    low, high = max(0, row - reach), min(len(profile), row + reach + 1)
+    best = low + int(np.argmax(profile[low:high]))
+    return _parabola(profile, best)
+
+
+def _parabola(values: Array, best: int) -> float:
+    """Place of the maximum to a fraction of a sample, from its two neighbours."""
+    if not 0 < best < len(values) - 1:
+        return float(best)
+    left, middle, right = values[best - 1 : best + 2]
+    curvature = left - 2.0 * middle + right
+    return best + (0.5 * (left - right) / curvature if curvature < 0 else 0.0)
+
+
+def _spread(values: Sequence[float]) -> float:
+    """SD of the median of the bands, from their median absolute deviation."""
+    if len(values) < 2:
+        return 0.0
+    deviation = float(np.median(np.abs(np.asarray(values) - np.median(values))))
+    return float(1.4826 * deviation * 1.2533 / np.sqrt(len(values)))

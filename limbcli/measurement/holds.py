@@ -1,0 +1,229 @@
+"""Finding the holds in a load-cell record, and what each of them says.
+
+A hold is a stretch in which the force, smoothed over half a second, stays within a
+tolerance of its own middle for at least a stated time. Its mean comes with a
+standard error that knows that neighbouring samples are not independent (batch
+means), and with the drift that is still going on at its end.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.indentation import Trace
+from limbcli.model import Array
+
+SMOOTHING_S = 0.5
+_BATCHES = 10
+_DROPOUT_FACTOR = 3.0
+_CREEP_SIGNIFICANCE = 4.0
+
+
+@dataclass(frozen=True)
+class Hold:
+    """One hold: where it lies, its mean force, and what was unsteady about it.
+
+    force_se : standard error of the mean, N; force_sd : SD of single samples, N
+    drift_n_per_s : slope over the second half, N/s, with its standard error
+    overshoot : N by which the force was above the hold in the two seconds before it
+    n_dropouts : gaps of more than three sample times
+    depth, depth_drift_mm_per_s : mean and slope of the depth, None without a depth column
+    """
+
+    start_s: float
+    end_s: float
+    force: float
+    force_se: float
+    force_sd: float
+    drift_n_per_s: float
+    drift_se_n_per_s: float
+    overshoot: float
+    n_dropouts: int
+    depth: float | None
+    depth_se: float | None
+    depth_drift_mm_per_s: float | None
+    creeping: bool
+
+    @property
+    def duration_s(self) -> float:
+        return self.end_s - self.start_s
+
+
+def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0) -> list[Hold]:
+    """All holds of a record, in order of time.
+
+    tolerance : N, half the width of the band in which the smoothed force stays
+    duration_s : the least length of a hold
+
+    Raises
+    ------
+    MeasurementError
+        If there is none, with the longest stretch that came near.
+    """
+    good = np.isfinite(trace.force)
+    time, force = trace.time[good], trace.force[good]
+    smooth = _smoothed(time, force, SMOOTHING_S)
+    stretches = _steady_stretches(time, smooth, 2 * tolerance)
+    chosen = _longest_first(time, stretches, duration_s)
+    if not chosen:
+        longest = max((time[b] - time[a] for a, b in stretches), default=0.0)
+        raise MeasurementError(
+            f"no hold of {duration_s:g} s within +-{tolerance:g} N; the longest lasts {longest:.1f} s",
+            where=str(trace.path),
+            fix="hold longer or steadier, or state hold_s and hold_tolerance_n as they were",
+            longest_s=float(longest),
+        )
+    depth = trace.depth[good] if trace.depth is not None else None
+    return [_describe(time, force, depth, a, b) for a, b in chosen]
+
+
+def _smoothed(time: Array, force: Array, window_s: float) -> Array:
+    """Median (against spikes), then mean, over a centred window."""
+    step = float(np.median(np.diff(time)))
+    n = max(1, round(window_s / step)) | 1
+    if n < 3 or len(force) < n:
+        return force
+    padded = np.pad(force, n // 2, mode="edge")
+    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, n), axis=1)
+    padded = np.pad(median, n // 2, mode="edge")
+    return np.convolve(padded, np.full(n, 1.0 / n), mode="valid")
+
+
+def _steady_stretches(time: Array, force: Array, width: float) -> list[tuple[int, int]]:
+    """All maximal index ranges [a, b] in which the force spans at most `width` N."""
+    high: deque[int] = deque()
+    low: deque[int] = deque()
+    found, a = [], 0
+    for b in range(len(force)):
+        while high and force[high[-1]] <= force[b]:
+            high.pop()
+        while low and force[low[-1]] >= force[b]:
+            low.pop()
+        high.append(b)
+        low.append(b)
+        if force[high[0]] - force[low[0]] > width:
+            found.append((a, b - 1))
+            while force[high[0]] - force[low[0]] > width:
+                a += 1
+                while high[0] < a:
+                    high.popleft()
+                while low[0] < a:
+                    low.popleft()
+    found.append((a, len(force) - 1))
+    return found
+
+
+def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: float) -> list[tuple[int, int]]:
+    """Ranges of at least `duration_s` that do not overlap, the longest winning, in order of time."""
+    chosen: list[tuple[int, int]] = []
+    for a, b in sorted(stretches, key=lambda each: time[each[0]] - time[each[1]]):
+        for c, d in chosen:
+            if c <= b and a <= d:  # cut off the part that is taken
+                a, b = (d + 1, b) if a >= c else (a, c - 1)
+        if b > a and time[b] - time[a] >= duration_s:
+            chosen.append((a, b))
+    return sorted(chosen)
+
+
+def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) -> Hold:
+    t, f = time[a : b + 1], force[a : b + 1]
+    late = t >= 0.5 * (t[0] + t[-1])
+    drift, drift_se = _slope(t[late], f[late])
+    step = float(np.median(np.diff(time)))
+    before = (time < t[0]) & (time >= t[0] - 2.0)
+    overshoot = float(force[before].max() - f.mean()) if before.any() else 0.0
+    depth_mean = depth_se = depth_drift = None
+    creeping = abs(drift) > _CREEP_SIGNIFICANCE * drift_se and abs(drift) * (t[-1] - t[0]) > f.std()
+    if depth is not None and np.isfinite(depth[a : b + 1]).sum() > _BATCHES:
+        d = depth[a : b + 1]
+        known = np.isfinite(d)
+        depth_mean, depth_se = float(d[known].mean()), _standard_error(d[known])
+        depth_drift, slope_se = _slope(t[late & known], d[late & known])
+        creeping = creeping or abs(depth_drift) > _CREEP_SIGNIFICANCE * slope_se
+    return Hold(
+        start_s=float(t[0]),
+        end_s=float(t[-1]),
+        force=float(f.mean()),
+        force_se=_standard_error(f),
+        force_sd=float(f.std(ddof=1)),
+        drift_n_per_s=drift,
+        drift_se_n_per_s=drift_se,
+        overshoot=max(0.0, overshoot),
+        n_dropouts=int((np.diff(t) > _DROPOUT_FACTOR * step).sum()),
+        depth=depth_mean,
+        depth_se=depth_se,
+        depth_drift_mm_per_s=depth_drift,
+        creeping=bool(creeping),
+    )
+
+
+def _standard_error(values: Array) -> float:
+    """Standard error of the mean of correlated samples, from the spread of batch means."""
+    means = [float(each.mean()) for each in np.array_split(values, _BATCHES) if len(each)]
+    return float(np.std(means, ddof=1) / np.sqrt(len(means)))
+
+
+def _slope(time: Array, values: Array) -> tuple[float, float]:
+    """Slope of a line and its standard error, from batch means (so correlation does not flatter it)."""
+    if len(values) < _BATCHES:
+        return 0.0, float("inf")
+    t = np.array([each.mean() for each in np.array_split(time, _BATCHES)])
+    v = np.array([each.mean() for each in np.array_split(values, _BATCHES)])
+    centred = t - t.mean()
+    slope = float(centred @ v / (centred @ centred))
+    rest = v - v.mean() - slope * centred
+    return slope, float(np.sqrt(rest @ rest / (_BATCHES - 2) / (centred @ centred)))
+
+
+def without_probe_weight(
+    trace: Trace, *, probe_mass_kg: float, axis: str = "z", tare_s: tuple[float, float]
+) -> Trace:
+    """The record with the tare and the probe's own weight taken off.
+
+    The load cell carries the probe's weight along its axis, m g cos(theta), which
+    changes as the probe turns; what it read in the air during `tare_s` is zero force.
+    F = F_read - F_tare - m g (cos(theta) - cos(theta_tare)), cos(theta) from the
+    accelerometer's reading along `axis` ("x", "y", "z"; "-z" where it points the other way).
+
+    Raises
+    ------
+    MeasurementError
+        If there is no accelerometer record or no sample within `tare_s`.
+    """
+    from dataclasses import replace
+
+    from limbcli.units import GRAVITY_M_PER_S2
+
+    in_air = (trace.time >= tare_s[0]) & (trace.time <= tare_s[1]) & np.isfinite(trace.force)
+    if not in_air.any():
+        fix = "state tare_s = [from, to], a stretch in which the probe hung free"
+        what = f"no sample lies within tare_s = [{tare_s[0]:g}, {tare_s[1]:g}] s"
+        raise MeasurementError(what, where=str(trace.path), fix=fix)
+    force = trace.force - float(np.nanmean(trace.force[in_air]))
+    if probe_mass_kg:
+        if trace.acceleration_g is None:
+            fix = "add accel_x_g, accel_y_g and accel_z_g, or leave probe_mass_kg out"
+            what = "the probe's weight cannot be taken off without its orientation"
+            raise MeasurementError(what, where=str(trace.path), fix=fix)
+        sign = -1.0 if axis.startswith("-") else 1.0
+        cosine = sign * trace.acceleration_g[:, "xyz".index(axis[-1])]
+        smooth = _smoothed(trace.time, cosine, SMOOTHING_S)
+        turned = smooth - float(np.nanmean(smooth[in_air]))
+        force = force - probe_mass_kg * GRAVITY_M_PER_S2 * turned
+    return replace(trace, force=force)
+
+
+def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:
+    """Forces (N) of a regular protocol that no hold shows, between the first and the last.
+
+    >>> missing_levels([], step=2.0)
+    []
+    """
+    if not holds:
+        return []
+    found = {round(each.force / step) for each in holds}
+    return [k * step for k in range(min(found), max(found)) if k not in found]

@@ -1,0 +1,145 @@
+"""A load-cell record as its program wrote it: other column names, separators, units, LabVIEW files.
+
+`trace.csv` of the case format needs none of this; a user whose instrument writes
+something else says in case.toml what its columns are called and in which unit.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.indentation import Trace
+from limbcli.model import Array
+from limbcli.problems import suggestion
+from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
+
+LVM_END_OF_HEADER = "***End_of_Header***"
+COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
+
+
+@dataclass(frozen=True)
+class RecordingFormat:
+    """What the columns are called and in which unit they are.
+
+    columns : our name -> the file's; names left out are looked for as they are.
+    separator, decimal : None finds out.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    force_unit: str = "N"
+    length_unit: str = "mm"
+    separator: str | None = None
+    decimal: str | None = None
+
+
+def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
+    """Read a load-cell record of any of the usual kinds.
+
+    Returns
+    -------
+    Trace in our units, time from the file.
+
+    Raises
+    ------
+    MeasurementError
+        If a column is missing, a cell is no number, or time does not grow.
+    """
+    form = form or RecordingFormat()
+    header, rows, separator = _table(path, form)
+    decimal = form.decimal or _decimal(rows, separator)
+    values = {}
+    for name in COLUMNS:
+        position = _position(header, form.columns.get(name, name), name, path, asked=name in form.columns)
+        if position is not None:
+            values[name] = _column(rows, position, decimal, name, path)
+    for name in ("time_s", "force_n"):
+        if name not in values:
+            fix = f'say which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, header)
+            raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
+    _check_time(values["time_s"], path)
+    length = LENGTH_UNITS_IN_MM[form.length_unit]
+    axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
+    return Trace(
+        time=values["time_s"],
+        force=values["force_n"] * FORCE_UNITS_IN_N[form.force_unit],
+        depth=values["depth_mm"] * length if "depth_mm" in values else None,
+        probe_travel=values["probe_travel_mm"] * length if "probe_travel_mm" in values else None,
+        acceleration_g=np.column_stack([each for each in axes if each is not None])
+        if all(each is not None for each in axes)
+        else None,
+        path=path,
+    )
+
+
+def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
+    text = _text(path)
+    lines = text.splitlines()
+    if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
+        lines = lines[max(k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)) + 1 :]
+    lines = [line for line in lines if line.strip()]
+    if len(lines) < 2:
+        fix = "name the file that the load cell's program wrote"
+        raise MeasurementError("the record has no rows", where=str(path), fix=fix)
+    separator = form.separator or max(("\t", ";", ","), key=lambda mark: lines[0].count(mark))
+    rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
+    return [cell.strip() for cell in rows[0]], rows[1:], separator
+
+
+def _text(path: Path) -> str:
+    content = path.read_bytes()
+    for encoding in ("utf-8-sig", "latin-1"):
+        try:
+            return content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise AssertionError("latin-1 decodes any bytes")
+
+
+def _decimal(rows: list[list[str]], separator: str) -> str:
+    """A comma is the decimal mark where it is not the separator and stands in the cells."""
+    sample = [cell for row in rows[:50] for cell in row]
+    commas = sum("," in cell for cell in sample)
+    return "," if separator != "," and commas > sum("." in cell for cell in sample) else "."
+
+
+def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: bool) -> int | None:
+    if wanted in header:
+        return header.index(wanted)
+    if asked:
+        what = f"the record has no column {wanted!r}, which case.toml names for {name}"
+        raise MeasurementError(what, where=str(path), fix=suggestion(wanted, header))
+    return None
+
+
+def _column(rows: list[list[str]], position: int, decimal: str, name: str, path: Path) -> Array:
+    values = np.full(len(rows), np.nan)
+    for k, row in enumerate(rows):
+        cell = row[position].strip() if position < len(row) else ""
+        if not cell:
+            continue
+        try:
+            values[k] = float(cell.replace(decimal, "."))
+        except ValueError:
+            fix = 'remove the row, or say the decimal mark with decimal = ","'
+            where = f"{path}, row {k + 1} below the header"
+            raise MeasurementError(f"{name} is {cell!r}, not a number", where=where, fix=fix) from None
+    return values
+
+
+def _check_time(time: Array, path: Path) -> None:
+    wrong = np.flatnonzero(~(np.diff(time) > 0))
+    if len(wrong):
+        k = int(wrong[0])
+        raise MeasurementError(
+            f"the time does not grow from row {k + 1} to {k + 2} ({time[k]:g}, {time[k + 1]:g} s)",
+            where=str(path),
+            fix="sort by time, remove repeated samples, or name the right time column",
+            n_rows=len(wrong),
+        )

@@ -1,0 +1,176 @@
+"""Ultrasound images with a scale: DICOM with calibrated regions, or PNG and BMP plus mm per pixel.
+
+A DICOM ultrasound image may hold several regions (B-mode, colour box, Doppler
+trace); each states its corners and what a pixel means (PS3.3 C.8.5.5). A region
+whose deltas are zero or whose unit is not cm is not calibrated and is not used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import MeasurementError
+
+_CM = 3  # PhysicalUnitsXDirection of a length
+_TISSUE = 1  # RegionSpatialFormat: two-dimensional
+_DICOM_SUFFIXES = {".dcm", ".dicom", ""}
+
+
+@dataclass(frozen=True)
+class Region:
+    """A calibrated part of the image: pixel corners (inclusive) and mm per pixel."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    mm_per_pixel_x: float
+    mm_per_pixel_y: float
+
+
+@dataclass(frozen=True, eq=False)
+class UltrasoundImage:
+    """One frame: rgb (rows, columns, 3) of bytes, and its calibrated regions."""
+
+    rgb: NDArray[np.uint8]
+    regions: tuple[Region, ...]
+    path: Path
+
+    @property
+    def grey(self) -> NDArray[np.float64]:
+        """(rows, columns) brightness 0 to 1 (Rec. 601 weights)."""
+        return self.rgb.astype(np.float64) @ np.array([0.299, 0.587, 0.114]) / 255.0
+
+    def main_region(self) -> Region:
+        """The largest calibrated two-dimensional region.
+
+        Raises
+        ------
+        MeasurementError
+            If none is calibrated.
+        """
+        if not self.regions:
+            raise MeasurementError(
+                "the image has no calibrated region",
+                where=str(self.path),
+                fix="state mm_per_pixel (read it off the depth scale), or export DICOM with regions",
+            )
+        return max(self.regions, key=lambda r: (r.right - r.left) * (r.bottom - r.top))
+
+
+def read_image(
+    path: Path, *, mm_per_pixel: float | None = None, box_pixels: tuple[int, int, int, int] | None = None
+) -> UltrasoundImage:
+    """Read one frame (of a multi-frame file the first).
+
+    mm_per_pixel : overrides, or stands in for, the file's own calibration.
+    box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
+        its top is the probe face.
+
+    Raises
+    ------
+    MeasurementError
+        If the file is no image, or a scale is neither in it nor given.
+    """
+    rgb, regions = _read_dicom(path) if _is_dicom(path) else (_read_picture(path), ())
+    if mm_per_pixel is not None:
+        if not 0.005 <= mm_per_pixel <= 1.0:
+            what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
+            raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
+        rows, columns = rgb.shape[:2]
+        regions = (Region(0, 0, columns - 1, rows - 1, mm_per_pixel, mm_per_pixel),)
+    image = UltrasoundImage(rgb, regions, path)
+    return image if box_pixels is None else _within(image, box_pixels)
+
+
+def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> UltrasoundImage:
+    """The image with its region narrowed to a box."""
+    left, top, right, bottom = box
+    rows, columns = image.rgb.shape[:2]
+    if not (0 <= left < right < columns and 0 <= top < bottom < rows):
+        raise MeasurementError(
+            f"the box {list(box)} does not lie in the image of {columns} by {rows} pixels",
+            where=str(image.path),
+            fix="state box_pixels = [left, top, right, bottom]",
+        )
+    main = image.main_region()
+    region = Region(left, top, right, bottom, main.mm_per_pixel_x, main.mm_per_pixel_y)
+    return replace(image, regions=(region,))
+
+
+def _is_dicom(path: Path) -> bool:
+    if not path.is_file():
+        raise MeasurementError("the image is not there", where=str(path), fix="correct its name")
+    with path.open("rb") as stream:
+        head = stream.read(132)
+    return head[128:] == b"DICM" or path.suffix.lower() in {".dcm", ".dicom"}
+
+
+def _read_picture(path: Path) -> NDArray[np.uint8]:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+    except (UnidentifiedImageError, OSError) as error:
+        fix = "export the frame as DICOM, PNG or BMP"
+        raise MeasurementError(f"the image cannot be read ({error})", where=str(path), fix=fix) from error
+
+
+def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
+    import pydicom
+    from pydicom.errors import InvalidDicomError
+    from pydicom.pixels import apply_color_lut, convert_color_space
+
+    try:
+        dataset = pydicom.dcmread(path)
+        pixels = dataset.pixel_array
+    except (InvalidDicomError, AttributeError, RuntimeError, NotImplementedError, ValueError) as error:
+        fix = "export it uncompressed, or as PNG with mm_per_pixel"
+        raise MeasurementError(
+            f"the DICOM image cannot be read ({error})", where=str(path), fix=fix
+        ) from error
+    if int(dataset.get("NumberOfFrames", 1) or 1) > 1:
+        pixels = pixels[0]
+    kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
+    if kind == "PALETTE COLOR":
+        pixels = apply_color_lut(pixels, dataset)
+    elif kind.startswith("YBR") and pixels.ndim == 3:
+        pixels = convert_color_space(pixels, kind, "RGB")
+    return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset)
+
+
+def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:
+    values = pixels.astype(np.float64)
+    if pixels.dtype != np.uint8:
+        values *= 255.0 / max(float(values.max()), 1.0)
+    if inverted:
+        values = 255.0 - values
+    if values.ndim == 2:
+        values = np.repeat(values[:, :, None], 3, axis=2)
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _regions(dataset: object) -> tuple[Region, ...]:
+    found = []
+    for each in getattr(dataset, "SequenceOfUltrasoundRegions", None) or ():
+        dx = abs(float(each.get("PhysicalDeltaX", 0) or 0)) * 10.0
+        dy = abs(float(each.get("PhysicalDeltaY", 0) or 0)) * 10.0
+        units = (each.get("PhysicalUnitsXDirection", 0), each.get("PhysicalUnitsYDirection", 0))
+        if dx <= 0 or dy <= 0 or units != (_CM, _CM) or each.get("RegionSpatialFormat", 1) != _TISSUE:
+            continue
+        corners = [
+            int(each.get(name, 0))
+            for name in (
+                "RegionLocationMinX0",
+                "RegionLocationMinY0",
+                "RegionLocationMaxX1",
+                "RegionLocationMaxY1",
+            )
+        ]
+        found.append(Region(*corners, dx, dy))
+    return tuple(found)

@@ -1,0 +1,97 @@
+"""Colour overlays: what can be read is right, what cannot is left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.swe_image import Overlay, bar_colours, decode_overlay
+from limbcli.measurement.ultrasound_image import Region, UltrasoundImage
+
+ROWS, COLUMNS = 300, 400
+BOX = (60, 40, 299, 239)
+BAR = (370, 40, 389, 239)
+MM_PER_PIXEL = 0.1
+
+
+def overlay(opacity: float = 1.0) -> Overlay:
+    return Overlay(BOX, BAR, 0.5, 10.5, opacity)
+
+
+def render(rng: np.random.Generator, speed: np.ndarray, opacity: float = 1.0, *, turns: int = 1):
+    """A screen: speckled B-mode, the bar at the right, and the coloured box; NaN stays uncoloured."""
+    colours = matplotlib.colormaps["jet"](np.linspace(0, turns, 200, endpoint=turns == 1) % 1.000001)
+    colours = (colours[:, :3] * 255).round()
+    grey = np.clip(80 + 30 * rng.standard_normal((ROWS, COLUMNS)), 0, 255)
+    rgb = np.repeat(grey[:, :, None], 3, axis=2)
+    rgb[BAR[1] : BAR[3] + 1, BAR[0] : BAR[2] + 1] = colours[::-1, None, :]
+    index = np.clip((np.nan_to_num(speed) - 0.5) / 10.0 * 199, 0, 199).round().astype(int)
+    box = rgb[BOX[1] : BOX[3] + 1, BOX[0] : BOX[2] + 1]
+    mixed = opacity * colours[index] + (1 - opacity) * box
+    rgb[BOX[1] : BOX[3] + 1, BOX[0] : BOX[2] + 1] = np.where(np.isnan(speed)[:, :, None], box, mixed)
+    region = Region(0, 0, COLUMNS - 1, ROWS - 1, MM_PER_PIXEL, MM_PER_PIXEL)
+    return UltrasoundImage(rgb.round().astype(np.uint8), (region,), Path("frame.png"))
+
+
+def ramp() -> np.ndarray:
+    """Speeds 2 to 8 m/s growing downwards."""
+    return np.repeat(np.linspace(2, 8, 200)[:, None], 240, axis=1)
+
+
+def expected(depth: np.ndarray) -> np.ndarray:
+    return np.interp(depth / MM_PER_PIXEL - BOX[1], np.arange(200), np.linspace(2, 8, 200))
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.7, 0.5])
+def test_speed_is_read_through_the_bar_at_any_opacity(rng, opacity):
+    decoded = decode_overlay(render(rng, ramp(), opacity), overlay(opacity))
+    error = decoded.swe.speed_m_per_s - expected(decoded.swe.depth)
+    # one of 200 colours is 0.05 m/s; rounding to bytes under a half-transparent colour doubles it
+    assert np.abs(error).max() < 0.2
+    assert len(decoded.swe) > 0.9 * (len(decoded.swe) + decoded.n_ambiguous)
+
+
+def test_uncoloured_pixels_are_left_out_and_counted(rng):
+    speed = ramp()
+    speed[:, :120] = np.nan
+    decoded = decode_overlay(render(rng, speed), overlay())
+    assert decoded.swe.lateral.min() > (BOX[0] + 119 - (COLUMNS - 1) / 2) * MM_PER_PIXEL
+    assert decoded.n_masked == pytest.approx(len(decoded.swe), rel=0.1)
+
+
+def test_colour_that_stands_twice_on_the_bar_is_never_guessed(rng):
+    with pytest.raises(MeasurementError, match="ambiguous"):
+        decode_overlay(render(rng, ramp(), turns=2), overlay())
+
+
+def test_saturated_pixels_are_marked(rng):
+    speed = ramp()
+    speed[100:, :] = 99.0
+    decoded = decode_overlay(render(rng, speed), overlay())
+    assert decoded.saturated.mean() == pytest.approx(0.5, abs=0.05)
+    assert decoded.unsaturated.speed_m_per_s.max() < 6.0
+
+
+def test_places_are_in_the_probe_frame(rng):
+    decoded = decode_overlay(render(rng, ramp()), overlay())
+    assert decoded.swe.depth.min() == pytest.approx(BOX[1] * MM_PER_PIXEL)
+    assert decoded.swe.lateral.min() == pytest.approx((BOX[0] - (COLUMNS - 1) / 2) * MM_PER_PIXEL)
+
+
+def test_bar_runs_from_low_to_high(rng):
+    colours, speeds = bar_colours(render(rng, ramp()), overlay())
+    assert colours[0, 2] > colours[0, 0], "jet's low end is blue"
+    assert colours[-1, 0] > colours[-1, 2], "jet's high end is red"
+    assert (speeds[0], speeds[-1]) == (0.5, 10.5)
+
+
+def test_wrong_places_are_refused(rng):
+    image = render(rng, ramp())
+    with pytest.raises(MeasurementError, match="mostly grey"):
+        decode_overlay(image, Overlay(BOX, (10, 40, 29, 239), 0.5, 10.5))
+    with pytest.raises(MeasurementError, match="does not lie in the image"):
+        decode_overlay(image, Overlay((0, 0, 999, 10), BAR, 0.5, 10.5))
