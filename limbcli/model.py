@@ -249,6 +249,7 @@ class Contact:
 class Step:
     """One analysis step: its length is n_steps * step_size, however steps are cut or grown.
 
+    dt_max : the largest step size; None means `step_size`
     must_points : times (s, from the start of the step) that are hit exactly
     adaptive : False: every step is `step_size`, never cut nor grown
     dt_max_curve : the load curve that gives the largest step size over time, where

@@ -80,6 +80,32 @@ def load_model(path: Path) -> LimbModel:
         ) from error
 
 
+def differences(a: object, b: object, path: str = "model") -> list[str]:
+    """Where two models (or parts of them) differ, to the last bit and the last type.
+
+    >>> differences(nouns.Curve(((0.0, 0.0),)), nouns.Curve(((0.0, 1.0),)), "curve")
+    ['curve.points[0][1]: 0.0 and 1.0']
+    """
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        same = isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.dtype == b.dtype
+        return [] if same and np.array_equal(a, b) else [path]  # type: ignore[arg-type]
+    if type(a) is not type(b):
+        return [f"{path}: {type(a).__name__} and {type(b).__name__}"]
+    if dataclasses.is_dataclass(a):
+        names = [each.name for each in dataclasses.fields(a)]
+        return [d for n in names for d in differences(getattr(a, n), getattr(b, n), f"{path}.{n}")]
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        if list(a) != list(b):
+            return [f"{path}: keys {list(a)} and {list(b)}"]
+        return [d for key in a for d in differences(a[key], b[key], f"{path}[{key}]")]
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        if len(a) != len(b):
+            return [f"{path}: {len(a)} and {len(b)} items"]
+        pairs = enumerate(zip(a, b, strict=True))
+        return [d for i, (x, y) in pairs for d in differences(x, y, f"{path}[{i}]")]
+    return [] if a == b else [f"{path}: {a!r} and {b!r}"]
+
+
 def _encode(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     """Plain JSON; arrays go to `arrays`, and what JSON has no word for is marked with `@`."""
     if isinstance(value, np.ndarray):

@@ -26,30 +26,7 @@ from limbcli.model import (
     Support,
     Surface,
 )
-from limbcli.model_io import load_model, save_model
-
-
-def differences(a: object, b: object, path: str = "model") -> list[str]:
-    """Where two models differ, to the last bit and the last type."""
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        same = isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
-        return [] if same and a.dtype == b.dtype and np.array_equal(a, b) else [path]
-    if type(a) is not type(b):
-        return [f"{path}: {type(a).__name__} and {type(b).__name__}"]
-    if hasattr(a, "__dataclass_fields__"):
-        names = a.__dataclass_fields__
-        return [d for n in names for d in differences(getattr(a, n), getattr(b, n), f"{path}.{n}")]
-    if isinstance(a, dict):
-        if list(a) != list(b):
-            return [f"{path}: keys {list(a)} and {list(b)}"]
-        return [d for key in a for d in differences(a[key], b[key], f"{path}[{key}]")]
-    if isinstance(a, tuple | list):
-        if len(a) != len(b):
-            return [f"{path}: {len(a)} and {len(b)} items"]
-        return [
-            d for i, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{path}[{i}]")
-        ]
-    return [] if a == b else [f"{path}: {a!r} and {b!r}"]
+from limbcli.model_io import differences, load_model, save_model
 
 
 @pytest.fixture
@@ -114,6 +91,6 @@ def test_a_damaged_or_missing_file_is_a_case_error(model: LimbModel, tmp_path: P
 
 
 def test_what_is_not_plain_data_is_refused(model: LimbModel, tmp_path: Path) -> None:
-    with pytest.raises(CaseError, match="a Path|a PosixPath"):
+    with pytest.raises(CaseError, match="cannot be stored"):
         save_model(replace(model, info={"file": Path("x")}), tmp_path / "model.npz")
     assert not list(tmp_path.iterdir())

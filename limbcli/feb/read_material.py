@@ -146,13 +146,14 @@ def _lame(tag: Tag, names: _Names) -> tuple[Value, Value]:
         if not -1 < poisson < 0.5:
             raise tag.problem(f"v = {poisson} is not between -1 and 0.5", fix="give a v below 0.5")
         return lame(young, poisson)
-    if isinstance(young, ElementMap) and isinstance(poisson, float):
-        mu, lam = lame(1.0, poisson)
+    if isinstance(young, ElementMap) and isinstance(poisson, float | ElementMap):
+        ratio = poisson.values if isinstance(poisson, ElementMap) else np.full(len(young.values), poisson)
+        mu, lam = young.values / (2 * (1 + ratio)), young.values * ratio / ((1 + ratio) * (1 - 2 * ratio))
         return (
-            ElementMap(f"{young.name}_mu", young.block, mu * young.values),
-            ElementMap(f"{young.name}_lambda", young.block, lam * young.values),
+            ElementMap(f"{young.name}_mu", young.block, mu),
+            ElementMap(f"{young.name}_lambda", young.block, lam),
         )
-    raise tag.problem("only numbers, or E as a map, are supported here", fix="use numbers for E and v")
+    raise tag.problem("load curves are not supported here", fix="use numbers or maps for E and v")
 
 
 def _fiber(tag: Tag, names: _Names) -> Value:

@@ -1,0 +1,111 @@
+"""FEBio's record files: what the model asked to be logged, step by step.
+
+A block per converged step: `*Step`, `*Time`, `*Data`, then one row an item, id
+first. A killed run leaves its last block cut, perhaps within a number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.model import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """steps, times (n_times,); ids (n_items,) as in the file; values (n_times, n_items, n_columns).
+
+    truncated : the last block was cut, and is left out
+    """
+
+    steps: IntArray
+    times: Array
+    ids: IntArray
+    values: Array
+    truncated: bool
+
+
+def read_records(path: Path, *, n_columns: int | None = None, n_items: int | None = None) -> Records:
+    """Read a record file (comma or space between values).
+
+    Parameters
+    ----------
+    n_columns, n_items : what is expected, where known; else the first block tells
+
+    Raises
+    ------
+    SolveError
+        If the file is missing, has no complete block, or a block before the last
+        one does not fit, or a value is not a number.
+    """
+    try:
+        text = path.read_text(encoding="ascii", errors="replace")
+    except OSError as error:
+        raise SolveError(
+            f"the record file {path.name} is missing ({error.strerror})",
+            where=str(path),
+            fix="run the simulation again; if it recurs, look at the end of model.log",
+        ) from error
+    blocks = [_block(part, path) for part in text.split("*Step")[1:]]
+    whole = [block is not None and block.rows.size > 0 for block in blocks]
+    truncated = bool(blocks) and (not whole[-1] or not text.endswith("\n"))
+    kept = [block for block in (blocks[:-1] if truncated else blocks) if block is not None]
+    if len(kept) < len(blocks) - truncated:
+        raise _broken(path, "a block in its middle cannot be read")
+    if not kept:
+        raise _broken(path, "it holds no complete step")
+    shape = (n_items or len(kept[0].rows), (n_columns or kept[0].rows.shape[1] - 1) + 1)
+    if not truncated and len(kept) > 1 and len(kept[-1].rows) < shape[0]:
+        kept, truncated = kept[:-1], True
+    for block in kept:
+        if block.rows.shape != shape or not np.array_equal(block.rows[:, 0], kept[0].rows[:, 0]):
+            raise _broken(
+                path, f"the step at time {block.time:g} holds {block.rows.shape}, not {shape} values"
+            )
+    values = np.stack([block.rows[:, 1:] for block in kept])
+    if not np.isfinite(values).all():
+        at = kept[int(np.argwhere(~np.isfinite(values))[0][0])].time
+        raise _broken(path, f"a value at time {at:g} is not a number")
+    return Records(
+        steps=np.array([block.step for block in kept], dtype=np.int64),
+        times=np.array([block.time for block in kept]),
+        ids=kept[0].rows[:, 0].astype(np.int64),
+        values=values,
+        truncated=truncated,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    step: int
+    time: float
+    rows: Array
+
+
+def _block(text: str, path: Path) -> _Block | None:
+    """One block after its `*Step`, or None if it is cut or cannot be read."""
+    lines = text.split("\n", 3)
+    if len(lines) < 4 or not lines[1].startswith("*Time") or not lines[2].startswith("*Data"):
+        return None
+    try:
+        step, time = int(lines[0].split("=")[1]), float(lines[1].split("=")[1])
+        body = lines[3].strip()
+        width = len(body.split("\n", 1)[0].replace(",", " ").split())
+        values = np.array(body.replace(",", " ").split(), dtype=np.float64)
+    except (ValueError, IndexError):
+        return None
+    if width == 0 or values.size % width:
+        return None
+    return _Block(step, time, values.reshape(-1, width))
+
+
+def _broken(path: Path, what: str) -> SolveError:
+    return SolveError(
+        f"the record file {path.name} cannot be used: {what}",
+        where=str(path),
+        fix="run the simulation again; if it recurs, look at the end of model.log",
+    )

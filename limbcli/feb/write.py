@@ -1,0 +1,139 @@
+"""A `LimbModel` as a FEBio 4.0 model file, through the Jinja templates in `templates/feb/`."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Mapping
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from limbcli.config import templates_folder
+from limbcli.errors import CaseError
+from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
+from limbcli.feb.read import INFO_MARK
+from limbcli.feb.views import (
+    block_rows,
+    drive_groups,
+    map_rows,
+    material_views,
+    node_rows,
+    record_views,
+    set_ids,
+    step_views,
+    surface_rows,
+)
+from limbcli.files import atomic_file
+from limbcli.model import LimbModel
+from limbcli.results import plain
+
+MAIN_TEMPLATE = "feb/model.feb.j2"
+FILE_ID_KEYS = ("file_node_ids", "file_cell_ids")
+
+
+def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Path:
+    """Write a model file; `read_feb` gives the model back exactly.
+
+    Parameters
+    ----------
+    path : `.feb`, or `.feb.gz` to have it packed
+    templates : a folder of your own with `feb/*.j2`; what is missing there is ours
+
+    Numbers are written so that they read back to the same bits (neo-Hookean and
+    Holmes-Mow to round-off, because the file holds E and v). Ids run from 1 without
+    gaps. `info` is kept as JSON in a comment.
+
+    Raises
+    ------
+    CaseError
+        If the model cannot be written (a value that is not finite, two maps with one
+        name, must-points that do not grow) or a template of the user's is faulty.
+    ToolError
+        If the templates are missing.
+    """
+    text = render(model, templates=templates)
+    content = text.encode("iso-8859-1", errors="xmlcharrefreplace")
+    with atomic_file(path) as partial:
+        partial.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    return path
+
+
+def render(model: LimbModel, *, templates: Path | None = None) -> str:
+    """The text of the model file."""
+    try:
+        return _environment(templates).get_template(MAIN_TEMPLATE).render(_context(model))
+    except jinja2.TemplateError as error:
+        line = getattr(error, "lineno", None)
+        raise CaseError(
+            f"a template of the model file is faulty: {error}",
+            where=f"{getattr(error, 'filename', None) or MAIN_TEMPLATE}" + (f", line {line}" if line else ""),
+            fix="compare it with limbcli's own templates/feb, or leave --templates out",
+        ) from error
+
+
+def _environment(templates: Path | None) -> jinja2.Environment:
+    folders = [templates_folder(templates), templates_folder()]
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.FileSystemLoader(each) for each in folders]),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["number"] = number
+    environment.filters["vector"] = vector
+    environment.tests["float_like"] = lambda value: isinstance(value, Real)
+    return environment
+
+
+def _context(model: LimbModel) -> dict[str, Any]:
+    """What the templates see."""
+    ids = give_ids(model)
+    return {
+        "model": model,
+        "module": "biphasic" if any(m.law == "biphasic" for m in model.materials.values()) else "solid",
+        "info": _info(model.info),
+        "steps": step_views(model, ids),
+        "materials": material_views(model, ids),
+        "drives": drive_groups(model.drives),
+        "curves": ids.all_curves,
+        "curve_ids": ids.curves,
+        "records": record_views(model, ids),
+        "plot_variables": list(model.info.get("plot_variables", ())),
+        **_mesh_context(model, ids),
+    }
+
+
+def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
+    mesh = model.mesh
+    return {
+        "nodes": node_rows(mesh.points),
+        "blocks": block_rows(mesh.blocks),
+        "node_sets": [{"name": name, "ids": set_ids(each)} for name, each in mesh.node_sets.items()],
+        "surfaces": [{"name": name, "rows": surface_rows(each)} for name, each in mesh.surfaces.items()],
+        "element_maps": [
+            {
+                "name": name,
+                "block": each.block,
+                "vector": each.values.ndim == 2,
+                "rows": map_rows(each.values, "e"),
+            }
+            for name, each in element_maps(model).items()
+        ],
+        "node_maps": [
+            {"name": name, "node_set": each.node_set, "rows": map_rows(each.values, "node")}
+            for name, each in node_maps(model).items()
+        ],
+    }
+
+
+def _info(info: Mapping[str, Any]) -> Markup | None:
+    """`info` as JSON that may stand in a comment (where `--` is not allowed)."""
+    kept = {key: value for key, value in info.items() if key not in ("plot_variables", *FILE_ID_KEYS)}
+    if not kept:
+        return None
+    text = json.dumps(plain(kept), allow_nan=False).replace("--", "-\\u002d")
+    return Markup(INFO_MARK + text)
