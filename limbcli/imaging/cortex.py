@@ -30,10 +30,11 @@ def with_cortex(
     dark = _dark(values, limb, spacing)
     bone = np.zeros_like(marrow)
     slices = np.flatnonzero(marrow.any(axis=(0, 1)))
-    for k in slices:
+    for k in slices.tolist():
         here = marrow[:, :, k]
         window = box_around(here, np.ceil((_THICKEST + 2.0) / in_plane))
-        bone[*window, k] = _shell(here[window], values[*window, k], dark[*window, k], levels, in_plane)
+        section, wall = values[:, :, k][window], dark[:, :, k][window]
+        bone[:, :, k][window] = _shell(here[window], section, wall, levels, in_plane)
     _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
     return evened(bone, spacing)
 

@@ -147,9 +147,7 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
         return ()
     kinds = Counter(_kind(dataset) for _, dataset in datasets)
     if len(uids) == len(datasets) and len(kinds) == 1:
-        return (
-            "every image has a Series Instance UID (0020,000E) of its own; taken as one series, all else agrees",
-        )
+        return ("every image has a Series Instance UID (0020,000E) of its own; taken as one series",)
     if len(uids) == len(datasets):
         listed = ", ".join(
             f"series {kind[0] or '?'} with {count} images" for kind, count in kinds.most_common()
@@ -213,8 +211,8 @@ def _slice(dataset: Dataset, name: str) -> Slice:
 
 def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
     """A tag's numbers; a missing or broken tag is an error that names it."""
-    tag = pydicom.datadict.tag_for_keyword(keyword)
-    label = f"{pydicom.datadict.dictionary_description(keyword)} ({(tag or 0) >> 16:04X},{(tag or 0) & 0xFFFF:04X})"
+    tag = pydicom.datadict.tag_for_keyword(keyword) or 0
+    label = f"{pydicom.datadict.dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
     try:
         values = np.array([float(each) for each in dataset[keyword].value], dtype=float)
     except (KeyError, TypeError, ValueError) as error:
@@ -243,7 +241,7 @@ def _signal(dataset: Dataset, name: str) -> NDArray[np.float32]:
         raise CaseError(
             f"the pixel data cannot be decoded (transfer syntax {getattr(syntax, 'name', 'unknown')})",
             where=name,
-            fix="pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export the series uncompressed",
+            fix="pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed",
         ) from error
     if pixels.ndim != 2:
         raise CaseError(

@@ -58,7 +58,7 @@ def opened(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
     """Morphological opening with a ball (disc) of `radius` mm; whatever is thinner goes.
 
     >>> bar = np.zeros((9, 9), bool); bar[2:7, 2:7] = True; bar[4, 7:] = True
-    >>> opened(bar, 1.0, np.array([1.0, 1.0]))[4]
+    >>> opened(bar, 1.5, np.array([1.0, 1.0]))[4]
     array([False, False,  True,  True,  True,  True,  True, False, False])
     """
     if not mask.any():
@@ -85,7 +85,7 @@ def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def box_around(mask: NDArray[np.bool_], margin: Array) -> tuple[slice, ...]:
+def box_around(mask: NDArray[np.bool_], margin: Array | float) -> tuple[slice, ...]:
     """Slices of the mask's bounding box, `margin` voxels wider on every side, within the array."""
     found = []
     for axis, more in enumerate(np.broadcast_to(margin, mask.ndim)):

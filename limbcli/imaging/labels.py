@@ -16,7 +16,6 @@ from limbcli.imaging.fields import filled_by_slice, largest
 from limbcli.imaging.markers import Marker, number_markers
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
-from limbcli.model import Array
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
@@ -51,8 +50,8 @@ def read_labels(path: Path) -> Volume:
     """
     try:
         image = nib.load(path)
-        values = np.asarray(image.dataobj)  # type: ignore[attr-defined]
-        affine = np.asarray(image.affine, dtype=float)  # type: ignore[attr-defined]
+        values = np.array(image.dataobj)  # type: ignore[attr-defined]
+        affine = np.array(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
     except (ImageFileError, OSError, ValueError, EOFError) as error:
         raise CaseError(
             "the label map cannot be read",
@@ -123,5 +122,5 @@ def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[Marker, ...]:
     if n_parts == 0:
         return ()
     centres = np.array(ndimage.center_of_mass(parts > 0, parts, np.arange(1, n_parts + 1)))
-    sizes: Array = np.bincount(parts.ravel())[1:] * volume.voxel_volume
+    sizes = np.asarray(np.bincount(parts.ravel())[1:] * volume.voxel_volume, dtype=np.float64)
     return number_markers(volume.to_patient(centres), sizes, volume, limb)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,7 @@ def number_markers(
     angles = np.degrees(np.arctan2(outward[:, 0], -outward[:, 1])) % 360.0
     order = np.argsort(heights)
     group, groups = 0, np.zeros(len(positions), int)
-    for before, after in zip(order[:-1], order[1:], strict=True):
+    for before, after in pairwise(order):
         group += heights[after] - heights[before] > _SAME_HEIGHT
         groups[after] = group
     ranked = sorted(range(len(positions)), key=lambda n: (groups[n], angles[n]))

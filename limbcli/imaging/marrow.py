@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,9 @@ def find_marrow(
     return sorted(_apart(grown), key=lambda each: -int(each.sum()))
 
 
-def _candidates(smooth: NDArray[np.float32], levels: Levels, limb: NDArray[np.bool_], spacing: Array):
+def _candidates(
+    smooth: NDArray[np.float32], levels: Levels, limb: NDArray[np.bool_], spacing: Array
+) -> Iterator[Candidate]:
     """Bright regions whose surroundings, within a few mm, are dark for most of the way round."""
     in_plane = spacing[:2]
     pixel = float(np.prod(in_plane))
@@ -106,7 +109,7 @@ def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: A
 
 def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDArray[np.bool_]]:
     """Candidates that follow each other along the limb, joined; surely enclosed somewhere."""
-    linked, n_tracks = ndimage.label(parts > 0)
+    linked, _ = ndimage.label(parts > 0)
     tracks = []
     for number, box in enumerate(ndimage.find_objects(linked), 1):
         here = linked[box] == number

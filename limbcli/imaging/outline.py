@@ -30,9 +30,10 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
     level = background_threshold(values) if threshold is None else threshold
     mask = largest(values > level)
     mask = filled_by_slice(mask)
-    if mask.sum() * volume.voxel_volume < _LEAST_VOLUME:
+    size = float(mask.sum() * volume.voxel_volume)
+    if size < _LEAST_VOLUME:
         raise CaseError(
-            f"no limb stands out from the background (largest part {mask.sum() * volume.voxel_volume / 1e3:.0f} cm3)",
+            f"no limb stands out from the background (largest part {size / 1e3:.0f} cm3)",
             where="MRI series",
             fix="check that the series shows the limb; else give --threshold, a label map or surfaces",
         )

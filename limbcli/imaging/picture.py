@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
 _COLUMNS, _ROWS = 5, 4
-_SKIN, _BONES, _MARKER, _FAT = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff", "#66ff99"
+_SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"
 
 
 def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str) -> None:
@@ -27,7 +28,7 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
     labels, _, _ = found.labels.along_limb()
     chosen = np.unique(np.linspace(*_ends(labels.values), _COLUMNS * _ROWS).round().astype(int))
     rows = int(np.ceil(len(chosen) / _COLUMNS))
-    window = box_around((labels.values > 0).any(axis=2), np.ceil(6.0 / grey.spacing[:2]))
+    window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
     height = (window[1].stop - window[1].start) * grey.spacing[1]
     width = (window[0].stop - window[0].start) * grey.spacing[0]
     figure = Figure(figsize=(3.2 * _COLUMNS, 3.2 * height / width * rows + 0.9), layout="constrained")
@@ -68,7 +69,7 @@ def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, fl
     )
 
 
-def _outlines(axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
+def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
     """Contours of the working masks, placed by the image's in-plane mm."""
     _outline(axes, found.skin, grey, k, _SKIN)
     for number, bone in enumerate(found.bones):
@@ -76,7 +77,7 @@ def _outlines(axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volum
     _outline(axes, grey.with_values(markers), grey, k, _MARKER)
 
 
-def _outline(axes, mask: Volume, grey: Volume, k: int, colour: str) -> None:
+def _outline(axes: Axes, mask: Volume, grey: Volume, k: int, colour: str) -> None:
     section = mask.values[:, :, k]
     if not section.any():
         return

@@ -37,7 +37,7 @@ class Volume:
     @property
     def spacing(self) -> Array:
         """Distance between neighbouring voxel centres along i, j, k, mm."""
-        return np.linalg.norm(self.affine[:3, :3], axis=0)
+        return np.sqrt((self.affine[:3, :3] ** 2).sum(axis=0)).astype(np.float64)
 
     @property
     def voxel_volume(self) -> float:

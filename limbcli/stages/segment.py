@@ -78,7 +78,7 @@ def _write(case: Case, image: Volume, found: Segmentation, writer: StageWriter, 
         raise CaseError(
             "no bone was found",
             where=f"{case.subject}, segment",
-            fix="give its place with --seed bone=x,y,z (patient LPS, mm), or a label map under [imaging] labels",
+            fix="give its place with --seed bone=x,y,z (patient LPS, mm), or [imaging] labels",
         )
     names = name_bones(found.bones)
     write_labels(writer.file("labels", "labels.nii.gz"), found.labels)
