@@ -1,0 +1,91 @@
+"""Reportlets to one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+from limbcli.config import templates_folder
+from limbcli.reporting.figures.style import style
+from limbcli.reporting.reportlet import Picture, Reportlet
+
+_TYPES = {".svg": "image/svg+xml", ".png": "image/png", ".jpg": "image/jpeg"}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture as the page holds it: a data URI and what it shows."""
+
+    uri: str
+    alt: str
+
+
+def save_pictures(reportlets: Sequence[Reportlet], folder: Path) -> dict[str, Path]:
+    """Every picture as a file in `folder`; returns by picture name the one the page shows.
+
+    Drawings are saved as PNG and SVG; pictures that a stage made are copied.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    shown: dict[str, Path] = {}
+    for picture in (each for reportlet in reportlets for each in reportlet.pictures):
+        shown[picture.name] = _save(picture, folder)
+    return shown
+
+
+def _save(picture: Picture, folder: Path) -> Path:
+    png, svg = folder / f"{picture.name}.png", folder / f"{picture.name}.svg"
+    if picture.figure is None:
+        assert picture.source is not None
+        copy = folder / f"{picture.name}{picture.source.suffix.lower()}"
+        copy.write_bytes(picture.source.read_bytes())
+        return copy
+    with style():
+        picture.figure.savefig(png, metadata={"Software": None})
+        picture.figure.savefig(svg, metadata={"Date": None, "Creator": "limbcli"})
+    return svg if picture.vector else png
+
+
+def data_uri(path: Path) -> str:
+    """The file's bytes as a `data:` address."""
+    content = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f"data:{_TYPES[path.suffix.lower()]};base64,{content}"
+
+
+def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = None) -> str:
+    """A template of `templates/report/` filled in; the user's own folder is looked at first."""
+    folders = [templates_folder() / "report"]
+    if templates is not None:
+        folders.insert(0, templates_folder(templates) / "report")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folders),
+        autoescape=jinja2.select_autoescape(["html", "j2"], default=True),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["symbols"] = symbols
+    return environment.get_template(template).render(**facts)
+
+
+def symbols(text: str) -> Markup:
+    """Escaped text with f_κ (also written f_kappa) set as a symbol.
+
+    >>> str(symbols("f_kappa < 1"))
+    'f<sub>κ</sub> &lt; 1'
+    """
+    safe = str(escape(text))
+    for written in ("f_kappa", "f_κ"):
+        safe = safe.replace(written, "f<sub>κ</sub>")
+    return Markup(safe)
+
+
+def embed(reportlets: Sequence[Reportlet], files: Mapping[str, Path]) -> dict[str, Shown]:
+    """Data URIs of all pictures, by name."""
+    pictures = [each for reportlet in reportlets for each in reportlet.pictures]
+    return {each.name: Shown(data_uri(files[each.name]), each.alt) for each in pictures}

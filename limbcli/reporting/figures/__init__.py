@@ -1,0 +1,1 @@
+"""Drawings: each takes plain arrays and returns a matplotlib figure with units on its axes."""

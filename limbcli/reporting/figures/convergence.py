@@ -1,0 +1,81 @@
+"""How the identification walked to its end, and how the solver's residual fell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from limbcli.model import Array
+from limbcli.reporting.figures.style import BLUE, GREEN, QUIET, VERMILION, new_figure, style
+
+
+@dataclass(frozen=True, eq=False)
+class FitWalk:
+    """Accepted points of one fit: iteration (n,), sum of squares (n,) N^2, parameters name -> (n,)."""
+
+    key: str
+    label: str
+    cost_n2: Array
+    parameters: dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Newton iterations of a simulation in order: residual and target (n,), load level (n,)."""
+
+    residual: Array
+    target: Array
+    level: Array
+
+
+_COLOURS = {"mooney_rivlin": BLUE, "ogden": VERMILION}
+_SYMBOLS = {"f_kappa": "f_κ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
+
+
+def fit_walk(walks: Sequence[FitWalk]) -> Figure:
+    """One panel for the sum of squared force differences, one for each parameter that was searched."""
+    names = list(dict.fromkeys(name for walk in walks for name in walk.parameters))
+    with style():
+        figure = new_figure(7.4, 3.1)
+        panels = np.atleast_1d(figure.subplots(1, 1 + len(names)))
+        for walk in walks:
+            colour = _COLOURS.get(walk.key, GREEN)
+            panels[0].semilogy(np.maximum(walk.cost_n2, 1e-300), "o-", ms=4, color=colour, label=walk.label)
+            for axes, name in zip(panels[1:], names, strict=True):
+                if name in walk.parameters:
+                    axes.plot(walk.parameters[name], "o-", ms=4, color=colour, label=walk.label)
+        panels[0].set(ylabel="sum of squared force differences [N²]", title="misfit")
+        for axes, name in zip(panels[1:], names, strict=True):
+            axes.set(ylabel=_SYMBOLS.get(name, name), title=_SYMBOLS.get(name, name).split(" [")[0])
+            values = np.concatenate([w.parameters[name] for w in walks if name in w.parameters])
+            if values.min() > 0 and values.max() > 5 * values.min():
+                axes.set_yscale("log")
+        for axes in panels:
+            axes.set_xlabel("iteration")
+            _whole_numbers(axes)
+        panels[0].legend(loc="upper right")
+    return figure
+
+
+def newton_residuals(residuals: Residuals) -> Figure:
+    """Residual of every solver iteration, load level after load level."""
+    with style():
+        figure = new_figure(7.4, 2.9)
+        axes = figure.subplots()
+        count = np.arange(1, residuals.residual.size + 1)
+        axes.semilogy(count, np.maximum(residuals.residual, 1e-300), ".-", lw=0.9, ms=4, color=BLUE)
+        axes.semilogy(count, residuals.target, color=VERMILION, lw=1.2, label="target")
+        for start in np.flatnonzero(np.diff(residuals.level)):
+            axes.axvline(start + 1.5, color=QUIET, lw=0.5)
+        axes.set(xlabel="solver iteration (a line at each new load level)", ylabel="residual, relative [–]")
+        axes.legend(loc="upper right")
+    return figure
+
+
+def _whole_numbers(axes: Axes) -> None:
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))

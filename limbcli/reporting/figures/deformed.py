@@ -1,0 +1,184 @@
+"""The deformed model: a section through the probe's middle plane, and the skin seen from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+from limbcli.model import Array, IntArray
+from limbcli.reporting.figures.section import (
+    cut_tetrahedra,
+    cut_triangles,
+    linear_tetrahedra,
+    linear_triangles,
+    on_segments,
+)
+from limbcli.reporting.figures.style import INK, QUIET, bare, new_figure, style
+
+DISPLACEMENT_MAP, STRAIN_MAP = "YlGnBu", "YlOrRd"
+
+
+@dataclass(frozen=True, eq=False)
+class DeformedState:
+    """A site's model at the deepest level.
+
+    points, displacement : (n_points, 3) mm, model frame; NaN where nothing was recorded
+    kind, cells : the tissue's cells
+    skin, bone, probe : facets by kind
+    probe_shift : (3,) mm, how far the rigid probe has moved
+    stretch : (n_cells,) smallest principal stretch, NaN where not recorded; or None
+    """
+
+    points: Array
+    displacement: Array
+    kind: str
+    cells: IntArray
+    skin: dict[str, IntArray]
+    bone: dict[str, IntArray]
+    probe: dict[str, IntArray]
+    probe_shift: Array
+    depth: float
+    stretch: Array | None = None
+    half_length: float = field(default=40.0)
+
+
+def section_figure(state: DeformedState) -> Figure:
+    """x-z section at y = 0: displacement magnitude, and shortening where the run recorded it."""
+    with_stretch = state.stretch is not None and bool(np.isfinite(state.stretch).any())
+    with style():
+        figure = new_figure(7.6 if with_stretch else 5.6, 4.9 if with_stretch else 5.4)
+        panels = figure.subplots(1, 2 if with_stretch else 1, sharey=True, squeeze=False)[0]
+        _displacement_panel(panels[0], state)
+        if with_stretch:
+            _shortening_panel(panels[1], state)
+        for axes in panels:
+            _outlines(axes, state)
+            bare(axes)
+            axes.set(xlabel="x, along the probe's long side [mm]")
+        panels[0].set(ylabel="z, outward along the skin normal [mm]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def skin_figure(state: DeformedState) -> Figure:
+    """The deformed skin in a slanted view, coloured by how far it moved along z."""
+    facets = np.concatenate([linear_triangles(kind, each) for kind, each in state.skin.items()])
+    moved = state.points + state.displacement
+    facets = facets[np.isfinite(moved[facets]).all(axis=(1, 2))]
+    seen, depth_order, shade = _view(moved, facets)
+    colour = -state.displacement[facets, 2].mean(axis=1)
+    with style():
+        figure = new_figure(7.4, 4.6)
+        axes = figure.subplots()
+        norm = Normalize(min(0.0, float(colour.min())), max(float(colour.max()), 1e-6))
+        palette = ScalarMappable(norm, DISPLACEMENT_MAP)
+        rgba = palette.to_rgba(colour)
+        rgba[:, :3] *= shade[:, None]
+        drawn = PolyCollection(
+            seen[facets][depth_order], facecolors=rgba[depth_order], edgecolors="face", linewidths=0.2
+        )
+        drawn.set_rasterized(True)
+        axes.add_collection(drawn)
+        axes.autoscale_view()
+        bare(axes)
+        axes.set_axis_off()
+        _scale_bar(axes, 20.0)
+        figure.colorbar(palette, ax=axes, label="skin moved inwards [mm]", shrink=0.75)
+    return figure
+
+
+def _displacement_panel(axes: Axes, state: DeformedState) -> None:
+    tetrahedra, _ = linear_tetrahedra(state.kind, state.cells)
+    cut = cut_tetrahedra(state.points, tetrahedra)
+    moved, size = (
+        cut.at(state.points + state.displacement),
+        cut.at(np.linalg.norm(state.displacement, axis=1)),
+    )
+    whole = np.isfinite(size[cut.triangles]).all(axis=1)
+    size = np.nan_to_num(size)
+    mesh = Triangulation(np.nan_to_num(moved[:, 0]), np.nan_to_num(moved[:, 2]), cut.triangles[whole])
+    drawn = axes.tripcolor(mesh, size, shading="gouraud", cmap=DISPLACEMENT_MAP, vmin=0.0, rasterized=True)
+    _bar(axes, drawn, "displacement [mm]")
+    axes.set_title("how far the tissue moves")
+
+
+def _shortening_panel(axes: Axes, state: DeformedState) -> None:
+    assert state.stretch is not None
+    tetrahedra, parent = linear_tetrahedra(state.kind, state.cells)
+    cut = cut_tetrahedra(state.points, tetrahedra)
+    moved = cut.at(state.points + state.displacement)
+    percent = 100.0 * (1.0 - state.stretch[parent[cut.cells]])
+    known = np.isfinite(percent) & np.isfinite(moved[cut.triangles]).all(axis=(1, 2))
+    top = max(float(np.percentile(percent[known], 99.5)), 1e-6) if known.any() else 1.0
+    corners = moved[:, [0, 2]][cut.triangles]
+    axes.add_collection(PolyCollection(list(corners[~known]), facecolors="#dfe4e8", edgecolors="none"))
+    drawn = PolyCollection(
+        list(corners[known]),
+        array=percent[known],
+        cmap=STRAIN_MAP,
+        norm=Normalize(0.0, top),
+        edgecolors="face",
+        linewidths=0.2,
+    )
+    drawn.set_rasterized(True)
+    axes.add_collection(drawn)
+    axes.autoscale_view()
+    _bar(axes, drawn, "largest shortening [%], element by element")
+    axes.set_title("how much it is squeezed")
+
+
+def _bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
+    axes.figure.colorbar(drawn, ax=axes, label=label, location="bottom", shrink=0.9, pad=0.02)
+
+
+def _outlines(axes: Axes, state: DeformedState) -> None:
+    """Skin before (dashed) and now, bone, and the probe where it ends."""
+    for facets, values, colour, dashes, label in (
+        (state.skin, state.points, QUIET, "--", "skin before"),
+        (state.skin, state.points + state.displacement, INK, "-", "skin now"),
+        (state.bone, state.points, "#7a4b12", "-", "bone"),
+        (state.probe, state.points + state.probe_shift, "#d0342c", "-", "probe"),
+    ):
+        lines = [_segments(state.points, kind, each, values) for kind, each in facets.items()]
+        if lines and sum(map(len, lines)):
+            axes.add_collection(
+                LineCollection(
+                    list(np.concatenate(lines)), colors=colour, linestyles=dashes, linewidths=1.3, label=label
+                )
+            )
+
+
+def _segments(points: Array, kind: str, facets: IntArray, values: Array) -> Array:
+    ends, weight = cut_triangles(points, linear_triangles(kind, facets))
+    return on_segments(ends, weight, values)[:, :, [0, 2]]
+
+
+def _view(points: Array, facets: IntArray) -> tuple[Array, IntArray, Array]:
+    """Parallel projection from above and beside: picture coordinates, far-to-near order, brightness."""
+    turn, tilt = np.radians(-35.0), np.radians(48.0)
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+    seen = np.nan_to_num(points) @ (about_x @ about_z).T
+    # Viewer looks along -(third axis of the turned frame); picture is (right, up).
+    picture = seen[:, :2]
+    depth = seen[facets, 2].mean(axis=1)
+    corners = seen[facets]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    light = np.array([-0.35, 0.55, 0.76])
+    shade = 0.55 + 0.45 * np.clip(normal @ light, 0.0, 1.0)
+    return picture, np.argsort(depth), shade
+
+
+def _scale_bar(axes: Axes, length: float) -> None:
+    low, high = axes.get_xlim()[0], axes.get_ylim()[0]
+    axes.plot([low, low + length], [high, high], color=INK, lw=2.5, solid_capstyle="butt")
+    axes.annotate(f"{length:g} mm", (low + length / 2, high), (0, 4), textcoords="offset points", ha="center")

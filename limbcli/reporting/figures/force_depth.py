@@ -1,0 +1,125 @@
+"""Measured force over depth, the simulated curves, and what is left between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from limbcli.model import Array
+from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
+
+LOOKS: dict[str, tuple[str, str]] = {
+    "start": (QUIET, ":"),
+    "mooney_rivlin": (BLUE, "--"),
+    "ogden": (VERMILION, "-"),
+}
+_OTHER = ("#5b6b78", "-.")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """Levels of one site: depth (n,) mm, force (n,) N, one standard deviation each, unloading or not (n,)."""
+
+    depth: Array
+    force: Array
+    depth_sd: float | None = None
+    force_sd: float | None = None
+    unloading: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCurve:
+    """key ("start", "mooney_rivlin", "ogden"), what the legend says, depth (n,) mm, force (n,) N."""
+
+    key: str
+    label: str
+    depth: Array
+    force: Array
+
+
+def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Figure:
+    """Two panels: force over depth; measured minus simulated force at the measured depths."""
+    with style():
+        figure = new_figure(7.2, 5.0 if curves else 3.8)
+        if not curves:
+            axes = figure.subplots()
+            _draw_measured(axes, measured)
+            axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
+            axes.legend(loc="upper left")
+            return figure
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, 1.0])
+        for curve in curves:
+            colour, dashes = LOOKS.get(curve.key, _OTHER)
+            upper.plot(curve.depth, curve.force, color=colour, linestyle=dashes, label=curve.label)
+        _draw_measured(upper, measured)
+        _limit(upper, measured)
+        upper.set(ylabel="probe force [N]")
+        upper.legend(loc="upper left")
+        for curve in curves:
+            _draw_difference(lower, measured, curve)
+        if measured.force_sd:
+            lower.axhspan(-measured.force_sd, measured.force_sd, color=QUIET, alpha=0.25, lw=0)
+        lower.axhline(0.0, color=INK, lw=0.8)
+        lower.set(xlabel="indentation depth [mm]", ylabel="measured −\nsimulated [N]")
+        _limit_difference(lower, measured, curves)
+    return figure
+
+
+def _draw_measured(axes: Axes, measured: MeasuredCurve) -> None:
+    unloading = np.zeros(measured.depth.size, dtype=bool)
+    if measured.unloading is not None:
+        unloading = np.asarray(measured.unloading, dtype=bool)
+    for part, face, label in ((~unloading, INK, "measured"), (unloading, "white", "measured, unloading")):
+        if part.any():
+            axes.errorbar(
+                measured.depth[part],
+                measured.force[part],
+                xerr=measured.depth_sd,
+                yerr=measured.force_sd,
+                fmt="o",
+                ms=5,
+                color=INK,
+                mfc=face,
+                elinewidth=0.9,
+                label=label + _noise_words(measured),
+                zorder=5,
+            )
+
+
+def _noise_words(measured: MeasuredCurve) -> str:
+    if not measured.depth_sd or not measured.force_sd:
+        return ""
+    return f" (bars: ±1 SD, {measured.depth_sd:g} mm and {measured.force_sd:g} N)"
+
+
+def _limit(axes: Axes, measured: MeasuredCurve) -> None:
+    """A start curve far above the data must not flatten the data."""
+    top = float(np.nanmax(measured.force)) if measured.force.size else 1.0
+    axes.set_ylim(bottom=min(0.0, float(np.nanmin(measured.force))) - 0.04 * top, top=1.35 * max(top, 1e-6))
+
+
+def _difference(measured: MeasuredCurve, curve: SimulatedCurve) -> tuple[Array, Array]:
+    order = np.argsort(curve.depth, kind="stable")
+    inside = (measured.depth >= curve.depth.min() - 1e-9) & (measured.depth <= curve.depth.max() + 1e-9)
+    depth = measured.depth[inside]
+    return depth, measured.force[inside] - np.interp(depth, curve.depth[order], curve.force[order])
+
+
+def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve) -> None:
+    depth, difference = _difference(measured, curve)
+    colour, dashes = LOOKS.get(curve.key, _OTHER)
+    order = np.argsort(depth, kind="stable")
+    axes.plot(depth[order], difference[order], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
+
+
+def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
+    """Scale to the fits, not to the start curve, which is meant to be far off."""
+    fits = [each for each in curves if each.key != "start"] or list(curves)
+    sizes = [np.abs(_difference(measured, each)[1]) for each in fits]
+    largest = max((float(each.max()) for each in sizes if each.size), default=0.0)
+    span = 1.25 * max(largest, 2.0 * (measured.force_sd or 0.0), 1e-3)
+    axes.set_ylim(-span, span)

@@ -1,0 +1,64 @@
+"""One look for all drawings: quiet axes, colours that colour-blind readers can tell apart."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+INK = "#22303c"
+QUIET = "#8a97a3"
+GRID = "#e3e8ec"
+# Okabe and Ito's palette, the part of it that prints well.
+BLUE, ORANGE, GREEN, VERMILION, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7"
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.5,
+    "axes.edgecolor": QUIET,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.8,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "limbcli",
+}
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Our settings for the drawings made in this block; the caller's own come back after it."""
+    with matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+def new_figure(width: float = 7.2, height: float = 3.8) -> Figure:
+    """An empty figure (inches) with a layout that keeps labels apart; draw it inside `style()`."""
+    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+
+
+def bare(axes: Axes) -> None:
+    """A picture's axes: equal scales, no grid."""
+    axes.set_aspect("equal")
+    axes.grid(False)

@@ -1,0 +1,140 @@
+"""What `fit` left, as the page needs it: the one place that knows the keys of fit.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.reporting.figures.convergence import FitWalk
+from limbcli.reporting.numbers import DASH, number
+from limbcli.results import StageResult
+
+MOONEY_RIVLIN, OGDEN = "mooney_rivlin", "ogden"
+STEP_NAMES = {MOONEY_RIVLIN: "Mooney-Rivlin type", OGDEN: "Ogden type"}
+
+
+@dataclass(frozen=True)
+class EstimateView:
+    """One parameter of one step: value, 95 % interval and what can be said of it in a word."""
+
+    name: str
+    value: float | None
+    unit: str
+    low: float | None
+    high: float | None
+    interval_why: str
+    flag: str
+
+    @property
+    def is_sound(self) -> bool:
+        return self.flag in ("identified", "fixed", "fixed from SWE")
+
+
+@dataclass(frozen=True)
+class StepView:
+    """One identification: the Mooney-Rivlin type (m = 2) or the Ogden type."""
+
+    key: str
+    label: str
+    c_kpa: float | None
+    m: float | None
+    f_kappa: float | None
+    kappa_kpa: float | None
+    r2: float | None
+    rmse_n: float | None
+    n_iterations: int | None
+    n_solves: int | None
+    seconds: float | None
+    reason: str
+    estimates: tuple[EstimateView, ...]
+    correlation: float | None
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FitView:
+    element: str
+    solver: str
+    c_source: str
+    steps: tuple[StepView, ...]
+    walks: tuple[FitWalk, ...]
+    raw: Mapping[str, Any]
+
+    def step(self, key: str) -> StepView | None:
+        return next((each for each in self.steps if each.key == key), None)
+
+    @property
+    def last(self) -> StepView | None:
+        return self.step(OGDEN) or (self.steps[-1] if self.steps else None)
+
+
+def read_fit_view(result: StageResult) -> FitView:
+    """The fit of one site, from the data of its result."""
+    data = result.data
+    steps = tuple(
+        _step(key, content) for key, content in data.get("steps", {}).items() if isinstance(content, Mapping)
+    )
+    solver = " ".join(str(data[key]) for key in ("solver", "solver_version") if data.get(key))
+    walks = tuple(
+        walk for key, content in data.get("steps", {}).items() if (walk := _walk(key, content)) is not None
+    )
+    return FitView(
+        str(data.get("element", DASH)), solver or DASH, str(data.get("c_source", "")), steps, walks, data
+    )
+
+
+_UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}
+
+
+def _step(key: str, content: Mapping[str, Any]) -> StepView:
+    return StepView(
+        key,
+        STEP_NAMES.get(key, key),
+        number(content.get("c_kpa")),
+        number(content.get("m")),
+        number(content.get("f_kappa")),
+        number(content.get("kappa_kpa")),
+        number(content.get("r2")),
+        number(content.get("rmse_n")),
+        _count(content.get("n_iterations")),
+        _count(content.get("n_solves")),
+        number(content.get("seconds")),
+        str(content.get("reason") or ""),
+        tuple(_estimate(name, each) for name, each in content.get("parameters", {}).items()),
+        number(content.get("correlation")),
+        tuple(str(each.get("words")) for each in content.get("parameters", {}).values() if each.get("words")),
+    )
+
+
+def _estimate(name: str, content: Mapping[str, Any]) -> EstimateView:
+    symbol, unit = _UNITS.get(name, (name, ""))
+    return EstimateView(
+        symbol,
+        number(content.get("value")),
+        unit,
+        number(content.get("low")),
+        number(content.get("high")),
+        str(content.get("interval_reason") or "not computed"),
+        str(content.get("flag") or DASH),
+    )
+
+
+def _walk(key: str, content: Mapping[str, Any]) -> FitWalk | None:
+    history = content.get("history") or []
+    if not history:
+        return None
+    names = [name for name in history[0] if name != "cost_n2"]
+    return FitWalk(
+        key,
+        STEP_NAMES.get(key, key),
+        np.array([each["cost_n2"] for each in history]),
+        {name: np.array([each[name] for each in history]) for name in names},
+    )
+
+
+def _count(value: object) -> int | None:
+    known = number(value)
+    return None if known is None else int(known)

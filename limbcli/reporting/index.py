@@ -1,0 +1,57 @@
+"""One page for several subjects: key figures and links to their reports."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from limbcli.reporting.fit_view import FitView
+from limbcli.reporting.numbers import DASH, cell, significant
+from limbcli.reporting.reportlet import Cell, Mood
+
+
+@dataclass(frozen=True)
+class IndexRow:
+    """One site of one subject; `link` is relative to the index page, empty where there is no report."""
+
+    folder: str
+    subject: str
+    site: str
+    mood: Mood
+    state: str
+    n_warnings: int
+    link: str
+    view: FitView | None = None
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """c, m with interval, κ′, R2 and misfit of the Ogden type; dashes carry the state as their reason."""
+        step = self.view.last if self.view else None
+        if self.view is None or step is None:
+            return (Cell(DASH, reason=self.state, span=6),)
+        m = next((each for each in step.estimates if each.name == "m"), None)
+        interval = Cell(DASH, reason="not computed")
+        if m is not None and m.low is not None and m.high is not None:
+            interval = Cell(f"{significant(m.low)} to {significant(m.high)}")
+        elif m is not None:
+            interval = Cell(DASH, reason=m.flag)
+        return (
+            cell(step.c_kpa),
+            cell(step.m),
+            interval,
+            cell(step.kappa_kpa),
+            cell(step.r2, digits=4),
+            cell(step.rmse_n, digits=2),
+        )
+
+
+HEADINGS = (
+    "subject", "site", "state", "warnings", "c [kPa]", "m [–]", "m, 95 % interval [–]", "κ′ [kPa]",
+    "R² [–]", "misfit (RMS) [N]",
+)  # fmt: skip
+
+
+def relative(page: Path, folder: Path) -> str:
+    """The address of a page as seen from a folder, with forward slashes."""
+    return Path(os.path.relpath(page, folder)).as_posix()

@@ -1,0 +1,100 @@
+"""Numbers as a reader wants them: significant digits, a unit, or a dash with its reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.reportlet import Cell
+
+DASH = "–"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """
+    >>> significant(5.2034), significant(104.4), significant(0.01234), significant(12345.0), significant(0)
+    ('5.20', '104', '0.0123', '12345', '0')
+    """
+    if value == 0:
+        return "0"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    rounded = round(value, max(places, 0))
+    if abs(rounded) >= 10 ** math.ceil(math.log10(abs(value))):
+        places -= 1
+    return f"{rounded:.{max(places, 0)}f}" if abs(value) >= 1e-4 else f"{value:.{digits - 1}e}"
+
+
+def number(value: object) -> float | None:
+    """A finite float, or None for anything else (null, NaN, text)."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def cell(value: object, *, digits: int = 3, reason: str = "not in the result", unit: str = "") -> Cell:
+    """A table cell; undefined values become a dash that carries its reason.
+
+    >>> cell(2.5, unit="mm").text, cell(None, reason="no SWE").text, cell(None, reason="no SWE").reason
+    ('2.50 mm', '–', 'no SWE')
+    """
+    known = number(value)
+    if known is None:
+        return Cell(DASH, reason=reason)
+    return Cell(significant(known, digits) + (f" {unit}" if unit else ""))
+
+
+def quantity(value: object, unit: str, *, digits: int = 3, reason: str = "not in the result") -> str:
+    """
+    >>> quantity(0.1234, "N"), quantity(None, "N", reason="no force")
+    ('0.123 N', '– (no force)')
+    """
+    known = number(value)
+    if known is None:
+        return f"{DASH} ({reason})"
+    return f"{significant(known, digits)} {unit}".rstrip()
+
+
+_UNIT_ENDINGS = {
+    "_m_per_s_per_mm": "m/s per mm", "_m_per_s_per_n": "m/s per N", "_m_per_s": "m/s",
+    "_kg_per_m3": "kg/m³", "_n_per_mm": "N/mm", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm",
+    "_kpa": "kPa", "_mpa": "MPa", "_ml": "ml", "_cm3": "cm³", "_n": "N", "_s": "s", "_deg": "°",
+    "_percent": "%",
+}  # fmt: skip
+
+
+def named(key: str) -> tuple[str, str]:
+    """A result's key as words and unit.
+
+    >>> named("edge_mean_mm"), named("n_nodes"), named("wave_speed_m_per_s")
+    (('edge mean', 'mm'), ('number of nodes', ''), ('wave speed', 'm/s'))
+    """
+    words, unit = key, ""
+    for ending, name in _UNIT_ENDINGS.items():
+        if key.endswith(ending):
+            words, unit = key[: -len(ending)], name
+            break
+    if words.startswith("n_"):
+        words = "number of " + words[2:]
+    return words.replace("_", " "), unit
+
+
+def plain_rows(data: Mapping[str, Any], *, prefix: str = "") -> list[tuple[Cell, ...]]:
+    """The scalar values of a result as (name, value with unit) rows; tables inside it are opened once."""
+    rows: list[tuple[Cell, ...]] = []
+    for key, value in data.items():
+        words, unit = named(key)
+        label = f"{prefix}{words}"
+        if isinstance(value, Mapping) and not prefix:
+            rows += plain_rows(value, prefix=f"{words}: ")
+        elif isinstance(value, bool):
+            rows.append((Cell(label, lead=True), Cell("yes" if value else "no")))
+        elif isinstance(value, int) and not unit:
+            rows.append((Cell(label, lead=True), Cell(f"{value:,}".replace(",", " "))))
+        elif isinstance(value, float | int):
+            rows.append((Cell(label, lead=True), cell(value, digits=4, unit=unit)))
+        elif isinstance(value, str):
+            rows.append((Cell(label, lead=True), Cell(value)))
+        elif value is None:
+            rows.append((Cell(label, lead=True), Cell(DASH, reason="undefined for this result")))
+    return rows

@@ -1,0 +1,104 @@
+"""What each stage left behind: a result, a failure, or nothing yet."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from limbcli.errors import CaseError
+from limbcli.results import StageResult, read_result, stage_folder
+
+SUBJECT_STAGES = ("segment",)
+SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+ERROR_FILE = "error.json"
+
+Status = Literal["done", "failed", "missing"]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a stage ended without a result: error family, what happened, where, what to do."""
+
+    error: str
+    what: str
+    where: str
+    fix: str
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One stage of one site (or of the subject). A failed stage may still hold an older result."""
+
+    stage: str
+    site: str | None
+    status: Status
+    command: str
+    result: StageResult | None = None
+    failure: Failure | None = None
+
+    @property
+    def label(self) -> str:
+        return f"{self.stage} {self.site}" if self.site else self.stage
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """Every stage's outcome for one subject, in the order of the work."""
+
+    all: tuple[Outcome, ...]
+
+    def of(self, stage: str, site: str | None = None) -> Outcome:
+        return next(each for each in self.all if (each.stage, each.site) == (stage, site))
+
+    @property
+    def done(self) -> tuple[Outcome, ...]:
+        return tuple(each for each in self.all if each.result is not None)
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        return tuple(each for each in self.all if each.status == "failed")
+
+    def warnings(self) -> list[tuple[str, str]]:
+        """(where from, text); a warning that later stages pass on is listed once."""
+        seen: dict[str, str] = {}
+        for outcome in self.done:
+            assert outcome.result is not None
+            for text in outcome.result.warnings:
+                seen.setdefault(text, outcome.label)
+        return [(label, text) for text, label in seen.items()]
+
+
+def read_outcomes(out: Path, sites: tuple[str, ...], *, case_name: str = "CASE") -> Outcomes:
+    """Look at every stage's folder below `out`; never raises for what is missing or broken there."""
+    keys: list[tuple[str, str | None]] = [(stage, None) for stage in SUBJECT_STAGES]
+    keys += [(stage, site) for site in sites for stage in SITE_STAGES]
+    return Outcomes(tuple(_outcome(out, stage, site, case_name) for stage, site in keys))
+
+
+def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome:
+    folder = stage_folder(out, stage, site)
+    command = f"limbcli {stage} {case_name}" + (f" --site {site}" if site else "") + f" --out {out}"
+    failure = _failure(folder / ERROR_FILE)
+    result = None
+    if (folder / f"{stage}.json").is_file():
+        try:
+            result = read_result(out, stage, site=site)
+        except CaseError as error:
+            failure = failure or Failure("CaseError", error.what, error.where, error.fix)
+    status: Status = "failed" if failure else ("done" if result else "missing")
+    return Outcome(stage, site, status, command, result, failure)
+
+
+def _failure(path: Path) -> Failure | None:
+    """The failure that a batch noted, or None. A note that cannot be read is a failure too."""
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        texts = {name: str(content.get(name) or "–") for name in ("error", "what", "where", "fix")}
+    except (ValueError, AttributeError, UnicodeDecodeError):
+        texts = {"error": "unknown", "what": "the stage failed; its note cannot be read"}
+        texts |= {"where": str(path), "fix": "run the stage again"}
+    return Failure(**texts)

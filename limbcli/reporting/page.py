@@ -1,0 +1,46 @@
+"""Everything one report page is made from, put together by the report stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from limbcli.case import Case
+from limbcli.measurement.regression import Line
+from limbcli.reporting.figures.convergence import Residuals
+from limbcli.reporting.figures.deformed import DeformedState
+from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.wave_speed import SpeedReadings
+from limbcli.reporting.outcome import Outcomes
+
+
+@dataclass(frozen=True, eq=False)
+class SiteMaterial:
+    """One site's measurement and the pieces that need another room to read.
+
+    Where a piece is None, the matching `why_*` says why, in words for the page.
+    """
+
+    name: str
+    place: str
+    measured: MeasuredCurve | None = None
+    why_no_levels: str = ""
+    speeds: SpeedReadings | None = None
+    against_force: Line | None = None
+    against_depth: Line | None = None
+    why_no_line: str = ""
+    deformed: DeformedState | None = None
+    deformed_source: str = ""
+    why_not_deformed: str = "the model has not been run"
+    residuals: Residuals | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    case: Case
+    case_name: str
+    out: Path
+    outcomes: Outcomes
+    sites: tuple[SiteMaterial, ...]
+    notices: tuple[str, ...] = ()

@@ -1,0 +1,38 @@
+"""Did the identification, and the solver inside it, come to rest?"""
+
+from __future__ import annotations
+
+from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
+from limbcli.reporting.fit_view import read_fit_view
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+
+TITLE = "Did the identification come to rest?"
+
+
+def convergence(page: Page, site: SiteMaterial) -> Reportlet:
+    """The search's misfit and parameters by iteration; the solver's residuals where recorded."""
+    key = f"convergence-{site.name}"
+    outcome = page.outcomes.of("fit", site.name)
+    if outcome.result is None or outcome.status == "failed":
+        return placeholder(key, TITLE, outcome)
+    view = read_fit_view(outcome.result)
+    pictures = []
+    if view.walks:
+        alt = f"Misfit and parameters of site {site.name} over the iterations of the search."
+        pictures.append(Picture(f"convergence-{site.name}", alt, figure=fit_walk(view.walks)))
+    if site.residuals is not None and site.residuals.residual.size:
+        alt = f"The solver's residual at site {site.name}, iteration by iteration, with its target."
+        pictures.append(Picture(f"newton-{site.name}", alt, figure=newton_residuals(site.residuals)))
+    return Reportlet(
+        key,
+        TITLE,
+        "fine" if pictures else "missing",
+        site.name,
+        pictures=tuple(pictures),
+        look_for="a misfit that falls and then stays flat, and parameters that settle",
+        bad="a parameter that is still moving at the last iteration or runs to the edge of its panel, or "
+        "a solver "
+        "residual that stays above its target",
+        notes=() if pictures else ("The result holds no record of the iterations.",),
+    )

@@ -1,0 +1,51 @@
+"""Does the model deform as a limb would?"""
+
+from __future__ import annotations
+
+from limbcli.reporting.figures.deformed import section_figure, skin_figure
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+
+TITLE = "Does the model deform as a limb would?"
+
+
+def deformation(page: Page, site: SiteMaterial) -> Reportlet:
+    """A section under the probe and the skin from outside, at the deepest level."""
+    key = f"deformation-{site.name}"
+    state = site.deformed
+    if state is None:
+        outcome = page.outcomes.of("run", site.name)
+        if outcome.status != "done":
+            return placeholder(key, TITLE, outcome)
+        return Reportlet(key, TITLE, "missing", site.name, notes=(site.why_not_deformed,))
+    most = float(state.depth)
+    pictures = (
+        Picture(
+            f"section-{site.name}",
+            f"Section through the model at site {site.name} in the probe's long plane at {most:.1f} mm "
+            f"depth: "
+            "displacement is largest under the probe and fades towards the bones and the cut faces.",
+            figure=section_figure(state),
+            vector=False,
+        ),
+        Picture(
+            f"skin-{site.name}",
+            f"Skin of the model at site {site.name} seen from outside, dented by the probe to {most:.1f} mm.",
+            figure=skin_figure(state),
+            vector=False,
+        ),
+    )
+    return Reportlet(
+        key,
+        TITLE,
+        "fine",
+        site.name,
+        pictures=pictures,
+        look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "
+        "follows the "
+        "probe's face, and the strongest squeeze between probe and bone",
+        bad="skin that passes through the probe, a checkerboard or spikes in the lower picture (locking, "
+        "or an "
+        "element near collapse), or displacement that is still large at a cut face (the model is too small)",
+        notes=(f"Drawn from {site.deformed_source}.",),
+    )

@@ -1,0 +1,67 @@
+"""Does the model follow the measured force?"""
+
+from __future__ import annotations
+
+from limbcli.reporting.figures.force_depth import SimulatedCurve, force_depth
+from limbcli.reporting.fit_curves import read_curves
+from limbcli.reporting.fit_view import FitView, read_fit_view
+from limbcli.reporting.numbers import quantity
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+
+TITLE = "Does the model follow the measured force?"
+_R2_CAVEAT = (
+    "R² is near 1 for any curve that rises as the data do; judge by the differences in the lower panel, in N."
+)
+
+
+def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
+    """Measured levels with the start, m = 2 and Ogden curves."""
+    key = f"force-depth-{site.name}"
+    outcome = page.outcomes.of("fit", site.name)
+    if site.measured is None:
+        return Reportlet(key, TITLE, "failed", site.name, warned=(site.why_no_levels,))
+    curves: tuple[SimulatedCurve, ...] = ()
+    notes: list[str] = []
+    if outcome.result is not None:
+        curves = read_curves(outcome.result)
+        notes = [*_step_notes(read_fit_view(outcome.result)), _R2_CAVEAT]
+    gap = placeholder(key, TITLE, outcome) if outcome.status != "done" else None
+    name = f"force-depth-{site.name}"
+    picture = Picture(name, _alt(site, curves), figure=force_depth(site.measured, curves))
+    return Reportlet(
+        key,
+        TITLE,
+        gap.mood if gap else "fine",
+        site.name,
+        pictures=(picture,),
+        look_for="the solid curve runs through the points and the differences scatter around zero, inside "
+        "the grey "
+        "band of the force's standard deviation",
+        bad="differences that swing slowly from one side to the other (the model lacks something), a "
+        "curve that "
+        "is right at one end only, or a start curve that already fits (the data do not decide)",
+        notes=tuple(notes)
+        if not gap
+        else ("The measured levels alone: there is no fit to draw.", *gap.notes),
+        failure=gap.failure if gap else None,
+        command=gap.command if gap else "",
+    )
+
+
+def _step_notes(view: FitView) -> list[str]:
+    return [
+        f"{step.label}: root-mean-square difference {quantity(step.rmse_n, 'N', digits=2)}, "
+        f"R² {quantity(step.r2, '', digits=4)}."
+        for step in view.steps
+    ]
+
+
+def _alt(site: SiteMaterial, curves: tuple[SimulatedCurve, ...]) -> str:
+    assert site.measured is not None
+    depth, force = float(site.measured.depth.max()), float(site.measured.force.max())
+    text = (
+        f"Probe force over indentation depth at site {site.name}: {site.measured.depth.size} measured levels "
+    )
+    text += f"up to {force:.1f} N at {depth:.1f} mm"
+    return text + (f", with {', '.join(each.label for each in curves)}." if curves else ".")

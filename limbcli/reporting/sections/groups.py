@@ -1,0 +1,46 @@
+"""The page's chapters, in the order they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Reportlet
+from limbcli.reporting.sections.convergence import convergence
+from limbcli.reporting.sections.deformation import deformation
+from limbcli.reporting.sections.elastography import elastography
+from limbcli.reporting.sections.force_depth import force_over_depth
+from limbcli.reporting.sections.mesh import mesh
+from limbcli.reporting.sections.parameters import parameters
+from limbcli.reporting.sections.provenance import provenance
+from limbcli.reporting.sections.segmentation import segmentation
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A chapter: the subject's, or one site's."""
+
+    key: str
+    title: str
+    reportlets: tuple[Reportlet, ...]
+
+
+SITE_REPORTLETS = (force_over_depth, elastography, deformation, mesh, convergence)
+
+
+def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
+    """Results first, then what they rest on, then where they come from."""
+    sites = [_site(page, site) for site in page.sites]
+    return (
+        Group("chapter-parameters", "Parameters", (parameters(page),)),
+        *sites,
+        Group("chapter-segmentation", "Segmentation", (segmentation(page),)),
+        Group("chapter-provenance", "Provenance", (provenance(page, own),)),
+    )
+
+
+def _site(page: Page, site: SiteMaterial) -> Group:
+    reportlets = tuple(make(page, site) for make in SITE_REPORTLETS)
+    return Group(f"site-{site.name}", f"Site {site.name}", reportlets)

@@ -1,0 +1,41 @@
+"""Is the mesh good enough to compute with?"""
+
+from __future__ import annotations
+
+from limbcli.reporting.numbers import plain_rows
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Picture, Reportlet, Table, head, placeholder
+
+TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
+
+
+def mesh(page: Page, site: SiteMaterial) -> Reportlet:
+    """The mesh stage's picture and quality figures."""
+    key = f"mesh-{site.name}"
+    outcome = page.outcomes.of("mesh", site.name)
+    result = outcome.result
+    if result is None or outcome.status == "failed":
+        return placeholder(key, TITLE, outcome, blocked_by=[page.outcomes.of("segment")])
+    path = result.folder / result.files.get("picture", "mesh.png")
+    alt = (
+        f"The mesh at site {site.name}: the skin with the probe's contact area, and a section with the bones."
+    )
+    pictures = (Picture(f"mesh-{site.name}", alt, source=path, vector=False),) if path.is_file() else ()
+    rows = tuple(plain_rows(result.data))
+    table = Table(f"Figures of the mesh at site {site.name}", (head("figure", "value"),), rows, numeric=False)
+    return Reportlet(
+        key,
+        TITLE,
+        "warning" if result.warnings else "fine",
+        site.name,
+        pictures=pictures,
+        more=(table,) if rows else (),
+        look_for="small elements under the probe that grow smoothly outwards, bones as clean holes, and "
+        "the probe "
+        "flat on the skin",
+        bad="slivers, sudden jumps in element size, a bone that touches the skin or the cut faces oddly, "
+        "or a "
+        "probe that hangs over an edge of the model",
+        notes=result.summary,
+        warned=result.warnings,
+    )

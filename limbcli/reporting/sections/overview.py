@@ -1,0 +1,158 @@
+"""The verdict at a glance: what was found at each site, how far each stage came, what was warned of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
+from limbcli.reporting.numbers import DASH, quantity, significant
+from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Mood
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One big number of a card: what, value with unit, and a word on how sure it is."""
+
+    name: str
+    value: str
+    remark: str
+    mood: Mood = "fine"
+
+
+@dataclass(frozen=True)
+class Pill:
+    """One stage's state."""
+
+    stage: str
+    mood: Mood
+    words: str
+
+
+@dataclass(frozen=True)
+class SiteGlance:
+    name: str
+    place: str
+    mood: Mood
+    sentence: str
+    facts: tuple[Fact, ...]
+    pills: tuple[Pill, ...]
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Warned:
+    source: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Overview:
+    mood: Mood
+    sentence: str
+    sites: tuple[SiteGlance, ...]
+    failures: tuple[Outcome, ...]
+    warnings: tuple[Warned, ...]
+
+
+_PILL_WORDS: dict[str, tuple[Mood, str]] = {
+    "done": ("fine", "done"),
+    "failed": ("failed", "failed"),
+    "missing": ("missing", "not run"),
+}
+
+
+def overview(page: Page) -> Overview:
+    """Cards, states and warnings for the head of the page."""
+    sites = tuple(_site(page, site) for site in page.sites)
+    warnings = [Warned("report", text) for text in page.notices]
+    warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
+    warnings += [Warned(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
+    failures = page.outcomes.failed
+    fitted = sum(page.outcomes.of("fit", site.name).status == "done" for site in page.sites)
+    return Overview(
+        _overall(bool(failures), fitted, len(page.sites), bool(warnings)),
+        _sentence(fitted, len(page.sites), failures, len(warnings)),
+        sites,
+        failures,
+        tuple(warnings),
+    )
+
+
+def _overall(failed: bool, fitted: int, n_sites: int, warned: bool) -> Mood:
+    if failed:
+        return "failed"
+    if fitted < n_sites:
+        return "missing"
+    return "warning" if warned else "fine"
+
+
+def _sentence(fitted: int, n_sites: int, failures: tuple[Outcome, ...], n_warnings: int) -> str:
+    sites = "site" if n_sites == 1 else "sites"
+    text = f"Tissue parameters were identified at {fitted} of {n_sites} {sites}."
+    if failures:
+        text += f" Failed: {', '.join(each.label for each in failures)}."
+    if n_warnings:
+        words = "1 warning: read it" if n_warnings == 1 else f"{n_warnings} warnings: read them"
+        text += f" {words} before using a number from this page."
+    return text
+
+
+def _site(page: Page, site: SiteMaterial) -> SiteGlance:
+    outcome = page.outcomes.of("fit", site.name)
+    stages = [page.outcomes.of("segment")]
+    stages += [each for each in page.outcomes.all if each.site == site.name]
+    pills = tuple(Pill(each.stage, *_PILL_WORDS[each.status]) for each in stages)
+    if outcome.result is None or outcome.status == "failed":
+        stopped = next((each for each in stages if each.status == "failed"), None)
+        if stopped is not None and stopped.failure is not None:
+            sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.what})."
+            return SiteGlance(site.name, site.place, "failed", sentence, (), pills)
+        following = next(each for each in stages if each.status != "done")
+        sentence = f"No parameters yet: {following.stage} has not been run."
+        return SiteGlance(site.name, site.place, "missing", sentence, (), pills, following.command)
+    view = read_fit_view(outcome.result)
+    facts = _facts(view)
+    moods = {each.mood for each in facts}
+    mood: Mood = "warning" if "warning" in moods else "fine"
+    return SiteGlance(site.name, site.place, mood, _site_sentence(view), facts, pills)
+
+
+def _facts(view: FitView) -> tuple[Fact, ...]:
+    step = view.last
+    if step is None:
+        return ()
+    facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), "2µ, from shear waves; held fixed")]
+    facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
+    remark = f"R² {quantity(step.r2, '', digits=4)}"
+    facts.append(Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark))
+    return tuple(facts)
+
+
+_TITLES = {"m": "m, stiffening", "f_κ": "f_κ, resistance to volume change"}
+
+
+def _estimate(each: EstimateView) -> Fact:
+    """
+    >>> _estimate(EstimateView("m", 4.1, "", 3.6, 4.7, "", "identified")).remark
+    'identified, 95 %: 3.60 to 4.70'
+    """
+    remark = each.flag
+    if each.low is not None and each.high is not None:
+        remark += f", 95 %: {significant(each.low)} to {significant(each.high)}"
+    elif each.low is not None:
+        remark += f", 95 %: above {significant(each.low)}"
+    elif each.high is not None:
+        remark += f", 95 %: below {significant(each.high)}"
+    value = significant(each.value) if each.value is not None else DASH
+    return Fact(_TITLES[each.name], value, remark, "fine" if each.is_sound else "warning")
+
+
+def _site_sentence(view: FitView) -> str:
+    step = view.last
+    if step is None:
+        return "The fit left no parameters."
+    weak = [each.name for each in step.estimates if not each.is_sound]
+    text = f"{step.label}, {view.element} elements, {view.solver}."
+    return text + (f" Not to be relied on: {', '.join(weak)}." if weak else "")

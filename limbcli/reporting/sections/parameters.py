@@ -1,0 +1,143 @@
+"""Which parameters, how sure, and what cannot be told from these data."""
+
+from __future__ import annotations
+
+from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
+from limbcli.reporting.numbers import DASH, cell, quantity, significant
+from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import Page
+from limbcli.reporting.reportlet import Cell, Mood, Reportlet, Table, head
+
+KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
+TET4_WORDS = (
+    "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
+    "incompressible tissue. The f_κ (and κ′) found with them compensates for the mesh. It is a property "
+    "of this mesh, "
+    "not of the tissue; do not carry it over to another model."
+)
+TET10_WORDS = (
+    "With ten-node tetrahedra the force hardly changes once f_κ is above about 50: an interval that is open "
+    "upwards means “nearly incompressible”, and no more than that."
+)
+
+
+def parameters(page: Page) -> Reportlet:
+    """The table of the papers, a row a site; below it intervals and flags in plain words."""
+    outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
+    views = {each.site: read_fit_view(each.result) for each in outcomes if each.result}
+    notes, warned = _notes(views)
+    details = tuple(_details(str(site), view) for site, view in views.items())
+    return Reportlet(
+        KEY,
+        TITLE,
+        _mood(outcomes, views),
+        tables=(_paper_table(outcomes, views), *details),
+        look_for="a narrow interval and the word “identified”. c comes from shear waves at zero load and "
+        "is held "
+        "fixed; m says how fast the tissue stiffens; κ′ = f_κ c how it resists a change of volume",
+        bad="“at bound”, “no influence”, “trades off” or an interval open to one side: such a value is "
+        "where the "
+        "search stopped, not a property of the tissue",
+        notes=tuple(notes),
+        warned=tuple(warned),
+    )
+
+
+def _mood(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Mood:
+    if any(each.status == "failed" for each in outcomes):
+        return "failed"
+    if not views:
+        return "missing"
+    steps = [view.last for view in views.values()]
+    sound = all(each.is_sound for step in steps if step for each in step.estimates)
+    return "fine" if sound and len(views) == len(outcomes) else "warning"
+
+
+def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Table:
+    names = ("c [kPa]", "m [–]", "κ′ [kPa]", "R² [–]")
+    top = (
+        Cell("site", lead=True, down=2),
+        Cell("Mooney-Rivlin type (m = 2)", lead=True, span=4),
+        Cell("Ogden type", lead=True, span=4),
+    )
+    rows = []
+    for outcome in outcomes:
+        view = views.get(outcome.site)
+        why = "the fit failed" if outcome.status == "failed" else "the fit has not been run"
+        cells = [each for key in (MOONEY_RIVLIN, OGDEN) for each in _four(view, key, why)]
+        rows.append((Cell(str(outcome.site), lead=True), *cells))
+    caption = (
+        "Identified parameters. Ψ = c/(2m²) Σ(λᵢᵐ + λᵢ⁻ᵐ − 2) + κ′/2 (J − 1)²; c = 2µ from shear-wave speed"
+    )
+    return Table(caption, (top, head(*names, *names)), tuple(rows))
+
+
+def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
+    step = view.step(key) if view else None
+    if step is None:
+        return [Cell(DASH, reason=why, span=4)]
+    return [
+        cell(step.c_kpa),
+        cell(step.m),
+        cell(step.kappa_kpa),
+        cell(step.r2, digits=4, reason="the measured force does not vary"),
+    ]
+
+
+def _details(site: str, view: FitView) -> Table:
+    """Every parameter of every step: value, interval, flag and what was done to find it."""
+    names = head("type", "parameter", "value", "95 % interval", "verdict")
+    rows = []
+    for step in view.steps:
+        for k, each in enumerate(step.estimates):
+            label = (Cell(step.label, lead=True, down=len(step.estimates)),) if k == 0 else ()
+            rows.append((*label, *_estimate_cells(each)))
+    caption = f"Site {site}: intervals and what can be said of each parameter ({view.element}, {view.solver})"
+    return Table(caption, (names,), tuple(rows), numeric=False)
+
+
+def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
+    unit = f" {each.unit}" if each.unit else ""
+    return (
+        Cell(each.name),
+        cell(each.value, unit=each.unit),
+        Cell(_interval(each) + unit) if each.low is not None or each.high is not None else Cell(
+            DASH, reason=each.interval_why
+        ),
+        Cell(each.flag),
+    )  # fmt: skip
+
+
+def _interval(each: EstimateView) -> str:
+    """
+    >>> _interval(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
+    'above 3.00'
+    """
+    if each.low is None and each.high is not None:
+        return f"below {significant(each.high)}"
+    if each.high is None and each.low is not None:
+        return f"above {significant(each.low)}"
+    assert each.low is not None
+    assert each.high is not None
+    return f"{significant(each.low)} to {significant(each.high)}"
+
+
+def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
+    notes, warned = [], []
+    for site, view in views.items():
+        notes.append(f"Site {site}: {view.c_source}")
+        notes += [f"Site {site}, {text}" for step in view.steps for text in step.words]
+        notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
+    elements = {view.element for view in views.values()}
+    if "tet4" in elements:
+        warned.append(TET4_WORDS)
+    if "tet10" in elements:
+        notes.append(TET10_WORDS)
+    return notes, warned
+
+
+def _effort(step: StepView) -> str:
+    text = f"{step.label}: {step.n_iterations or DASH} iterations, {step.n_solves or DASH} solves"
+    if step.seconds is not None:
+        text += f", {quantity(step.seconds, 's', digits=2)}"
+    return text + (f"; it ended because {step.reason}." if step.reason else ".")

@@ -1,0 +1,95 @@
+"""What made this page: commands, versions, solver, inputs, units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.numbers import DASH, quantity
+from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import Page
+from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
+
+KEY, TITLE = "provenance", "What made this page?"
+
+
+def provenance(page: Page, own: Mapping[str, Any]) -> Reportlet:
+    """Commands, solvers, versions and input hashes of every stage, and of this page (`own`)."""
+    done = page.outcomes.done
+    system = str(own.get("units", DASH))
+    units = f"Unit system inside: {system}; every other unit stands beside its number."
+    return Reportlet(
+        KEY,
+        TITLE,
+        tables=(_commands(done, own), _solvers(done)),
+        more=(_inputs(done, own), _versions(done, own)),
+        look_for="the same version everywhere, and input hashes that match the files at hand",
+        bad="a stage made by another version or from other inputs than the rest: run it again",
+        notes=(units,),
+    )
+
+
+def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            Cell(label, lead=True),
+            Cell(str(made.get("command", DASH))),
+            Cell(str(made.get("limbcli", DASH))),
+            Cell(str(made.get("finished_utc", DASH))),
+            Cell(quantity(made.get("seconds"), "s", digits=2, reason="not yet over")),
+        )
+        for label, made in _made(done, own)
+    ]
+    names = head("stage", "command", "limbcli", "finished (UTC)", "took")
+    return Table("Commands", (names,), tuple(rows), numeric=False)
+
+
+def _made(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    return [(each.label, each.result.provenance) for each in done if each.result] + [("report", own)]
+
+
+def _solvers(done: tuple[Outcome, ...]) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for each in done:
+        if each.result is None or each.stage not in ("run", "fit"):
+            continue
+        facts = {**each.result.provenance, **each.result.data}
+        solver = facts.get("solver")
+        if isinstance(solver, Mapping):
+            facts, solver = {**facts, **solver, "solver_version": solver.get("version")}, solver.get("name")
+        rows.append(
+            (
+                Cell(each.label, lead=True),
+                Cell(str(solver or DASH), reason="" if solver else "not in the result"),
+                Cell(str(facts.get("solver_version") or DASH)),
+                Cell(str(facts.get("linear_solver") or DASH), reason="the solver does not say"),
+            )
+        )
+    names = head("stage", "solver that ran", "version", "linear solver")
+    if not rows:
+        rows = [(Cell(DASH, lead=True, reason="no simulation has been run"), *[Cell(DASH)] * 3)]
+    return Table("Solver", (names,), tuple(rows), numeric=False)
+
+
+def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+    rows = []
+    for label, made in _made(done, own):
+        for name, digest in (made.get("inputs_sha256") or {}).items():
+            rows.append((Cell(label, lead=True), Cell(str(name)), Cell(str(digest))))
+    names = head("stage", "input", "SHA-256")
+    return Table("Inputs", (names,), tuple(rows), numeric=False)
+
+
+def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+    versions: dict[str, dict[str, None]] = {}
+    for _, made in _made(done, own):
+        packages = made.get("packages") or {}
+        for name, version in {
+            "python": made.get("python"),
+            "platform": made.get("platform"),
+            **packages,
+        }.items():
+            if version:
+                versions.setdefault(str(name), {})[str(version)] = None
+    rows = tuple((Cell(name, lead=True), Cell(", ".join(found))) for name, found in versions.items())
+    return Table("Versions", (head("package", "version"),), rows, numeric=False)

@@ -1,0 +1,61 @@
+"""Are skin, bones and markers outlined where they are?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from limbcli.reporting.numbers import DASH, cell, plain_rows
+from limbcli.reporting.page import Page
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+
+KEY, TITLE = "segmentation", "Are skin and bones outlined where they are?"
+_HANDLED = {"markers"}
+
+
+def segmentation(page: Page) -> Reportlet:
+    """Contact sheet, markers and the segmentation's own figures."""
+    outcome = page.outcomes.of("segment")
+    result = outcome.result
+    if result is None or outcome.status == "failed":
+        return placeholder(KEY, TITLE, outcome)
+    sheet = result.folder / result.files.get("contact_sheet", "contact-sheet.png")
+    pictures: tuple[Picture, ...] = ()
+    if sheet.is_file():
+        alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
+        pictures = (Picture("segmentation", alt, source=sheet, vector=False),)
+    tables = tuple(each for each in (_markers(result.data.get("markers")),) if each)
+    rest = {key: value for key, value in result.data.items() if key not in _HANDLED}
+    figures = tuple(plain_rows(rest))
+    more = (Table("Figures of the segmentation", (head("figure", "value"),), figures, numeric=False),)
+    return Reportlet(
+        KEY,
+        TITLE,
+        "warning" if result.warnings else "fine",
+        pictures=pictures,
+        tables=tables,
+        more=more if figures else (),
+        look_for="each outline follows the edge it belongs to in every slice, and the dark bone cortex "
+        "lies inside the bone outline",
+        bad="an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or "
+        "rings a "
+        "vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and name it as "
+        "“labels” in case.toml",
+        notes=result.summary,
+        warned=result.warnings,
+    )
+
+
+def _markers(markers: object) -> Table | None:
+    if not isinstance(markers, list) or not markers:
+        return None
+    rows = []
+    for each in markers:
+        if not isinstance(each, Mapping):
+            continue
+        place = each.get("position_mm")
+        cells = [Cell(DASH, reason="no position in the result")] * 3
+        if isinstance(place, list) and len(place) == 3:
+            cells = [cell(value, digits=4) for value in place]
+        rows.append((Cell(str(each.get("number", DASH)), lead=True), *cells))
+    names = head("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")
+    return Table("Skin markers, patient frame (LPS)", (names,), tuple(rows))

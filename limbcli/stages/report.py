@@ -1,0 +1,108 @@
+"""report: what the stages left, as one page that a person can read and print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from limbcli.case import Case
+from limbcli.progress import SILENT, Progress
+from limbcli.reporting.assemble import embed, render, save_pictures
+from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import Page
+from limbcli.reporting.sections.groups import groups
+from limbcli.reporting.sections.overview import Overview, overview
+from limbcli.results import StageResult, StageWriter, open_stage, provenance
+from limbcli.stages.report_material import gather
+
+PAGE_FILE = "report.html"
+
+
+def report(
+    case: Case, *, out: Path, templates: Path | None = None, progress: Progress = SILENT
+) -> StageResult:
+    """Write `<out>/report/report.html`, one self-contained page, and its figures as PNG and SVG.
+
+    A stage that has not been run or that failed gets a place of its own on the page,
+    with its error and the command that makes it; nothing missing stops the report.
+
+    templates : a folder whose `report/` is looked at before ours
+
+    Raises
+    ------
+    ToolError
+        If the templates are not found.
+    """
+    page = gather(case, out=out, progress=progress)
+    glance = overview(page)
+    with open_stage(out, "report", subject=case.subject) as writer:
+        writer.used("case.toml", case.file)
+        for site in case.sites:
+            writer.used(f"levels {site.name}", site.levels)
+        _write_page(page, glance, writer, templates, progress)
+        writer.data.update(_data(page, glance))
+        writer.summary.append(glance.sentence)
+        writer.summary += [f"{site.name}: {site.sentence}" for site in glance.sites]
+        writer.summary.append(f"page: {writer.target / PAGE_FILE}")
+        writer.warnings += [each.text for each in glance.warnings]
+    assert writer.result is not None
+    return writer.result
+
+
+def _write_page(
+    page: Page, glance: Overview, writer: StageWriter, templates: Path | None, progress: Progress
+) -> None:
+    own = {**provenance(), "inputs_sha256": writer.inputs}
+    chapters = groups(page, own)
+    reportlets = [each for chapter in chapters for each in chapter.reportlets]
+    progress.event("task", name="report: drawing", done=0, total=1)
+    files = save_pictures(reportlets, writer.work / "figures")
+    for name, path in files.items():
+        writer.files[f"figure_{name}"] = f"figures/{path.name}"
+    case = page.case
+    facts = {
+        "subject": case.subject, "limb": case.limb, "probe": _probe(case), "sites": case.sites,
+        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
+        "own": own, "overview": glance, "groups": chapters, "shown": embed(reportlets, files),
+    }  # fmt: skip
+    html = render("report.html.j2", facts, templates=templates)
+    writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")
+    progress.event("task", name="report: drawing", done=1, total=1)
+
+
+def _probe(case: Case) -> str:
+    return f"{case.probe.name}, {case.probe.length:g} × {case.probe.width:g} mm"
+
+
+def _data(page: Page, glance: Overview) -> dict[str, Any]:
+    """What the page says, for machines and for the index of several subjects."""
+    return {
+        "mood": glance.mood,
+        "limb": page.case.limb,
+        "stages": {each.label: each.status for each in page.outcomes.all},
+        "failures": [_failure(each) for each in glance.failures],
+        "n_warnings": len(glance.warnings),
+        "sites": {site.name: _lines(page, site.name) for site in page.sites},
+    }
+
+
+def _failure(outcome: Outcome) -> Mapping[str, Any]:
+    assert outcome.failure is not None
+    return {"stage": outcome.stage, "site": outcome.site, **vars(outcome.failure)}
+
+
+def _lines(page: Page, name: str) -> dict[str, Any]:
+    """Slope, intercept and R2 of the speed lines of a site."""
+    site = next(each for each in page.sites if each.name == name)
+    found: dict[str, Any] = {}
+    for line, what, unit in ((site.against_force, "force", "n"), (site.against_depth, "depth", "mm")):
+        if line is not None:
+            found[f"swe_against_{what}"] = {
+                f"slope_m_per_s_per_{unit}": line.slope,
+                f"slope_se_m_per_s_per_{unit}": line.slope_se,
+                "intercept_m_per_s": line.intercept,
+                "r2": line.r2,
+                "n_levels": line.n,
+            }
+    return found

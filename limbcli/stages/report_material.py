@@ -1,0 +1,113 @@
+"""Collects what a report page needs from the rooms that can read it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError, MeasurementError
+from limbcli.measurement.indentation import Levels, check_levels
+from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
+from limbcli.problems import errors_of
+from limbcli.progress import SILENT, Progress
+from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.wave_speed import SpeedReadings
+from limbcli.reporting.outcome import Outcomes, read_outcomes
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.stages.report_state import read_deformed, read_residuals
+
+
+def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
+    """Read everything the page shows; what cannot be read becomes a reason on the page."""
+    names = tuple(site.name for site in case.sites)
+    outcomes = read_outcomes(out, names, case_name=str(case.folder))
+    sites = []
+    for k, site in enumerate(case.sites):
+        progress.event("task", name="report: reading results", done=k, total=len(names))
+        sites.append(_deformed(_measured(site), outcomes))
+    progress.event("task", name="report: reading results", done=len(names), total=len(names))
+    return Page(case, str(case.folder), out, outcomes, tuple(sites), tuple(_stale(outcomes, names)))
+
+
+def _measured(site: Site) -> SiteMaterial:
+    """The levels with their speed lines, or why there are none."""
+    material = SiteMaterial(site.name, _place(site))
+    levels, problems = check_levels(site.levels)
+    if levels is None or errors_of(problems):
+        why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
+        return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
+    warnings = tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
+    noise = site.noise
+    curve = MeasuredCurve(levels.depth, levels.force, noise.depth, noise.force, unloading=~levels.loading)
+    return replace(_with_speeds(material, levels), measured=curve, warnings=warnings)
+
+
+def _place(site: Site) -> str:
+    axis = site.long_axis if isinstance(site.long_axis, str) else "along a given direction"
+    where = f"marker {site.marker}" if site.marker is not None else ""
+    if site.position is not None:
+        where = "at " + ", ".join(f"{each:.1f}" for each in site.position) + " mm (LPS)"
+    return f"{where}, probe {axis}"
+
+
+def _with_speeds(material: SiteMaterial, levels: Levels) -> SiteMaterial:
+    if not levels.has_swe:
+        return material
+    speeds = SpeedReadings(levels.force, levels.depth, levels.swe_mean_m_per_s, levels.swe_sd_m_per_s)
+    loading = np.asarray(levels.loading, dtype=bool)
+    lines: list[Line | None] = []
+    why = ""
+    for find, x in ((speed_against_force, levels.force), (speed_against_depth, levels.depth)):
+        try:
+            lines.append(find(x[loading], levels.swe_mean_m_per_s[loading]))
+        except MeasurementError as error:
+            lines.append(None)
+            why = f"No line: {error.what}."
+    return replace(material, speeds=speeds, against_force=lines[0], against_depth=lines[1], why_no_line=why)
+
+
+def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
+    """The simulated state: of the fitted model where there is one, else of the run."""
+    found: dict[str, object] = {}
+    for stage in ("fit", "run"):
+        outcome = outcomes.of(stage, material.name)
+        if outcome.result is None or outcome.status == "failed":
+            continue
+        found.setdefault("residuals", read_residuals(outcome.result))
+        try:
+            state = read_deformed(outcome.result, outcomes.of("mesh", material.name).result)
+        except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
+            found["why_not_deformed"] = f"The deformed model of “{outcome.label}” cannot be drawn: {error}."
+            continue
+        if state is not None:
+            return replace(
+                material,
+                deformed=state,
+                deformed_source=f"the records of “{outcome.label}”",
+                residuals=read_residuals(outcome.result),
+            )
+    return replace(material, **found)  # type: ignore[arg-type]
+
+
+_ORDER = ("segment", "mesh", "build-feb", "run", "fit")
+
+
+def _stale(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
+    """Results that are older than what they were made from."""
+    found = []
+    for site in sites:
+        chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
+        made = [(each, str(each.result.provenance.get("finished_utc", ""))) for each in chain if each.result]
+        for (before, early), (after, late) in pairwise(made):
+            if late and early > late:
+                found.append(
+                    f"The result of “{after.label}” ({late}) is older than that of “{before.label}” "
+                    f"({early}) "
+                    f"it builds on; run it again: {after.command}"
+                )
+    return found
