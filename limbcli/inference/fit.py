@@ -1,0 +1,242 @@
+"""Levenberg-Marquardt between bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import FitError, SolveError
+from limbcli.inference.parameter import Parameter, natural, normalised, slopes
+from limbcli.inference.residual import Objective, Residual
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+Mask = NDArray[np.bool_]
+_MOST_RATIO = 10.0  # no parameter moves by more than this factor in one iteration
+_MOST_TRIALS = 40
+_LEAST_GAIN = 1e-4
+_SMALLEST_DAMPING = 1e-14
+_LARGEST_DAMPING = 1e14
+_TOUCHING = 1.0 + 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """One accepted point of the search."""
+
+    theta: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where the search ended.
+
+    theta, (n_parameters,); residual (n,) and jacobian (n, n_parameters) d residual / d theta
+    there; cost = sum of squares; `reason` says which test ended it.
+    """
+
+    parameters: tuple[Parameter, ...]
+    theta: Array
+    residual: Array
+    jacobian: Array
+    cost: float
+    n_iterations: int
+    n_evaluations: int
+    reason: str
+    history: tuple[Iterate, ...] = field(default=())
+
+    def value(self, name: str) -> float:
+        return float(self.theta[[p.name for p in self.parameters].index(name)])
+
+
+def levenberg_marquardt(
+    objective: Objective,
+    parameters: Sequence[Parameter],
+    *,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    must_settle: bool = True,
+    progress: Progress = SILENT,
+) -> Fit:
+    """Least squares between bounds.
+
+    Damped Gauss-Newton steps on the normalised parameters, the damping chosen to meet a
+    trust radius in More's scaling. A parameter that sits on a bound and would be pushed out is held
+    there for that step; a step that crosses a bound is cut at it and solved again for
+    the others. A trial where the model has no answer (SolveError) counts as worse.
+
+    Ends when the actual and the predicted relative fall of the cost are both at most
+    `tolerance`, or no parameter moves by more than `tolerance` of itself, or no direction leads down.
+
+    Raises
+    ------
+    SolveError
+        If there is no answer at the start values.
+    FitError
+        If the residual is not finite there, or `max_iterations` do not suffice and it `must_settle`.
+
+    Source: Marquardt 1963; More 1978, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630:105.
+    """
+    search = _Search(objective, tuple(parameters), progress)
+    for iteration in range(1, max_iterations + 1):
+        reason = search.iterate(tolerance)
+        progress.event(
+            "fit", iteration=iteration, cost=search.now.cost,
+            parameters={p.name: float(t) for p, t in zip(parameters, search.theta, strict=True)},
+        )  # fmt: skip
+        if reason:
+            return search.finish(iteration, reason)
+    if not must_settle:
+        return search.finish(max_iterations, "iterations used up")
+    raise FitError(
+        f"the fit did not settle in {max_iterations} iterations (cost {search.now.cost:.4g})",
+        where=", ".join(f"{p.name} {t:.4g}" for p, t in zip(parameters, search.theta, strict=True)),
+        fix="look at the measurement (fit.png); raise --max-iterations if the cost was still falling",
+        cost=search.now.cost,
+    )
+
+
+class _Search:
+    """State of one search: the current point, its linearisation, trust radius and scaling."""
+
+    def __init__(self, objective: Objective, parameters: tuple[Parameter, ...], progress: Progress):
+        self.objective, self.parameters, self.progress = objective, parameters, progress
+        self.low = np.array([p.low for p in parameters])
+        self.high = np.array([p.high for p in parameters])
+        self.theta = np.array([p.start for p in parameters])
+        self.n_evaluations = 1
+        self.now = self._linearised(objective(self.theta, True))
+        if not np.isfinite(self.now.cost):
+            raise FitError(
+                "the prediction at the start values is not a number",
+                where=", ".join(f"{p.name} {p.start:g}" for p in parameters),
+                fix="check levels.csv and the model's run at these values: limbcli run",
+            )
+        self.scale = np.zeros(len(parameters))
+        self.radius = np.inf
+        self.history = [Iterate(self.theta.copy(), self.now.cost)]
+
+    def iterate(self, tolerance: float) -> str:
+        """One accepted step; returns the reason why it is the last, if it is."""
+        line = self._line()
+        self.scale = np.maximum(self.scale, np.sqrt(np.diag(line.curvature)))
+        if self.now.cost == 0.0 or not line.free.any():
+            return "no direction leads down"
+        if not np.isfinite(self.radius):
+            self.radius = max(float(np.linalg.norm(self.scale)), 1e-300)
+        for _ in range(_MOST_TRIALS):
+            step = self._step(line)
+            theta = natural(self.parameters, line.x + step)
+            predicted = line.fall(step)
+            small = bool(np.all(np.abs(theta - self.theta) <= tolerance * self.theta))
+            if predicted <= 0.0 or (small and predicted <= tolerance**2 * self.now.cost):
+                return "the next step is within tolerance"
+            trial = self._try(theta)
+            actual = self.now.cost - trial.cost if trial is not None else -np.inf
+            cost = self.now.cost
+            self._resize(step, line, actual / predicted, actual)
+            if trial is not None and actual > _LEAST_GAIN * predicted:
+                self._accept(theta, trial)
+                if small:
+                    return "the step was within tolerance"
+                return "the cost settled" if max(actual, predicted) <= tolerance * cost else ""
+            if small:
+                return "the next step is within tolerance"
+        return "no step lowers the cost"
+
+    def finish(self, n_iterations: int, reason: str) -> Fit:
+        assert self.now.jacobian is not None
+        return Fit(
+            self.parameters, self.theta, self.now.values, self.now.jacobian, self.now.cost,
+            n_iterations, self.n_evaluations, reason, tuple(self.history),
+        )  # fmt: skip
+
+    def _line(self) -> _Line:
+        """The linear model at the current point, in normalised coordinates."""
+        assert self.now.jacobian is not None
+        jacobian = self.now.jacobian * slopes(self.parameters, self.theta)
+        gradient = jacobian.T @ self.now.values
+        held_low = (self.theta <= self.low * _TOUCHING) & (gradient > 0)
+        held_high = (self.theta * _TOUCHING >= self.high) & (gradient < 0)
+        free = ~(held_low | held_high) & (gradient != 0.0)
+        x = normalised(self.parameters, self.theta)
+        least = normalised(self.parameters, np.maximum(self.theta / _MOST_RATIO, self.low))
+        most = normalised(self.parameters, np.minimum(self.theta * _MOST_RATIO, self.high))
+        return _Line(x, gradient, jacobian.T @ jacobian, free, least - x, most - x)
+
+    def _step(self, line: _Line) -> Array:
+        """The step within the trust radius: the damping that meets it, by bisection."""
+        scale = np.maximum(self.scale, 1e-8 * float(self.scale.max()))
+        step = line.step(_SMALLEST_DAMPING, scale)
+        if np.linalg.norm(scale * step) <= 1.1 * self.radius:
+            return step
+        low, high = np.log(_SMALLEST_DAMPING), np.log(_LARGEST_DAMPING)
+        while high - low > 0.05:
+            middle = 0.5 * (low + high)
+            step = line.step(float(np.exp(middle)), scale)
+            if np.linalg.norm(scale * step) > self.radius:
+                low = middle
+            else:
+                high = middle
+        return line.step(float(np.exp(high)), scale)
+
+    def _resize(self, step: Array, line: _Line, gain: float, actual: float) -> None:
+        """More's rule: shrink along the parabola through the trial, grow after a good step."""
+        size = float(np.linalg.norm(self.scale * step))
+        if gain <= 0.25:
+            slope = float(2 * line.gradient @ step)
+            shrink = 0.5 * slope / (slope + actual) if np.isfinite(actual) and actual < 0 else 0.25
+            self.radius = min(max(shrink, 0.1), 0.5) * min(self.radius, size)
+        elif gain >= 0.75 or size < 0.5 * self.radius:
+            self.radius = max(self.radius, 2.0 * size)
+
+    def _try(self, theta: Array) -> Residual | None:
+        self.n_evaluations += 1
+        try:
+            trial = self.objective(theta, False)
+        except SolveError as error:
+            self.progress.event("note", text=f"no answer at a trial point, stepping back: {error.what}")
+            return None
+        return trial if np.isfinite(trial.cost) else None
+
+    def _accept(self, theta: Array, trial: Residual) -> None:
+        self.theta = theta
+        self.now = self._linearised(trial)
+        self.history.append(Iterate(theta.copy(), trial.cost))
+
+    def _linearised(self, residual: Residual) -> Residual:
+        return residual if residual.jacobian is not None else self.objective(self.theta, True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """r + J s at a point x: gradient J'r, curvature J'J, the free parameters, the box of steps."""
+
+    x: Array
+    gradient: Array
+    curvature: Array
+    free: Mask
+    low: Array
+    high: Array
+
+    def step(self, damping: float, scale: Array) -> Array:
+        """Damped step; bounds it would cross are met exactly and the rest solved again."""
+        step, free = np.zeros(len(self.x)), self.free.copy()
+        for _ in range(len(self.x)):
+            damped = self.curvature[np.ix_(free, free)] + damping * np.diag(scale[free] ** 2)
+            right = -self.gradient[free] - self.curvature[np.ix_(free, ~free)] @ step[~free]
+            step[free] = np.linalg.lstsq(damped, right, rcond=None)[0]
+            crossing = free & ((step < self.low) | (step > self.high))
+            step = np.clip(step, self.low, self.high)
+            free = free & ~crossing
+            if not crossing.any() or not free.any():
+                break
+        return step
+
+    def fall(self, step: Array) -> float:
+        """How much the linear model says the cost falls."""
+        return -float(2 * self.gradient @ step + step @ self.curvature @ step)

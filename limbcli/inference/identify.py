@@ -1,0 +1,130 @@
+"""The paper's identification: f_kappa with m = 2 first, then f_kappa and m from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import FitError
+from limbcli.inference.fit import Fit, levenberg_marquardt
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
+from limbcli.inference.prediction import Memory, Prediction, sampled
+from limbcli.inference.residual import force_residual
+from limbcli.inference.statistics import coefficient_of_determination, root_mean_square
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+F_KAPPA, M = 0, 1
+START_F_KAPPA = 100.0
+M_MOONEY_RIVLIN = 2.0
+MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
+
+
+@dataclass(frozen=True, eq=False)
+class ForceDepth:
+    """The measurement a force fit sees: force (n,) N at depth (n,) mm, first touch included.
+
+    force_deviation, depth_deviation: one standard deviation each.
+    """
+
+    force: Array
+    depth: Array
+    force_deviation: float
+    depth_deviation: float
+
+    @property
+    def loaded(self) -> NDArray[np.bool_]:
+        """(n,) bool: the levels past first touch, which alone carry information."""
+        return self.depth > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStep:
+    """One step of the identification: what was searched, where it ended, how well it fits."""
+
+    name: str
+    fit: Fit
+    free: tuple[int, ...]
+    theta: Array
+    simulated: Array
+    r2: float
+    rmse: float
+    n_solves: int
+
+
+def search_parameters(
+    start_f_kappa: float = START_F_KAPPA, start_m: float = M_MOONEY_RIVLIN
+) -> tuple[Parameter, Parameter]:
+    """f_kappa and m with the paper's bounds."""
+    return (
+        Parameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
+        Parameter("m", start_m, *M_BOUNDS),
+    )
+
+
+def two_step(
+    curve: Memory,
+    knots: Array,
+    data: ForceDepth,
+    *,
+    start_f_kappa: float = START_F_KAPPA,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    progress: Progress = SILENT,
+) -> tuple[FittedStep, FittedStep]:
+    """Identify (f_kappa, m) from a force-depth curve, c held fixed.
+
+    Minimises the sum of squared F_exp - F_sim at the measured depths, the simulated curve
+    sampled by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over
+    both from that result (Ogden type), each parameter normalised by its start value.
+
+    curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
+
+    Raises
+    ------
+    FitError
+        With fewer than three loaded levels, or where a step does not settle.
+    """
+    if int(data.loaded.sum()) < 3:
+        raise FitError(
+            f"{int(data.loaded.sum())} levels lie deeper than first touch; a fit needs at least three",
+            where="levels.csv, column depth_mm",
+            fix="measure more force levels, or mark loading rows `load` in the column phase",
+        )
+    start = np.array([start_f_kappa, M_MOONEY_RIVLIN])
+    first = _step(MOONEY_RIVLIN, (F_KAPPA,), start, curve, knots, data, tolerance, max_iterations, progress)
+    both = (F_KAPPA, M)
+    second = _step(OGDEN, both, first.theta, curve, knots, data, tolerance, max_iterations, progress)
+    return first, second
+
+
+def _step(
+    name: str, free: tuple[int, ...], start: Array, curve: Memory, knots: Array, data: ForceDepth,
+    tolerance: float, max_iterations: int, progress: Progress,
+) -> FittedStep:  # fmt: skip
+    parameters = [search_parameters(*start)[k] for k in free]
+    predict = sampled(curve, knots, data.depth, free=free, fixed=start)
+    before = curve.n_solves
+    fit = levenberg_marquardt(
+        force_residual(predict, data.force), parameters,
+        tolerance=tolerance, max_iterations=max_iterations, progress=progress,
+    )  # fmt: skip
+    theta = start.copy()
+    theta[list(free)] = fit.theta
+    simulated = data.force - fit.residual
+    return FittedStep(
+        name, fit, free, theta, simulated,
+        coefficient_of_determination(data.force, simulated), root_mean_square(fit.residual),
+        curve.n_solves - before,
+    )  # fmt: skip
+
+
+def sensitivities(curve: Memory, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
+    """Force at the loaded levels and its derivative with respect to ln f_kappa and ln m."""
+    depths = data.depth[data.loaded]
+    predict = sampled(curve, knots, depths, free=(F_KAPPA, M), fixed=theta)
+    answer = predict(theta)
+    assert answer.jacobian is not None
+    return Prediction(answer.values, answer.jacobian * theta)

@@ -1,0 +1,81 @@
+"""What is searched for: a name, a start value, bounds, and how it is normalised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from limbcli.errors import FitError
+from limbcli.model import Array
+
+F_KAPPA_BOUNDS = (0.01, 1000.0)
+M_BOUNDS = (1.0, 100.0)
+_ON_BOUND = 1e-3
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A positive parameter, its start value and bounds.
+
+    The search runs on the normalised coordinate x: theta / start (scale "ratio",
+    the published method) or ln(theta / start) (scale "log"). Both make the
+    tolerances and steps independent of the parameter's unit.
+
+    >>> f_kappa = Parameter("f_kappa", start=100.0, low=0.01, high=1000.0)
+    >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
+    (6.5, 650.0)
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    scale: Literal["ratio", "log"] = "ratio"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.low <= self.start <= self.high:
+            raise FitError(
+                f"the start value {self.start:g} of {self.name} is outside {self.low:g} to {self.high:g}",
+                where=f"parameter {self.name}",
+                fix="choose a start value between the bounds; bounds must be positive",
+                start=self.start, low=self.low, high=self.high,
+            )  # fmt: skip
+
+    def normalised(self, theta: float) -> float:
+        ratio = theta / self.start
+        return float(np.log(ratio)) if self.scale == "log" else ratio
+
+    def natural(self, x: float) -> float:
+        theta = self.start * (float(np.exp(x)) if self.scale == "log" else x)
+        return min(max(theta, self.low), self.high)
+
+    def slope(self, theta: float) -> float:
+        """d theta / d x."""
+        return theta if self.scale == "log" else self.start
+
+    def at_bound(self, theta: float) -> Literal["low", "high"] | None:
+        """Which bound a value sits on (within 0.1 % of it), if any."""
+        if theta <= self.low * (1.0 + _ON_BOUND):
+            return "low"
+        return "high" if theta >= self.high * (1.0 - _ON_BOUND) else None
+
+    def started_at(self, theta: float) -> Parameter:
+        return replace(self, start=min(max(theta, self.low), self.high))
+
+    def in_logs(self) -> Parameter:
+        return replace(self, scale="log")
+
+
+def normalised(parameters: Sequence[Parameter], theta: Array) -> Array:
+    return np.array([p.normalised(float(t)) for p, t in zip(parameters, theta, strict=True)])
+
+
+def natural(parameters: Sequence[Parameter], x: Array) -> Array:
+    return np.array([p.natural(float(v)) for p, v in zip(parameters, x, strict=True)])
+
+
+def slopes(parameters: Sequence[Parameter], theta: Array) -> Array:
+    return np.array([p.slope(float(t)) for p, t in zip(parameters, theta, strict=True)])

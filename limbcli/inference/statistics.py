@@ -1,0 +1,27 @@
+"""Goodness of a fit, in the words of the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from limbcli.model import Array
+
+
+def coefficient_of_determination(measured: Array, simulated: Array) -> float:
+    """R2 = 1 - SS_residual / SS_total. NaN where the data do not vary.
+
+    On a monotone curve R2 is near 1 for any monotone model: it is no evidence of fit.
+
+    >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 4.0]))
+    1.0
+    """
+    total = float(np.sum((measured - measured.mean()) ** 2))
+    return 1.0 - float(np.sum((measured - simulated) ** 2)) / total if total > 0.0 else float("nan")
+
+
+def root_mean_square(residual: Array) -> float:
+    """
+    >>> root_mean_square(np.array([3.0, -3.0]))
+    3.0
+    """
+    return float(np.sqrt(np.mean(residual**2)))

@@ -1,0 +1,138 @@
+"""How sure: standard errors, correlation, and one plain word per parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.profile import Profile
+from limbcli.model import Array
+
+_NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
+_WEAK_RATIO = 3.0  # upper over lower end of the interval
+_TRADES_OFF = 0.95
+_WIDENED = 2.0
+
+
+def force_variance(slope: Array, *, force_deviation: float, depth_deviation: float) -> Array:
+    """Variance of the force residual F_exp - F_sim(measured depth).
+
+    sigma_F^2 + (dF/dd sigma_d)^2: force is controlled and depth is the noisy quantity, so
+    the depth error enters through the slope of the curve.
+
+    >>> force_variance(np.array([0.0, 4.0]), force_deviation=0.3, depth_deviation=0.1)
+    array([0.09, 0.25])
+    """
+    return force_deviation**2 + (slope * depth_deviation) ** 2
+
+
+def log_covariance(
+    sensitivity: Array, variance: Array, *, nuisance: Array | None = None, nuisance_deviation: float = 0.0
+) -> Array:
+    """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
+
+    A V A' with A = (S'S)^-1 S' (the sandwich: the fit weighs all residuals alike, the noise
+    does not), plus what a quantity held fixed carries in: (A s)(A s)' sigma^2.
+
+    Parameters
+    ----------
+    sensitivity : (n, p) d prediction / d ln theta
+    variance : (n,) of the residuals
+    nuisance : (n,) d prediction / d ln of the quantity held fixed (c)
+    nuisance_deviation : standard deviation of its ln
+
+    Entries of a parameter without any influence are NaN.
+    """
+    p = sensitivity.shape[1]
+    covariance = np.full((p, p), np.nan)
+    seen = np.flatnonzero(np.abs(sensitivity).max(axis=0) > 0.0)
+    if len(seen) == 0 or len(sensitivity) < len(seen):
+        return covariance
+    estimator = np.linalg.pinv(sensitivity[:, seen])
+    block = (estimator * variance) @ estimator.T
+    if nuisance is not None:
+        carried = estimator @ nuisance
+        block = block + nuisance_deviation**2 * np.outer(carried, carried)
+    covariance[np.ix_(seen, seen)] = block
+    return covariance
+
+
+def correlation(covariance: Array) -> Array:
+    """
+    >>> correlation(np.array([[4.0, 1.0], [1.0, 1.0]]))
+    array([[1. , 0.5], [0.5, 1. ]])
+    """
+    deviation = np.sqrt(np.diag(covariance))
+    return covariance / np.outer(deviation, deviation)
+
+
+def has_influence(sensitivity: Array, prediction: Array) -> Array:
+    """Whether doubling each parameter moves the prediction by more than 0.1 %: (p,) bool."""
+    size = float(np.sqrt(np.mean(prediction**2)))
+    effect = np.log(2.0) * np.sqrt(np.mean(sensitivity**2, axis=0))
+    return effect > _NO_INFLUENCE * size
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`flag`: identified | weak | trades off with X | at bound | no influence; `words`: why."""
+
+    flag: str
+    words: str
+
+
+def verdict(
+    parameter: Parameter,
+    value: float,
+    profile: Profile | None,
+    *,
+    influence: bool,
+    correlations: Sequence[tuple[str, float, float]] = (),
+) -> Verdict:
+    """One plain word for a parameter, and the sentence behind it.
+
+    correlations : (other parameter, correlation, how many times wider the interval is than
+        with that parameter known)
+    """
+    name = parameter.name
+    if not influence:
+        return Verdict(
+            "no influence",
+            f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",
+        )
+    side = parameter.at_bound(value)
+    excluded = _excluded(parameter, profile)
+    if side:
+        bound = parameter.low if side == "low" else parameter.high
+        return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}; {excluded}.")
+    if profile is None:
+        return Verdict("identified", f"{name} = {value:.4g}; no interval was computed.")
+    for other, rho, widening in correlations:
+        if abs(rho) > _TRADES_OFF and widening > _WIDENED:
+            return Verdict(
+                f"trades off with {other}",
+                f"{name} trades off with {other} (correlation {rho:+.2f}): the data fix a combination of the "
+                f"two; {excluded}.",
+            )
+    if profile.is_open:
+        return Verdict("weak", f"{name} is not identifiable from these data: {excluded}.")
+    if profile.high / profile.low > _WEAK_RATIO:
+        return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
+    return Verdict("identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g} (95 %).")
+
+
+def _excluded(parameter: Parameter, profile: Profile | None) -> str:
+    """What the data do exclude, in words."""
+    if profile is None:
+        return "no interval was computed"
+    below, above = f"below {profile.low:.3g}", f"above {profile.high:.3g}"
+    if profile.open_low and profile.open_high:
+        return f"they exclude no value between {parameter.low:g} and {parameter.high:g}"
+    if profile.open_high:
+        return f"they exclude only values {below} (95 %)"
+    if profile.open_low:
+        return f"they exclude only values {above} (95 %)"
+    return f"they exclude values {below} and {above} (95 %)"

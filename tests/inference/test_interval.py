@@ -1,0 +1,125 @@
+"""Intervals: they hold the truth at their stated rate, and open where the data are silent."""
+
+import numpy as np
+import pytest
+
+from limbcli.errors import SolveError
+from limbcli.inference.fit import levenberg_marquardt
+from limbcli.inference.identify import ForceDepth, two_step
+from limbcli.inference.interval import Stiffness, force_intervals
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.prediction import Memory
+from limbcli.inference.profile import profile_likelihood
+from limbcli.inference.residual import Residual
+
+DEPTH = np.linspace(0.0, 10.0, 12)
+C = 0.008
+
+
+def noisy(stand_in, truth, kind, seed):
+    rng = np.random.default_rng(seed)
+    force = stand_in.force(DEPTH, C, *truth, kind) + 0.1 * rng.standard_normal(12)
+    depth = DEPTH + 0.3 * rng.standard_normal(12)
+    depth[0] = 0.0
+    c = C * (1 + 0.05 * rng.standard_normal()) ** 2
+    return ForceDepth(force, depth, 0.1, 0.3), c
+
+
+def intervals(stand_in, truth, kind, seed, **options):
+    data, c = noisy(stand_in, truth, kind, seed)
+    knots = np.unique(data.depth[data.depth > 0.05])
+    memory = Memory(stand_in.curve(knots, c, kind))
+    _, second = two_step(memory, knots, data)
+    return force_intervals(memory, knots, data, Stiffness(c, 0.1), second.theta, **options), second
+
+
+def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
+    design = np.column_stack([np.ones(20), np.linspace(0, 1, 20)])
+    data = design @ (50.0, 30.0) + rng.standard_normal(20)
+
+    def objective(theta, derivative=True):
+        return Residual(data - design @ theta, -design)
+
+    parameters = [Parameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
+    best = levenberg_marquardt(objective, parameters, tolerance=1e-8)
+    deviation = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
+    found = profile_likelihood(objective, parameters, best, 1)
+    np.testing.assert_allclose(
+        (found.low, found.high), best.theta[1] + 1.95996 * deviation * np.array([-1, 1]), rtol=5e-3
+    )
+    assert not found.is_open
+    assert np.all(np.diff(found.values) > 0)
+
+
+@pytest.mark.parametrize(("kind", "truth", "n"), [("tet4", (150.0, 3.0), 12), ("tet10", (100.0, 3.0), 6)])
+def test_truth_is_covered_at_the_stated_rate(stand_in, kind, truth, n):
+    """95 % each: 2 misses among 12 (6) have a chance of 12 (3) %; more would be a fault."""
+    inside = np.zeros(2)
+    for seed in range(n):
+        found, _ = intervals(stand_in, truth, kind, seed)
+        inside += [
+            found.profiles[k].low <= t <= found.profiles[k].high
+            for k, t in zip(("f_kappa", "m"), truth, strict=True)
+        ]
+    assert np.all(inside >= n - 2), inside
+
+
+def test_the_interval_agrees_with_one_on_the_true_model(stand_in):
+    """Twin: the stand-in of the stand-in against profiles with as many simulations as it likes."""
+    few, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0)
+    many, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0, max_solves=0)
+    assert few.n_solves > 0 == many.n_solves
+    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+    knots = np.unique(data.depth[data.depth > 0.05])
+    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    theta = two_step(memory, knots, data)[1].theta
+    for f_kappa in np.geomspace(30, 500, 7):
+        for m in np.geomspace(1.5, 6, 5):
+            memory(np.array([f_kappa, m]), (0, 1))
+    dense = force_intervals(memory, knots, data, Stiffness(c, 0.1), theta, max_solves=0)
+    for name in ("f_kappa", "m"):
+        np.testing.assert_allclose(
+            (few.profiles[name].low, few.profiles[name].high),
+            (dense.profiles[name].low, dense.profiles[name].high), rtol=0.03,
+        )  # fmt: skip
+
+
+def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(stand_in):
+    found, second = intervals(stand_in, (300.0, 3.0), "tet10", 1)
+    profile = found.profiles["f_kappa"]
+    assert profile.open_high
+    assert profile.high == pytest.approx(1000.0)
+    for k, name in enumerate(("f_kappa", "m")):
+        assert found.profiles[name].low <= second.theta[k] <= found.profiles[name].high
+
+
+def test_an_uncertain_stiffness_widens_the_interval(stand_in):
+    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+    knots = np.unique(data.depth[data.depth > 0.05])
+    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    theta = two_step(memory, knots, data)[1].theta
+    known = force_intervals(memory, knots, data, Stiffness(c, 0.0), theta).profiles["f_kappa"]
+    guessed = force_intervals(memory, knots, data, Stiffness(c, 0.2), theta).profiles["f_kappa"]
+    assert np.log(guessed.high / guessed.low) > 1.3 * np.log(known.high / known.low)
+
+
+def test_a_simulation_that_fails_is_reported_and_stops_the_interval(stand_in):
+    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+    knots = np.unique(data.depth[data.depth > 0.05])
+    exact = stand_in.curve(knots, c, "tet4")
+    walk = Memory(exact)
+    theta = two_step(walk, knots, data)[1].theta
+
+    def fragile(at, wrt=()):
+        if at[0] > 1.1 * theta[0]:
+            raise SolveError("stopped", where="here", fix="none")
+        return exact(at, wrt)
+
+    memory = Memory(fragile)
+    for at, _ in walk.solved:
+        if at[0] <= 1.1 * theta[0]:
+            memory(at, (0, 1))
+    found = force_intervals(memory, knots, data, Stiffness(c, 0.1), theta)
+    assert found.unsolved
+    assert found.profiles["f_kappa"].high < 1.6 * theta[0]
+    assert found.profiles["f_kappa"].open_high

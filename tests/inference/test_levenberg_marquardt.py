@@ -1,0 +1,124 @@
+"""Levenberg-Marquardt with bounds, beside scipy's trust-region reflective method."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from limbcli.errors import FitError, SolveError
+from limbcli.inference.fit import levenberg_marquardt
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.residual import Residual
+
+TIMES = np.linspace(0.0, 3.0, 25)
+
+
+def decay(theta):
+    """a exp(-b t), with its derivative."""
+    a, b = theta
+    shape = np.exp(-b * TIMES)
+    return a * shape, np.column_stack([shape, -a * TIMES * shape])
+
+
+def objective_for(data, calls=None):
+    def objective(theta, derivative=True):
+        if calls is not None:
+            calls.append(theta.copy())
+        values, jacobian = decay(theta)
+        return Residual(data - values, -jacobian)
+
+    return objective
+
+
+def parameters(scale="ratio", low=(1e-3, 1e-3), high=(1e3, 1e3), start=(1.0, 1.0)):
+    return [Parameter(n, s, lo, hi, scale) for n, s, lo, hi in zip("ab", start, low, high, strict=True)]
+
+
+@pytest.mark.parametrize("scale", ["ratio", "log"])
+@pytest.mark.parametrize("start", [(1.0, 1.0), (50.0, 0.05), (0.02, 9.0)])
+def test_exact_data_are_recovered_from_near_and_far(scale, start):
+    data, _ = decay((7.0, 1.3))
+    fit = levenberg_marquardt(objective_for(data), parameters(scale, start=start), max_iterations=200)
+    np.testing.assert_allclose(fit.theta, (7.0, 1.3), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "box", [((1e-3, 1e-3), (1e3, 1e3)), ((1e-3, 1.6), (1e3, 1e3)), ((1e-3, 1e-3), (5.0, 1.1))]
+)
+def test_noisy_data_give_the_minimum_that_scipy_finds(box, rng):
+    data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
+    low, high = box
+    start = np.clip((2.0, 1.0), low, high)
+    fit = levenberg_marquardt(objective_for(data), parameters("ratio", low, high, start), tolerance=1e-7)
+    twin = least_squares(
+        lambda theta: data - decay(theta)[0], np.clip(start, np.array(low) * 1.01, np.array(high) * 0.99),
+        bounds=box, xtol=1e-12, ftol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(fit.theta, twin.x, rtol=1e-4)
+    assert fit.cost <= 2 * twin.cost * (1 + 1e-8)
+
+
+def test_the_rosenbrock_valley_is_followed_to_its_end():
+    def objective(theta, derivative=True):
+        x, y = theta
+        return Residual(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
+
+    start = [Parameter("x", 0.1, 1e-3, 10.0), Parameter("y", 3.0, 1e-3, 10.0)]
+    fit = levenberg_marquardt(objective, start, tolerance=1e-6, max_iterations=200)
+    np.testing.assert_allclose(fit.theta, (1.0, 1.0), rtol=1e-4)
+
+
+def test_no_point_outside_the_bounds_is_ever_tried(rng):
+    data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
+    calls = []
+    low, high = (1e-3, 1.5), (4.0, 3.0)
+    levenberg_marquardt(objective_for(data, calls), parameters("ratio", low, high, (0.5, 2.0)))
+    tried = np.array(calls)
+    assert np.all(tried >= np.array(low))
+    assert np.all(tried <= np.array(high))
+
+
+def test_a_trial_without_answer_is_stepped_back_from():
+    data, _ = decay((7.0, 1.3))
+
+    def fragile(theta, derivative=True):
+        if theta[0] > 8.0:
+            raise SolveError("stopped", where="here", fix="none")
+        return objective_for(data)(theta)
+
+    fit = levenberg_marquardt(fragile, parameters(start=(0.5, 3.0)), max_iterations=200)
+    np.testing.assert_allclose(fit.theta, (7.0, 1.3), rtol=1e-3)
+
+
+def test_no_answer_at_the_start_is_an_error():
+    def broken(theta, derivative=True):
+        raise SolveError("stopped", where="here", fix="none")
+
+    with pytest.raises(SolveError):
+        levenberg_marquardt(broken, parameters())
+    nan = Residual(np.full(3, np.nan), np.ones((3, 2)))
+    with pytest.raises(FitError, match="not a number"):
+        levenberg_marquardt(lambda theta, derivative=True: nan, parameters())
+
+
+def test_a_fit_that_does_not_settle_says_so():
+    data, _ = decay((7.0, 1.3))
+    with pytest.raises(FitError, match="did not settle in 2 iterations"):
+        levenberg_marquardt(objective_for(data), parameters(start=(0.02, 9.0)), max_iterations=2)
+
+
+def test_a_derivative_is_asked_for_only_at_accepted_points(rng):
+    data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
+    asked = []
+
+    def lazy(theta, derivative=True):
+        asked.append(derivative)
+        values, jacobian = decay(theta)
+        return Residual(data - values, -jacobian if derivative else None)
+
+    fit = levenberg_marquardt(lazy, parameters(start=(0.02, 9.0)), max_iterations=200)
+    assert sum(asked) == len(fit.history)
+
+
+def test_a_start_value_outside_its_bounds_is_an_error():
+    with pytest.raises(FitError, match="outside"):
+        Parameter("m", start=0.5, low=1.0, high=100.0)

@@ -1,0 +1,53 @@
+"""Standard errors, and the plain word per parameter."""
+
+import numpy as np
+
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.profile import Profile
+from limbcli.inference.uncertainty import has_influence, log_covariance, verdict
+
+F_KAPPA = Parameter("f_kappa", 100.0, 0.01, 1000.0)
+
+
+def profile(low, high, open_low=False, open_high=False):
+    empty = np.zeros(0)
+    return Profile("f_kappa", empty, empty, empty, low, high, open_low, open_high, empty)
+
+
+def test_covariance_is_the_scatter_of_repeated_fits(rng):
+    design = rng.standard_normal((12, 2))
+    variance = rng.uniform(0.2, 3.0, 12)
+    held = rng.standard_normal(12)
+    stated = log_covariance(design, variance, nuisance=held, nuisance_deviation=0.7)
+    noise = (
+        rng.standard_normal((40000, 12)) * np.sqrt(variance) + 0.7 * rng.standard_normal((40000, 1)) * held
+    )
+    fits = noise @ np.linalg.pinv(design).T
+    np.testing.assert_allclose(np.cov(fits.T), stated, rtol=0.05, atol=0.02)
+
+
+def test_a_parameter_without_influence_has_no_standard_error(rng):
+    design = np.column_stack([rng.standard_normal(8), np.zeros(8)])
+    covariance = log_covariance(design, np.ones(8))
+    assert np.isfinite(covariance[0, 0])
+    assert np.isnan(covariance[1]).all()
+    assert list(has_influence(design, np.ones(8))) == [True, False]
+
+
+def test_every_verdict_has_its_case():
+    cases = {
+        "identified": verdict(F_KAPPA, 100.0, profile(80.0, 130.0), influence=True),
+        "weak": verdict(F_KAPPA, 100.0, profile(60.0, 1000.0, open_high=True), influence=True),
+        "at bound": verdict(F_KAPPA, 1000.0, profile(60.0, 1000.0, open_high=True), influence=True),
+        "no influence": verdict(F_KAPPA, 100.0, None, influence=False),
+        "trades off with m": verdict(
+            F_KAPPA, 100.0, profile(20.0, 400.0), influence=True, correlations=[("m", -0.99, 6.0)]
+        ),
+    }
+    for flag, found in cases.items():
+        assert found.flag == flag
+    assert "not identifiable from these data" in cases["weak"].words
+    assert "exclude only values below 60" in cases["weak"].words
+    wide = verdict(F_KAPPA, 100.0, profile(0.01, 1000.0, True, True), influence=True)
+    assert wide.flag == "weak"
+    assert "exclude no value" in wide.words
