@@ -1,0 +1,37 @@
+"""Solvers behind one contract: FEBio, and the bundled reference solver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.errors import CaseError
+from limbcli.solvers.base import Solver
+
+KINDS = ("auto", "febio", "reference")
+
+
+def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None = None) -> Solver:
+    """The solver to use: "febio", "reference", or "auto" (FEBio where it is found).
+
+    Raises
+    ------
+    CaseError
+        If `kind` is none of these.
+    ToolError
+        If FEBio is asked for, by kind or by naming its binary, and is not there.
+    """
+    from limbcli.solvers.febio import FebioSolver
+
+    if kind not in KINDS:
+        raise CaseError(
+            f"there is no solver {kind!r}", where="--solver", fix=f"use one of: {', '.join(KINDS)}"
+        )
+    solver = FebioSolver(febio, threads=threads)
+    if kind == "febio" or (kind == "auto" and febio is not None):
+        solver.need()
+        return solver
+    if kind == "auto" and solver.found():
+        return solver
+    from limbcli.solvers.reference import ReferenceSolver
+
+    return ReferenceSolver()

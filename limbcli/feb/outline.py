@@ -1,0 +1,94 @@
+"""The outline of a model file: what is needed to run it with FEBio and to read its records.
+
+It reads any FEBio 4 file, also one with features that `read_feb` refuses: FEBio
+itself judges those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.feb.read_mesh import Numbering
+from limbcli.feb.xml import Tag, open_model
+from limbcli.model import IntArray, LogRecord
+
+_KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """end_time : s, of the last step, or None where the file does not say
+
+    records : tables with a file of their own; `items` is the body's name, else None
+    nodes, cells : table[id] = number from 0
+    must_points : global times listed under `<dtmax>`
+    """
+
+    end_time: float | None
+    records: tuple[LogRecord, ...]
+    nodes: IntArray
+    cells: IntArray
+    must_points: tuple[float, ...]
+
+
+def read_outline(path: Path) -> Outline:
+    """Read the outline.
+
+    Raises
+    ------
+    CaseError
+        If the file is absent, is not XML, or is not a FEBio 4.0 model.
+    """
+    root = open_model(path)
+    controls = [Tag(each, path) for each in root.element.iter("Control")]
+    return Outline(
+        end_time=_end_time(controls),
+        records=_records(root),
+        nodes=_table(root, "Mesh/Nodes/node"),
+        cells=_table(root, "Mesh/Elements/elem"),
+        must_points=_must_points(root, controls),
+    )
+
+
+def _end_time(controls: list[Tag]) -> float | None:
+    total = 0.0
+    for control in controls:
+        n_steps, size = control.child("time_steps"), control.child("step_size")
+        if n_steps is None or size is None:
+            return None
+        total += n_steps.number() * size.number()
+    return total or None
+
+
+def _table(root: Tag, path: str) -> IntArray:
+    ids = [each.get("id") or "0" for each in root.element.iterfind(path)]
+    return Numbering.of(np.array(ids, dtype=np.int64))
+
+
+def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:
+    times: set[float] = set()
+    for control in controls:
+        largest = control.element.find("time_stepper/dtmax")
+        curve = largest.get("lc") if largest is not None else None
+        for each in root.element.iterfind(f"LoadData/load_controller[@id='{curve}']/points/*"):
+            times.add(Tag(each, root.file).numbers(2)[0])
+    return tuple(sorted(times - {0.0}))
+
+
+def _records(root: Tag) -> tuple[LogRecord, ...]:
+    names = {each.get("id"): each.get("name") for each in root.element.iterfind("Material/material")}
+    bodies = [each.get("name") for each in root.element.iterfind("Material/material[@type='rigid body']")]
+    records = []
+    for element in root.element.iterfind("Output/logfile/*"):
+        tag = Tag(element, root.file)
+        if tag.name not in _KINDS or tag.optional("file") is None:
+            continue
+        fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
+        body = None
+        if tag.name == "rigid_body_data":
+            body = names.get(tag.text) or (bodies[0] if bodies else None) or tag.optional("name") or "body"
+        records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]
+    return tuple(records)

@@ -1,0 +1,252 @@
+"""FEBio as a solver: found, started, watched, stopped, and judged by its log."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from limbcli.errors import SolveError, ToolError
+from limbcli.feb.log import Iteration, LogReader, check_complete, quote, read_log
+from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.write import write_feb
+from limbcli.model import LimbModel
+from limbcli.progress import Progress
+from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
+from limbcli.solvers.tables import read_tables
+
+BINARIES = ("febio4", "febio")
+VARIABLE = "LIMBCLI_FEBIO"
+_POLL_S = 0.1
+_GRACE_S = 3.0
+_VERSION_TIMEOUT_S = 10.0
+_VERSION_BYTES = 20_000
+_SCREEN_FILE = "febio-screen.txt"
+_LEFTOVERS = ("*.xplt", "*.dmp", _SCREEN_FILE)
+
+
+@dataclass
+class FebioSolver:
+    """FEBio 4 behind the five verbs.
+
+    binary : the file to start; None: the variable LIMBCLI_FEBIO, then `febio4`, `febio` on PATH
+    threads : of OpenMP; None: OMP_NUM_THREADS, else all processors
+    """
+
+    binary: Path | None = None
+    threads: int | None = None
+    name: str = "febio"
+
+    def path(self) -> Path | None:
+        """The binary that would be started, or None."""
+        named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+        candidates = [str(named)] if named else list(BINARIES)
+        for each in candidates:
+            found = shutil.which(each)
+            if found:
+                return Path(found).resolve()
+        return None
+
+    def found(self) -> bool:
+        return self.path() is not None
+
+    def version(self) -> str:
+        """As FEBio prints it ("4.11.0"); "unknown" if it prints none. A run's log tells it too."""
+        process = subprocess.Popen(
+            [str(self.need()), "-info"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        timer = time.monotonic() + _VERSION_TIMEOUT_S
+        reader = LogReader()
+        assert process.stdout is not None
+        os.set_blocking(process.stdout.fileno(), False)
+        seen = b""
+        while len(seen) < _VERSION_BYTES and time.monotonic() < timer:
+            ended = process.poll() is not None
+            seen += process.stdout.read() or b""
+            if ended:
+                break
+            time.sleep(_POLL_S / 4)
+        _stop(process)
+        process.stdout.close()
+        for line in seen[:_VERSION_BYTES].decode(errors="replace").splitlines():
+            reader.feed(line)
+        return reader.version or "unknown"
+
+    def write(self, model: LimbModel, folder: Path) -> Path:
+        return write_feb(model, folder / MODEL_FILE)
+
+    def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
+        """Run a model file in its folder; the log and the record files appear beside it.
+
+        Raises
+        ------
+        ToolError
+            If there is no FEBio, or it cannot be started.
+        SolveError
+            If the time limit passes, or FEBio's log does not say that the end of the
+            load was reached, whatever the exit status.
+        """
+        outline = read_outline(feb)
+        log = feb.parent / LOG_FILE
+        for stale in [log, *(feb.parent / record.file for record in outline.records)]:
+            stale.unlink(missing_ok=True)
+        with (feb.parent / _SCREEN_FILE).open("w+", errors="replace") as screen:
+            process = self._start(feb, screen)
+            try:
+                _watch(process, _LogWatcher(log, outline, progress), time_limit_s)
+            finally:
+                _stop(process)
+            _judge(log, outline, process.returncode, screen)
+        for pattern in _LEFTOVERS:
+            for path in feb.parent.glob(pattern):
+                path.unlink(missing_ok=True)
+
+    def read(self, feb: Path) -> Simulation:
+        """What a finished run left beside its model file."""
+        outline = read_outline(feb)
+        path = feb.parent / LOG_FILE
+        log = read_log(path)
+        check_complete(log, path, end_time=outline.end_time)
+        tables = read_tables(outline, feb.parent)
+        return Simulation(
+            solver=self.name,
+            version=log.version,
+            times=tables.times,
+            rigid=tables.rigid,
+            nodes=tables.nodes,
+            elements=tables.elements,
+            n_iterations=log.n_iterations,
+            n_factorisations=log.n_reformations,
+            seconds=log.seconds,
+            linear_solver=log.linear_solver,
+        )
+
+    def need(self) -> Path:
+        """The binary; a ToolError says where it was looked for."""
+        path = self.path()
+        if path is None:
+            named = self.binary or os.environ.get(VARIABLE)
+            raise ToolError(
+                f"FEBio was not found at {named}" if named else "FEBio was not found",
+                where=f"--febio, {VARIABLE}, then {' and '.join(BINARIES)} on PATH",
+                fix="install FEBio 4 (https://febio.org) and name its binary with --febio FILE, "
+                "or use --solver reference",
+            )
+        return path
+
+    def _start(self, feb: Path, screen: TextIO) -> subprocess.Popen[bytes]:
+        binary = self.need()
+        threads = str(self.threads or os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1)
+        environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
+        try:
+            return subprocess.Popen(
+                [str(binary), "-i", feb.name, "-o", LOG_FILE],
+                cwd=feb.parent,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=screen,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise ToolError(
+                f"FEBio cannot be started ({error.strerror})",
+                where=str(binary),
+                fix="check that the file is FEBio for this machine and may be executed",
+            ) from error
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    """End the process, if it still runs, and whatever it started: first politely, then not."""
+    for wish in (signal.SIGTERM, signal.SIGKILL):
+        if process.poll() is not None:
+            return
+        os.killpg(process.pid, wish)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=_GRACE_S)
+
+
+def _watch(process: subprocess.Popen[bytes], watcher: _LogWatcher, time_limit_s: float | None) -> None:
+    start = time.monotonic()
+    while process.poll() is None:
+        watcher.look()
+        if time_limit_s is not None and time.monotonic() - start > time_limit_s:
+            _stop(process)
+            watcher.look()
+            raise SolveError(
+                f"FEBio was stopped after {time_limit_s:g} s, at time {watcher.reached():g} "
+                f"and iteration {watcher.reader.result().n_iterations}",
+                where=str(watcher.log),
+                fix="give more time with --time-limit-s, or use --element tet4 or --solver reference",
+                time_reached=watcher.reached(),
+            )
+        time.sleep(_POLL_S)
+    watcher.look()
+
+
+class _LogWatcher:
+    """Follows a growing log and tells its listeners of every iteration."""
+
+    def __init__(self, log: Path, outline: Outline, progress: Progress):
+        self.log, self.reader = log, LogReader()
+        self._progress = progress
+        self._goals = sorted({*outline.must_points, *([outline.end_time] if outline.end_time else [])})
+        self._offset = 0
+        self._rest = ""
+
+    def reached(self) -> float:
+        return self.reader.times[-1] if self.reader.times else 0.0
+
+    def look(self) -> None:
+        try:
+            with self.log.open("rb") as stream:
+                stream.seek(self._offset)
+                fresh = stream.read()
+        except FileNotFoundError:
+            return
+        self._offset += len(fresh)
+        *lines, self._rest = (self._rest + fresh.decode(errors="replace")).split("\n")
+        last = None
+        for line in lines:
+            last = self.reader.feed(line) or last
+        if last is not None:
+            self._tell(last)
+
+    def _tell(self, iteration: Iteration) -> None:
+        residual, target = iteration.worst()
+        level = next((k for k, goal in enumerate(self._goals, 1) if goal >= iteration.time - 1e-9), 1)
+        self._progress.event(
+            "newton",
+            step=level,
+            n_steps=max(len(self._goals), 1),
+            iteration=iteration.number,
+            residual=residual,
+            target=target,
+            depth=None,
+            time=iteration.time,
+        )
+
+
+def _judge(log: Path, outline: Outline, status: int | None, screen: TextIO) -> None:
+    """The log decides; without one, what FEBio printed is shown."""
+    if log.is_file():
+        check_complete(read_log(log), log, end_time=outline.end_time)
+        return
+    screen.seek(0)
+    lines = [line.strip() for line in screen.read().splitlines() if line.strip()][-12:]
+    raise SolveError(
+        f"FEBio ended with status {status} and wrote no log. It printed:\n{quote(lines)}",
+        where=str(log),
+        fix="start FEBio by hand on the model file beside it; check its installation and licence",
+        status=status,
+    )

@@ -1,0 +1,71 @@
+"""Record files of a finished run as a `Simulation`: the same for every solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.feb.outline import Outline
+from limbcli.feb.records import Records, read_records
+from limbcli.model import Array, LogRecord
+from limbcli.solvers.base import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    times: Array
+    rigid: dict[str, Table]
+    nodes: dict[str, Table]
+    elements: dict[str, Table]
+
+
+def read_tables(outline: Outline, folder: Path) -> Tables:
+    """All record files of a model, checked against each other.
+
+    Raises
+    ------
+    SolveError
+        If a file is missing, cut, does not fit its record, or its times differ from the others'.
+    """
+    rigid: dict[str, Table] = {}
+    nodes: dict[str, Table] = {}
+    elements: dict[str, Table] = {}
+    times: Array | None = None
+    for record in outline.records:
+        path = folder / record.file
+        records = read_records(path, n_columns=len(record.fields))
+        if records.truncated:
+            raise _broken(path, "it breaks off in the middle of a step")
+        if times is not None and not np.array_equal(records.times, times):
+            raise _broken(path, "its times are not those of the other record files")
+        times = records.times
+        table = _table(record, records, outline, path)
+        if record.kind == "rigid_body":
+            rigid[str(record.items)] = table
+        else:
+            (nodes if record.kind == "node" else elements)[record.file] = table
+    return Tables(np.zeros(0) if times is None else times, rigid, nodes, elements)
+
+
+def _table(record: LogRecord, records: Records, outline: Outline, path: Path) -> Table:
+    if record.kind == "rigid_body":
+        if len(records.ids) != 1:
+            raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was asked for")
+        items = np.zeros(1, dtype=np.int64)
+    else:
+        numbers = outline.nodes if record.kind == "node" else outline.cells
+        if records.ids.max() >= len(numbers) or (numbers[records.ids] < 0).any():
+            raise _broken(path, f"it names {record.kind}s that the model does not have")
+        items = numbers[records.ids]
+    return Table(fields=record.fields, times=records.times, items=items, values=records.values)
+
+
+def _broken(path: Path, what: str) -> SolveError:
+    return SolveError(
+        f"the record file {path.name} cannot be used: {what}",
+        where=str(path),
+        fix="run the simulation again; if it recurs, look at the end of model.log",
+    )
