@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,8 @@ class Site:
     position : (3,) mm patient LPS, or None where `marker` (from 1) is given
     long_axis : "transverse", "axial", or a vector (3,)
     levels, trace, swe_maps : paths of levels.csv, trace.csv, and the folder of SWE maps
+    instruments : tables "load_cell", "b_mode", "swe_images" for `limbcli measure`, with
+        defaults filled in and `path` added; where there are any, levels.csv may be missing
     """
 
     name: str
@@ -77,6 +79,7 @@ class Site:
     swe_maps: Path | None
     density_kg_per_m3: float
     noise: Noise
+    instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,17 +257,45 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
     raw_noise = values.get("noise")
     noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
     problems += found
+    instruments, found = _read_instruments(values, folder, label)
+    problems += found
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
+        if key == "levels" and instruments and isinstance(values.get(key), str):
+            paths[key] = folder / values[key]
+            continue
         paths[key], found = _existing(values.get(key), folder, f"{label}: {key}", is_folder=is_folder)
         problems += found
     if problems or paths["levels"] is None:
         return None, problems
-    return _make_site(values, noise, paths, paths["levels"]), problems
+    return _make_site(values, noise, paths, paths["levels"], instruments), problems
+
+
+def _read_instruments(
+    values: Mapping[str, Any], folder: Path, label: str
+) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
+    """The tables that `limbcli measure` reads, with the path of the file or folder each names."""
+    tables: dict[str, dict[str, Any]] = {}
+    problems: list[Problem] = []
+    for name, keys in schema.INSTRUMENTS.items():
+        if values.get(name) is None:
+            continue
+        title = f"{label} {name}"
+        table, found = schema.check_table(values[name], keys, name=title, file=str(folder / CASE_FILE))
+        problems += found
+        kind = "file" if "file" in keys else "folder"
+        path, found = _existing(table.get(kind), folder, f"{title}: {kind}", is_folder=kind == "folder")
+        problems += found
+        tables[name] = {**table, "path": path}
+    return tables, problems
 
 
 def _make_site(
-    values: Mapping[str, Any], noise: Mapping[str, Any], paths: Mapping[str, Path | None], levels: Path
+    values: Mapping[str, Any],
+    noise: Mapping[str, Any],
+    paths: Mapping[str, Path | None],
+    levels: Path,
+    instruments: Mapping[str, Mapping[str, Any]],
 ) -> Site:
     position, long_axis = values["position_mm"], values["long_axis"]
     return Site(
@@ -285,6 +316,7 @@ def _make_site(
             swe_pixel_fraction=float(noise["swe_pixel_fraction"]),
             source=noise["source"],
         ),
+        instruments=instruments,
     )  # fmt: skip
 
 

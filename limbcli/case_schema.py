@@ -12,6 +12,7 @@ from math import isfinite
 from typing import Any
 
 from limbcli.problems import Problem, suggestion
+from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
@@ -95,6 +96,23 @@ def whole(low: int, high: int) -> Check:
     return check
 
 
+def table(value: object) -> str | None:
+    return None if isinstance(value, dict) else f"is {value!r}, not a table"
+
+
+def table_of_texts(value: object) -> str | None:
+    good = isinstance(value, dict) and all(text(each) is None for each in value.values())
+    return None if good else f"is {value!r}, not a table of texts"
+
+
+def numbers(count: int) -> Check:
+    def check(value: object) -> str | None:
+        good = isinstance(value, list) and len(value) == count and all(map(_is_number, value))
+        return None if good else f"is {value!r}, not a list of {count} numbers"
+
+    return check
+
+
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
     "limb": Key("left | right", one_of("left", "right"), required=True),
@@ -124,8 +142,43 @@ SITE = {
     "trace": Key("file", text),
     "swe_maps": Key("folder", text),
     "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
-    "noise": Key("table", lambda value: None if isinstance(value, dict) else f"is {value!r}, not a table"),
+    "noise": Key("table", table),
+    "load_cell": Key("table", table),
+    "b_mode": Key("table", table),
+    "swe_images": Key("table", table),
 }
+LOAD_CELL = {
+    "file": Key("file", text, required=True),
+    "columns": Key("table of texts", table_of_texts, default={}),
+    "force_unit": Key("unit", one_of(*FORCE_UNITS_IN_N), default="N"),
+    "length_unit": Key("unit", one_of(*LENGTH_UNITS_IN_MM), default="mm"),
+    "separator": Key("text", text),
+    "decimal": Key(". | ,", one_of(".", ",")),
+    "hold_s": Key("s", number(0.5, 600.0, "s"), default=5.0),
+    "hold_tolerance_n": Key("N", number(0.005, 5.0, "N"), default=0.1),
+    "step_n": Key("N", number(0.1, 50.0, "N"), default=2.0),
+    "tare_s": Key("[from, to] s", numbers(2)),
+    "probe_mass_kg": Key("kg", number(0.0, 5.0, "kg"), default=0.0),
+    "axis": Key("x | y | z | -x | -y | -z", one_of("x", "y", "z", "-x", "-y", "-z"), default="z"),
+}
+B_MODE = {
+    "folder": Key("folder", text, required=True),
+    "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
+    "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
+    "bone_mm": Key("mm", number(2.0, 120.0, "mm")),
+}
+SWE_IMAGES = {
+    "folder": Key("folder", text, required=True),
+    "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
+    "box_pixels": Key("[left, top, right, bottom]", numbers(4), required=True),
+    "bar_pixels": Key("[left, top, right, bottom]", numbers(4), required=True),
+    "low_m_per_s": Key("m/s", number(0.0, 20.0, "m/s"), default=0.0),
+    "high_m_per_s": Key("m/s", number(0.5, 30.0, "m/s"), required=True),
+    "opacity": Key("1", number(0.2, 1.0, ""), default=1.0),
+    "roi_depth_mm": Key("[from, to] mm", numbers(2)),
+    "roi_lateral_mm": Key("[from, to] mm", numbers(2)),
+}
+INSTRUMENTS = {"load_cell": LOAD_CELL, "b_mode": B_MODE, "swe_images": SWE_IMAGES}
 NOISE = {
     "force_n": Key("N", number(0.0, 5.0, "N"), default=0.1),
     "depth_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.3),

@@ -26,6 +26,7 @@ app = typer.Typer(
 # In the order a newcomer meets them. Each module defines a function `command`.
 COMMANDS = {
     "check": "check",
+    "measure": "measure",
     "segment": "segment",
     "mesh": "mesh",
     "build-feb": "build_feb",

@@ -79,6 +79,9 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
         content = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         return None, [_problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
+    except FileNotFoundError:
+        fix = "put it there; `limbcli measure CASE --write` makes levels.csv from the instruments' files"
+        return None, [_problem("the file is not there", path, fix)]
     except OSError as error:
         return None, [_problem(f"the file cannot be read ({error.strerror})", path, "check name and rights")]
     if "\0" in content:

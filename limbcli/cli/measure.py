@@ -1,0 +1,33 @@
+"""`limbcli measure CASE`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.terminal import emit, terminal
+
+WriteOpt = Annotated[
+    bool, typer.Option("--write", help="Also write levels.csv where case.toml names it (if absent).")
+]
+
+
+def command(
+    case: CaseArg,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    write: WriteOpt = False,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:
+    """Load-cell record, B-mode and elastography images to the rows of levels.csv."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.stages.measure import measure
+
+    progress = terminal(quiet=quiet, verbose=verbose)
+    target = out or default_out(case)
+    emit(measure(Case.open(case), out=target, sites=site, write=write, progress=progress), as_json=json)

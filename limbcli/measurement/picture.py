@@ -1,0 +1,58 @@
+"""Pictures of what the instruments' files were read to say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from limbcli.measurement.bmode import BoneLine
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.holds import Hold
+from limbcli.measurement.indentation import Trace
+from limbcli.measurement.ultrasound_image import UltrasoundImage
+
+_COLUMNS = 5
+
+
+def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
+    """The record with its holds shaded; those in which creep goes on stand out."""
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(trace.time, trace.force, color="0.6", lw=0.6)
+    for k, hold in enumerate(holds):
+        colour = "tab:orange" if hold.creeping else "tab:blue"
+        axes.axvspan(hold.start_s, hold.end_s, color=colour, alpha=0.15)
+        axes.plot([hold.start_s, hold.end_s], [hold.force, hold.force], color=colour, lw=1.5)
+        axes.annotate(str(k), (hold.start_s, hold.force), xytext=(2, 4), textcoords="offset points", size=8)
+    axes.set(xlabel="time / s", ylabel="force / N", title="holds found (orange: creep still going on)")
+    figure.savefig(path, dpi=130)
+
+
+def draw_bone_lines(images: Sequence[UltrasoundImage], lines: Sequence[BoneLine], path: Path) -> None:
+    """Every level's image with the bone line that was read."""
+    rows = -(-len(images) // _COLUMNS)
+    figure = Figure(figsize=(2.4 * _COLUMNS, 2.6 * rows), layout="constrained")
+    for k, axes in enumerate(figure.subplots(rows, _COLUMNS, squeeze=False).ravel()):
+        axes.set_axis_off()
+        if k >= len(images):
+            continue
+        region, line = images[k].main_region(), lines[k]
+        width = (region.right - region.left) * region.mm_per_pixel_x
+        height = (region.bottom - region.top) * region.mm_per_pixel_y
+        grey = images[k].grey[region.top : region.bottom + 1, region.left : region.right + 1]
+        axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
+        axes.plot([-5, 5], [line.distance, line.distance], color="tab:orange", lw=1.2)
+        axes.set_title(f"{k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
+    figure.savefig(path, dpi=130)
+
+
+def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:
+    """Box plot of the speeds of every level."""
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.boxplot([each.speed_m_per_s for each in maps], positions=np.arange(len(maps)), showfliers=False)
+    axes.set(xlabel="force level", ylabel="shear-wave speed / (m/s)", title="pixels read from the overlays")
+    figure.savefig(path, dpi=130)

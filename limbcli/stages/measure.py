@@ -1,0 +1,273 @@
+"""measure: from the instruments' files to the rows of levels.csv.
+
+The load cell's record gives the force of every hold, the B-mode images the loss of
+skin-bone distance, the colour overlays the shear-wave speeds. Whatever is not named
+in case.toml is taken from an existing levels.csv or left empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.files import atomic_file
+from limbcli.measurement.bmode import BoneLine, follow_bone
+from limbcli.measurement.elastography import map_file, statistics, write_map
+from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
+from limbcli.measurement.indentation import Levels, Trace, read_levels
+from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.swe_image import DecodedMap, Overlay, decode_overlay
+from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage
+
+STAGE = "measure"
+_IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
+
+
+def measure(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    write: bool = False,
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """Read the instruments' files of each site; with `write`, leave levels.csv where the case names it.
+
+    Raises
+    ------
+    CaseError
+        If a site names no instrument, or `write` would overwrite a file.
+    MeasurementError
+        If a record or image cannot be read, or they do not have as many levels.
+    """
+    results = []
+    for site in case.selected(sites):
+        if not site.instruments:
+            raise CaseError(
+                f"site {site.name} names no instrument file",
+                where=str(case.file),
+                fix="add [site.load_cell], [site.b_mode] or [site.swe_images], or write levels.csv by hand",
+            )
+        progress.event("stage", name=STAGE, site=site.name)
+        with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            rows = _measure_site(site, writer, progress)
+        assert writer.result is not None
+        if write:
+            _write_levels(site, rows)
+        results.append(writer.result)
+    return results
+
+
+def _measure_site(site: Site, writer: StageWriter, progress: Progress) -> str:
+    instruments = site.instruments
+    known = read_levels(site.levels) if site.levels.is_file() else None
+    columns: dict[str, Sequence[float]] = {}
+    if "load_cell" in instruments:
+        columns |= _force(instruments["load_cell"], writer)
+        progress.event("note", text=f"{len(columns['force_n'])} holds found")
+    elif known is not None:
+        columns |= {"force_n": list(known.force), "depth_mm": list(known.depth)}
+    if "b_mode" in instruments:
+        columns |= _depth(instruments["b_mode"], writer, progress)
+    if "swe_images" in instruments:
+        columns |= _speeds(instruments["swe_images"], writer, progress)
+    _check_lengths(columns, site)
+    _check_agreement(columns, known, writer)
+    text = _as_csv(columns)
+    path = writer.file("levels", "levels.csv")
+    path.write_text(text, encoding="utf-8")
+    if {"force_n", "depth_mm"} <= set(columns):
+        read_levels(path)  # what a later stage would refuse is refused here
+    writer.data["n_levels"] = len(next(iter(columns.values())))
+    writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
+    return text
+
+
+def _force(table: Mapping[str, Any], writer: StageWriter) -> dict[str, Sequence[float]]:
+    from limbcli.measurement.picture import draw_holds
+
+    path: Path = table["path"]
+    writer.used("load_cell", path)
+    trace = read_recording(
+        path,
+        RecordingFormat(
+            columns=table["columns"],
+            force_unit=table["force_unit"],
+            length_unit=table["length_unit"],
+            separator=table["separator"],
+            decimal=table["decimal"],
+        ),
+    )
+    if table["tare_s"] is not None:
+        tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
+        mass, axis = float(table["probe_mass_kg"]), table["axis"]
+        trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
+    holds = find_holds(trace, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
+    if table["tare_s"] is not None:
+        holds = [each for each in holds if each.start_s > table["tare_s"][1]]
+    draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
+    _say_holds(holds, trace, float(table["step_n"]), writer)
+    columns: dict[str, Sequence[float]] = {
+        "force_n": [each.force for each in holds],
+        "hold_s": [each.duration_s for each in holds],
+    }
+    if all(each.depth is not None for each in holds):
+        first = holds[0].depth or 0.0
+        columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
+    return columns
+
+
+def _say_holds(holds: Sequence[Hold], trace: Trace, step: float, writer: StageWriter) -> None:
+    writer.data["holds"] = [vars(each) for each in holds]
+    noise = float(np.median([each.force_sd for each in holds]))
+    error = float(np.max([each.force_se for each in holds]))
+    writer.summary.append(
+        f"{len(holds)} holds, {min(h.duration_s for h in holds):.0f} s or longer; "
+        f"sample noise {noise:.3f} N, error of a mean at most {error:.3f} N"
+    )
+    for k, hold in enumerate(holds):
+        where = f"hold {k} ({hold.force:.2f} N, {hold.start_s:.0f} to {hold.end_s:.0f} s)"
+        if hold.creeping:
+            drift = f"{1000 * hold.drift_n_per_s:.1f} mN/s"
+            if hold.depth_drift_mm_per_s is not None:
+                drift += f", {1000 * hold.depth_drift_mm_per_s:.1f} um/s"
+            writer.warnings.append(f"{where}: creep is still going on at its end ({drift})")
+        if hold.overshoot > max(0.5, 5 * noise):
+            writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
+        if hold.n_dropouts:
+            writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
+    for force in missing_levels(list(holds), step=step):
+        writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
+
+
+def _images(
+    table: Mapping[str, Any], *, box_pixels: tuple[int, int, int, int] | None = None
+) -> list[UltrasoundImage]:
+    folder: Path = table["path"]
+    paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in _IMAGE_SUFFIXES)
+    if not paths:
+        fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
+        raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
+    return [read_image(each, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels) for each in paths]
+
+
+def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
+    from limbcli.measurement.picture import draw_bone_lines
+
+    writer.used("b_mode", table["path"])
+    images = _images(table, box_pixels=_box(table["box_pixels"]) if table["box_pixels"] else None)
+    lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
+    progress.event("task", name="B-mode images", done=len(images), total=len(images))
+    draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"))
+    writer.data["bone"] = [vars(each) for each in lines]
+    worst = max(each.sd for each in lines)
+    span = f"{lines[0].distance:.2f} to {lines[-1].distance:.2f} mm"
+    writer.summary.append(f"skin-bone distance {span}, SD at most {worst:.2f} mm")
+    return {
+        "skin_bone_mm": [each.distance for each in lines],
+        "depth_mm": [lines[0].distance - each.distance for each in lines],
+    }
+
+
+def _speeds(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
+    from limbcli.measurement.picture import draw_speeds
+
+    writer.used("swe_images", table["path"])
+    overlay = Overlay(
+        box_pixels=_box(table["box_pixels"]),
+        bar_pixels=_box(table["bar_pixels"]),
+        low_m_per_s=float(table["low_m_per_s"]),
+        high_m_per_s=float(table["high_m_per_s"]),
+        opacity=float(table["opacity"]),
+    )
+    decoded: list[DecodedMap] = []
+    images = _images(table)
+    for k, image in enumerate(images, 1):
+        decoded.append(decode_overlay(image, overlay))
+        progress.event("task", name="SWE images", done=k, total=len(images))
+    lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
+    depth = tuple(table["roi_depth_mm"] or (-np.inf, np.inf))
+    maps = [each.unsaturated.within(lateral=lateral, depth=depth) for each in decoded]
+    for k, each in enumerate(maps):
+        write_map(map_file(writer.file("maps", "swe").parent / "swe", k), each)
+    figures = [statistics(each) for each in maps]
+    draw_speeds(maps, writer.file("speed_picture", "speeds.png"))
+    writer.data["swe"] = [
+        {"n_masked": d.n_masked, "n_unlike": d.n_unlike, "n_ambiguous": d.n_ambiguous,
+         "n_saturated": int(d.saturated.sum()), **vars(f)}
+        for d, f in zip(decoded, figures, strict=True)
+    ]  # fmt: skip
+    for k, level in enumerate(decoded):
+        share = 100 * float(level.saturated.mean())
+        if share > 10.0:
+            writer.warnings.append(f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar")
+    return {
+        "swe_mean_m_per_s": [each.mean_m_per_s for each in figures],
+        "swe_sd_m_per_s": [each.sd_m_per_s for each in figures],
+        "swe_pixels": [each.n_pixels for each in figures],
+    }
+
+
+def _box(values: Sequence[float]) -> tuple[int, int, int, int]:
+    return int(values[0]), int(values[1]), int(values[2]), int(values[3])
+
+
+def _check_lengths(columns: Mapping[str, Sequence[float]], site: Site) -> None:
+    counts = {name: len(values) for name, values in columns.items()}
+    if len(set(counts.values())) > 1:
+        listed = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise MeasurementError(
+            f"the instruments do not have as many levels: {listed}",
+            where=f"site {site.name}",
+            fix="give one image a hold; change hold_s or hold_tolerance_n; remove surplus images",
+            **counts,
+        )
+
+
+def _check_agreement(
+    columns: Mapping[str, Sequence[float]], known: Levels | None, writer: StageWriter
+) -> None:
+    """Against the levels.csv that is already there (read by hand, perhaps)."""
+    if known is None or len(known) != len(next(iter(columns.values()))):
+        return
+    for name, values, tolerance in (("force_n", known.force, 0.2), ("depth_mm", known.depth, 0.5)):
+        if name in columns:
+            worst = float(np.abs(np.asarray(columns[name]) - values).max())
+            writer.data[f"largest_difference_{name}"] = worst
+            if worst > tolerance:
+                writer.warnings.append(f"{name} differs from the existing levels.csv by up to {worst:.2f}")
+
+
+def _as_csv(columns: Mapping[str, Sequence[float]]) -> str:
+    order = [
+        "force_n",
+        "depth_mm",
+        "swe_mean_m_per_s",
+        "swe_sd_m_per_s",
+        "swe_pixels",
+        "hold_s",
+        "skin_bone_mm",
+    ]
+    names = [name for name in order if name in columns]
+    lines = [",".join(names)]
+    for k in range(len(columns[names[0]])):
+        lines.append(",".join(f"{columns[name][k]:.6g}" for name in names))
+    return "\n".join(lines) + "\n"
+
+
+def _write_levels(site: Site, text: str) -> None:
+    if site.levels.exists():
+        raise CaseError(
+            "levels.csv is there already and is not overwritten",
+            where=str(site.levels),
+            fix="move it away first; the new one is in the output folder",
+        )
+    with atomic_file(site.levels) as path:
+        path.write_text(text, encoding="utf-8")
