@@ -105,20 +105,33 @@ def _marching_cubes(mask: Volume, *, edge: float, smooth: float) -> ClosedSurfac
     field = signed_distance(mask.values[window], spacing)
     sigma = np.maximum(smooth, _SHARE_OF_SLICE * spacing) / spacing if smooth > 0 else 0.0
     field = ndimage.gaussian_filter(field, sigma, mode="nearest")
+    axes = [_grid(n, edge / h, each) for n, h, each in zip(mask.shape, spacing, window, strict=True)]
     start = np.array([each.start for each in window], float)
-    step = edge / spacing
-    axes = [np.arange(-0.5 - 1.5 * h, n - 0.5 + 1.5 * h, h) for n, h in zip(field.shape, step, strict=True)]
-    grid = np.meshgrid(*axes, indexing="ij")
+    grid = np.meshgrid(*(at - first for at, first in zip(axes, start, strict=True)), indexing="ij")
     values = ndimage.map_coordinates(field, grid, order=3, mode="nearest", output=np.float32)
     for axis, (n, at) in enumerate(zip(mask.shape, axes, strict=True)):
-        place = at + start[axis]
-        depth = (np.minimum(place + 0.5, n - 0.5 - place) * spacing[axis]).astype(np.float32)
+        depth = (np.minimum(at + 0.5, n - 0.5 - at) * spacing[axis]).astype(np.float32)
         values = np.minimum(values, depth.reshape([-1 if each == axis else 1 for each in range(3)]))
     values = _largest_part(values)
     points, triangles, *_ = measure.marching_cubes(values, 0.0, gradient_direction="ascent")
     index = np.stack([np.interp(points[:, n], np.arange(len(axes[n])), axes[n]) for n in range(3)], axis=1)
-    surface = ClosedSurface(mask.to_patient(index + start), triangles.astype(np.int64))
+    surface = ClosedSurface(mask.to_patient(index), triangles.astype(np.int64))
     return surface if surface.volume > 0 else replace(surface, triangles=surface.triangles[:, ::-1].copy())
+
+
+def _grid(n: int, step: float, window: slice) -> Array:
+    """Places along an axis of n voxels, about `step` voxels apart, over a window and a little more.
+
+    The image's two outer faces lie half way between two places, so that a flat cut there is
+    met by clean triangles.
+
+    >>> _grid(10, 2.4, slice(0, 10))
+    array([-1.75,  0.75,  3.25,  5.75,  8.25, 10.75])
+    """
+    exact = n / max(1, round(n / step))
+    first = int(np.floor(window.start / exact)) - 1
+    last = int(np.ceil(window.stop / exact)) + 1
+    return np.asarray(-0.5 + (np.arange(first, last) + 0.5) * exact, dtype=np.float64)
 
 
 def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -138,7 +151,8 @@ def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
     import pymeshlab
 
     meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(surface.points, surface.triangles.astype(np.int32)))
+    centre = surface.points.mean(axis=0)
+    meshes.add_mesh(pymeshlab.Mesh(surface.points - centre, surface.triangles.astype(np.int32)))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(1e-3 * edge))
     meshes.meshing_isotropic_explicit_remeshing(
         iterations=4, targetlen=pymeshlab.PureValue(edge), featuredeg=40.0, adaptive=False
@@ -148,7 +162,8 @@ def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
     meshes.meshing_repair_non_manifold_edges()
     meshes.meshing_remove_unreferenced_vertices()
     mesh = meshes.current_mesh()
-    return ClosedSurface(np.asarray(mesh.vertex_matrix()), np.asarray(mesh.face_matrix(), dtype=np.int64))
+    triangles = np.asarray(mesh.face_matrix(), dtype=np.int64)
+    return ClosedSurface(np.asarray(mesh.vertex_matrix()) + centre, triangles)
 
 
 def write_surface(path: Path, surface: ClosedSurface) -> None:

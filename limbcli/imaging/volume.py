@@ -37,7 +37,7 @@ class Volume:
     @property
     def spacing(self) -> Array:
         """Distance between neighbouring voxel centres along i, j, k, mm."""
-        return np.sqrt((self.affine[:3, :3] ** 2).sum(axis=0)).astype(np.float64)
+        return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
 
     @property
     def voxel_volume(self) -> float:
@@ -46,11 +46,12 @@ class Volume:
 
     def to_patient(self, index: Array) -> Array:
         """Voxel indices (n, 3), fractions allowed, to patient LPS (n, 3), mm."""
-        return np.asarray(index) @ self.affine[:3, :3].T + self.affine[:3, 3]
+        return np.asarray(index, dtype=np.float64) @ self.affine[:3, :3].T + self.affine[:3, 3]
 
     def to_voxel(self, points: Array) -> Array:
         """Patient LPS (n, 3), mm, to voxel indices (n, 3), fractions kept."""
-        return np.linalg.solve(self.affine[:3, :3], (np.asarray(points) - self.affine[:3, 3]).T).T
+        offset = np.asarray(points, dtype=np.float64) - self.affine[:3, 3]
+        return np.asarray(np.linalg.solve(self.affine[:3, :3], offset.T).T, dtype=np.float64)
 
     def with_values(self, values: NDArray) -> Volume:
         """The same grid with other values."""
