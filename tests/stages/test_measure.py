@@ -46,9 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).mkdir()
     (folder / "case.toml").write_text(HEAD + SITE.format(name="p1") + TABLES)
     trace = record(rng, levels=FORCES)
-    rows = "\n".join(
-        f"{t:.4f};{f / 9.80665:.6f}".replace(".", ",") for t, f in zip(trace.time, trace.force, strict=True)
-    )
+    pairs = zip(trace.time, trace.force / 9.80665, strict=True)
+    rows = "\n".join(f"{time:.4f};{force:.6f}".replace(".", ",") for time, force in pairs)
     (folder / "cell.csv").write_text("t;F\n" + rows + "\n")
     tissue = speckle(rng)
     for k, row in enumerate(BONE_ROWS):

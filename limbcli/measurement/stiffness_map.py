@@ -1,0 +1,99 @@
+"""Stiffness from place to place: c(x) = 2 rho v0(x)^2 of the level-0 wave-speed map.
+
+The map lies in the image plane (lateral, depth). It is smoothed, extruded along
+elevation, and fades into its median where nothing was measured: a value that is
+neither invented nor a step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.spatial import cKDTree
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.elastography import SweMap, shear_modulus_from_wave_speed
+from limbcli.model import Array
+
+_LEAST_PIXELS = 12
+
+
+def stiffness_at(
+    swe: SweMap,
+    points: Array,
+    *,
+    density_kg_per_m3: float = 1000.0,
+    smoothing: float = 3.0,
+    fade: float = 6.0,
+    half_elevation: float = np.inf,
+) -> Array:
+    """c at points of a site's model.
+
+    Parameters
+    ----------
+    swe : the map of level 0, lateral along the model's x, depth along -z, mm
+    points : (n_points, 3) mm, frame of the site's model
+    smoothing : mm, SD of the Gaussian over the pixels (a wave-speed pixel averages as much)
+    fade : mm, distance over which a value fades into the median outside the map
+    half_elevation : mm, |y| up to which the map is extruded unchanged
+
+    Returns
+    -------
+    (n_points,) MPa; c = 2 mu
+
+    Raises
+    ------
+    MeasurementError
+        If the map has fewer than a dozen pixels or they lie on one line.
+    """
+    if len(swe) < _LEAST_PIXELS:
+        raise MeasurementError(
+            f"the wave-speed map of level 0 has {len(swe)} pixels; a stiffness map needs {_LEAST_PIXELS}",
+            where=str(swe.path),
+            fix="fit without --stiffness-map, or export the map with more pixels",
+        )
+    places = np.column_stack([swe.lateral, swe.depth])
+    c = 2.0 * shear_modulus_from_wave_speed(swe.speed_m_per_s, density_kg_per_m3=density_kg_per_m3)
+    log_c = _smoothed(places, np.log(c), smoothing)
+    inside = _interpolated(places, log_c, np.column_stack([points[:, 0], -points[:, 2]]), swe)
+    away = np.hypot(
+        cKDTree(places).query(np.column_stack([points[:, 0], -points[:, 2]]))[0] - _spacing(places),
+        np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0),
+    )
+    away = np.where(_within(places, points), np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0), away)
+    weight = np.exp(-0.5 * (np.maximum(away, 0.0) / fade) ** 2)
+    return np.exp(weight * inside + (1.0 - weight) * float(np.median(log_c)))
+
+
+def _smoothed(places: Array, values: Array, width: float) -> Array:
+    """Gaussian average over the pixels around each pixel."""
+    if width <= 0:
+        return values
+    tree = cKDTree(places)
+    near = tree.query_ball_point(places, 3.0 * width)
+    out = np.empty_like(values)
+    for k, each in enumerate(near):
+        weight = np.exp(-0.5 * ((places[each] - places[k]) ** 2).sum(axis=1) / width**2)
+        out[k] = weight @ values[each] / weight.sum()
+    return out
+
+
+def _interpolated(places: Array, values: Array, at: Array, swe: SweMap) -> Array:
+    """Linear inside the map's hull, the nearest pixel's value outside."""
+    if np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-6) < 2:
+        raise MeasurementError(
+            "the pixels of the wave-speed map lie on one line",
+            where=str(swe.path),
+            fix="export a map with rows and columns",
+        )
+    linear = LinearNDInterpolator(places, values)(at)
+    return np.where(np.isnan(linear), NearestNDInterpolator(places, values)(at), linear)
+
+
+def _within(places: Array, points: Array) -> Array:
+    hull = LinearNDInterpolator(places, np.ones(len(places)))
+    return np.isfinite(hull(np.column_stack([points[:, 0], -points[:, 2]])))
+
+
+def _spacing(places: Array) -> float:
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
