@@ -1,0 +1,103 @@
+"""From cells to a sparse matrix: equation numbers, fixed pattern, threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+
+from limbcli.model import Array, IntArray
+
+
+class Threads:
+    """Splits a range over a few threads; kernels release the interpreter's lock."""
+
+    def __init__(self, n: int):
+        self.n = max(1, n)
+        self._pool = ThreadPoolExecutor(self.n) if self.n > 1 else None
+
+    def run(self, task: Callable[[int, int, int], Any], n_items: int) -> list[Any]:
+        """task(worker, start, stop) over equal parts of range(n_items)."""
+        if self._pool is None or n_items < 64:
+            return [task(0, 0, n_items)]
+        edges = np.linspace(0, n_items, self.n + 1).astype(int)
+        futures = [self._pool.submit(task, k, int(edges[k]), int(edges[k + 1])) for k in range(self.n)]
+        return [each.result() for each in futures]
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Upper triangle of the stiffness matrix in CSR, and where node pairs go in it.
+
+    slots (n_pairs, 3, 3): place in the values, or -1; pairs: one array per list of cells
+    given, (n_cells, n (n + 1) / 2): 2 * pair + swapped, for a <= b row by row of b.
+    """
+
+    indptr: IntArray
+    indices: IntArray
+    slots: IntArray
+    pairs: tuple[IntArray, ...]
+
+    @property
+    def n(self) -> int:
+        return len(self.indptr) - 1
+
+    def matrix(self, values: Array) -> sparse.csr_matrix:
+        """The full symmetric matrix."""
+        upper = sparse.csr_matrix((values, self.indices, self.indptr), shape=(self.n, self.n))
+        return upper + sparse.triu(upper, 1, format="csr").T
+
+
+def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern:
+    """Pattern of a matrix whose entries couple nodes that share a cell.
+
+    equations (n_points, 3): equation number of each degree of freedom, -1 where it has none.
+    """
+    n_points = len(equations)
+    codes = [_pair_codes(cells, n_points) for cells in cell_lists]
+    keys = np.concatenate([low * n_points + high for low, high, _ in codes] or [np.zeros(0, dtype=np.int64)])
+    unique, inverse = np.unique(keys, return_inverse=True)
+    slots, indptr, indices = _slots(unique // n_points, unique % n_points, equations)
+    pairs, at = [], 0
+    for cells, (_, _, swapped) in zip(cell_lists, codes, strict=True):
+        n_pairs = cells.shape[1] * (cells.shape[1] + 1) // 2
+        size = len(cells) * n_pairs
+        part = 2 * inverse[at : at + size] + swapped
+        pairs.append(np.ascontiguousarray(part.reshape(len(cells), n_pairs), dtype=np.int64))
+        at += size
+    return Pattern(indptr, indices, slots, tuple(pairs))
+
+
+def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, IntArray]:
+    n = cells.shape[1]
+    a = np.concatenate([np.arange(b + 1) for b in range(n)])
+    b = np.concatenate([np.full(b + 1, b) for b in range(n)])
+    first, second = cells[:, a].ravel(), cells[:, b].ravel()
+    return np.minimum(first, second), np.maximum(first, second), (first > second).astype(np.int64)
+
+
+def _slots(low: IntArray, high: IntArray, equations: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    rows = np.broadcast_to(equations[low][:, :, None], (len(low), 3, 3))
+    columns = np.broadcast_to(equations[high][:, None, :], (len(low), 3, 3))
+    kept = (rows >= 0) & (columns >= 0)
+    diagonal = (low == high)[:, None, None]
+    kept &= ~diagonal | (np.arange(3)[:, None] <= np.arange(3)[None, :])
+    n = int(equations.max()) + 1 if equations.size else 0
+    r, c = rows[kept], columns[kept]
+    r, c = np.minimum(r, c), np.maximum(r, c)
+    order = np.lexsort((c, r))
+    slots = np.full((len(low), 3, 3), -1, dtype=np.int64)
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    slots[kept] = place
+    indptr = np.zeros(n + 1, dtype=np.int64)
+    np.cumsum(np.bincount(r, minlength=n), out=indptr[1:])
+    return slots, indptr, c[order]

@@ -1,0 +1,219 @@
+"""Equilibrium at one time: Newton's method with few factorisations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem import linear as linear_solvers
+from limbcli.fem.system import Forces, State, System
+from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+
+class NotConverged(SolveError):
+    """Newton's method gave up at one time; the caller may cut the step."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How equilibrium is sought.
+
+    tolerance : residual over the forces at play, both as norms
+    linear : "auto", "pardiso" or "superlu"
+    """
+
+    tolerance: float = 1e-6
+    max_iterations: int = 30
+    linear: str = "auto"
+    threads: int = 2
+    refresh_ratio: float = 0.2
+    forcing: float = 1e-2
+
+
+@dataclass
+class Counts:
+    """What the work cost."""
+
+    iterations: int = 0
+    residuals: int = 0
+    krylov: int = 0
+    factorisations: int = 0
+    retries: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Level:
+    """Where the load stands, for messages."""
+
+    number: int
+    n_levels: int
+    depth: float
+
+
+class Newton:
+    """Keeps the factor and the tangent of one system between times."""
+
+    def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
+        self.system, self.settings, self.progress = system, settings, progress
+        self.counts = Counts()
+        self.tangent: Tangent | None = None
+        self.inverse: Inverse | None = None
+        pattern = system.pattern
+        self.linear: Any = (
+            linear_solvers.make(
+                pattern.indptr, pattern.indices, kind=settings.linear, threads=settings.threads
+            )
+            if system.n_tissue
+            else None
+        )
+
+    @property
+    def linear_name(self) -> str:
+        return self.linear.name if self.linear is not None else "none"
+
+    def forces(self, state: State) -> Forces:
+        self.counts.residuals += 1
+        return self.system.forces(state)
+
+    def refresh(self, state: State, forces: Forces) -> None:
+        """Assemble and factor the tangent at a state."""
+        self.tangent = assemble(self.system, state, forces.nodal)
+        self.inverse = Inverse(self.tangent, state, self.linear)
+        self.counts.factorisations += 1
+
+    def solve_linear(self, state: State, rhs: Array, tolerance: float) -> Array:
+        """Solve with the exact contact tangent and the last elastic tangent."""
+        assert self.tangent is not None and self.inverse is not None
+        tangent, inverse = self.tangent, self.inverse
+        step, n, _ = gmres(lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance)
+        self.counts.krylov += n
+        return step
+
+    def predict(self, state: State, time: float) -> State:
+        """The state moved to `time` along the tangent: no element sees the whole step at once."""
+        system = self.system
+        forces = self.forces(state)
+        self.refresh(state, forces)
+        system.at(time)
+        aim = system.prescribed(state, time)
+        v = np.where(system.free, 0.0, aim.u - state.u)
+        motions = np.zeros((len(system.bodies), 6))
+        for b in range(len(system.bodies)):
+            motions[b, :3] = aim.bodies[b].shift - state.bodies[b].shift
+        change = system.tangent_times(state, v) if v[_coupled(system)].any() else np.zeros_like(v)
+        if system.pairs:
+            nodal, bodies = system.contact_times(state, v, motions)
+            change += nodal
+        forces_then = system.forces(State(time, state.u, state.bodies))
+        rhs = forces_then.residual.copy()
+        rhs[: system.n_tissue] += change[system.free]
+        if len(system.rigid) and system.pairs:
+            for k, (b, dof) in enumerate(system.rigid):
+                rhs[system.n_tissue + k] += bodies[b, dof]
+        return system.moved(aim, self.solve_linear(state, -rhs, 1e-3))
+
+    def equilibrate(self, guess: State, level: Level) -> tuple[State, Forces]:
+        """The equilibrium near a guess; raises NotConverged."""
+        system, settings = self.system, self.settings
+        system.at(guess.time)
+        state = guess
+        forces = self.forces(state)
+        if forces.worst <= 0:
+            raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
+        stale = self.tangent is None
+        for iteration in range(settings.max_iterations + 1):
+            self.report(level, iteration, forces)
+            if forces.error <= settings.tolerance:
+                return state, forces
+            if iteration == settings.max_iterations:
+                break
+            if stale or self.tangent is None:
+                self.refresh(state, forces)
+            self.counts.iterations += 1
+            step = self.solve_linear(state, -forces.residual, settings.forcing)
+            before = float(np.linalg.norm(forces.residual))
+            state, forces, length = self.search(state, forces, step)
+            ratio = float(np.linalg.norm(forces.residual)) / before
+            fresh = self.tangent is not None and not stale
+            stale = ratio > settings.refresh_ratio
+            if length == 0.0:
+                if fresh:
+                    stale = True
+                    continue
+                break
+        raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
+
+    def search(self, state: State, forces: Forces, step: Array) -> tuple[State, Forces, float]:
+        """Backtrack until no cell is inverted and the residual does not grow much."""
+        before = float(np.linalg.norm(forces.residual))
+        length = 1.0
+        best: tuple[float, State, Forces, float] | None = None
+        for _ in range(7):
+            trial = self.system.moved(state, length * step)
+            result = self.forces(trial)
+            size = float(np.linalg.norm(result.residual))
+            if result.worst > 0 and np.isfinite(size):
+                if size <= (1.0 - 0.1 * length) * before:
+                    return trial, result, length
+                if best is None or size < best[0]:
+                    best = (size, trial, result, length)
+            length *= 0.5
+        if best is None or best[0] > 2.0 * before:
+            self.forces(state)
+            return state, forces, 0.0
+        self.forces(best[1])
+        return best[1], best[2], best[3]
+
+    def report(self, level: Level, iteration: int, forces: Forces) -> None:
+        self.progress.event(
+            "newton",
+            step=level.number,
+            n_steps=level.n_levels,
+            iteration=iteration,
+            residual=forces.error,
+            target=self.settings.tolerance,
+            depth=level.depth,
+        )
+
+    def failure(
+        self, state: State, forces: Forces, level: Level, iteration: int, why: str
+    ) -> NotConverged:
+        """The error of a level that was not reached, with the worst place."""
+        system = self.system
+        if forces.worst <= 0:
+            k, cell = forces.place
+            nodes = system.groups[k].cells[cell]
+            place, what = (system.X + state.u)[nodes].mean(axis=0), "inverted cell"
+        else:
+            size = np.where(system.free, forces.nodal, 0.0)
+            node = int(np.argmax((size**2).sum(axis=1)))
+            place, what = (system.X + state.u)[node], f"largest at node {node}"
+        return NotConverged(
+            f"load level {level.number} of {level.n_levels} (time {state.time:.6g}, depth {level.depth:.2f} mm)"
+            f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
+            f" target {self.settings.tolerance:.0e}: {why}",
+            where=f"{what}, at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm",
+            fix="use more load steps; look at the mesh quality there; lower the contact penalty",
+            level=level.number,
+            residual=forces.error,
+            depth=level.depth,
+        )
+
+    def close(self) -> None:
+        if self.linear is not None:
+            self.linear.close()
+        self.system.close()
+
+
+def _coupled(system: System) -> Array:
+    """Nodes that belong to cells."""
+    used = np.zeros(len(system.X), dtype=bool)
+    for group in system.groups:
+        used[group.cells.ravel()] = True
+    return used

@@ -1,0 +1,145 @@
+"""Rigid bodies: what of their motion is given, what is free, and how tied nodes follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.model import Array, Drive, IntArray, LimbModel, RigidBody, Spring
+
+DOFS = ("x", "y", "z", "u", "v", "w")
+
+
+def rotation_matrix(vector: Array) -> Array:
+    """Rotation by |vector| radians about it (Rodrigues).
+
+    >>> rotation_matrix(np.array([0.0, 0.0, np.pi / 2])).round(12)[0, 1]
+    np.float64(-1.0)
+    """
+    angle = float(np.linalg.norm(vector))
+    cross = np.array(
+        [[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]], dtype=float
+    )
+    if angle < 1e-8:
+        return np.eye(3) + cross + 0.5 * cross @ cross
+    return np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross
+
+
+def rotation_vector(R: Array) -> Array:
+    """The inverse of `rotation_matrix`, for angles below pi."""
+    w = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = float(np.linalg.norm(w)), 0.5 * (np.trace(R) - 1)
+    return w if sine < 1e-12 else w * (np.arctan2(sine, cosine) / sine)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyState:
+    """Where a body is: translation of its centre (mm) and rotation."""
+
+    shift: Array
+    turn: Array
+
+    def moved(self, step: Array) -> BodyState:
+        """After a further translation and small rotation vector `step` (6)."""
+        return BodyState(self.shift + step[:3], rotation_matrix(step[3:]) @ self.turn)
+
+    def place(self, points: Array, center: Array) -> Array:
+        """Current places of points of the body, given their places at the start."""
+        return (points - center) @ self.turn.T + center + self.shift
+
+
+AT_REST = BodyState(np.zeros(3), np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body of the model.
+
+    drives : by degree of freedom ("x" .. "w"); one that has none is free
+    tied : node numbers of the tissue that move with it
+    """
+
+    name: str
+    center: Array
+    drives: dict[str, Drive]
+    tied: IntArray
+    points: IntArray
+    free: tuple[int, ...] = field(default=())
+
+    def given(self, dof: str) -> bool:
+        drive = self.drives.get(dof)
+        return drive is not None and drive.kind in ("fixed", "displacement", "rotation")
+
+
+def make_bodies(model: LimbModel, drives: tuple[Drive, ...]) -> list[Body]:
+    """The model's bodies with the drives in force."""
+    names = {body.name for body in model.bodies}
+    for each in drives:
+        if each.body not in names:
+            raise SolveError(
+                f"a drive for the unknown body {each.body!r}", where="rigid bodies", fix=f"use one of {names}"
+            )
+    return [_body(model, body, drives) for body in model.bodies]
+
+
+def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
+    mine: dict[str, Drive] = {}
+    for each in drives:
+        if each.body != body.name:
+            continue
+        before = mine.get(each.dof)
+        if before is not None and before != each:
+            raise SolveError(
+                f"body {body.name!r} has two drives for {each.dof}", where="rigid bodies", fix="keep one"
+            )
+        mine[each.dof] = each
+    tied = [model.mesh.node_sets[name] for name in body.node_sets]
+    blocks = [model.mesh.block(name).cells.ravel() for name in body.blocks]
+    result = Body(
+        body.name,
+        np.array(body.center_of_mass, dtype=float),
+        mine,
+        np.unique(np.concatenate(tied)) if tied else np.zeros(0, dtype=np.int64),
+        np.unique(np.concatenate(blocks)) if blocks else np.zeros(0, dtype=np.int64),
+    )
+    moves = bool(len(result.tied) or len(result.points)) or any(
+        body.name in (s.body_a, s.body_b) for s in model.springs
+    )
+    free = tuple(k for k, dof in enumerate(DOFS) if not result.given(dof)) if moves else ()
+    return Body(result.name, result.center, result.drives, result.tied, result.points, free)
+
+
+def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> tuple[Array, Array, Array]:
+    """Force and moment (6) on body a, on body b (at its own centre), and the stiffness (12, 12) of both.
+
+    The stiffness is the derivative of minus the forces with respect to the motions
+    (translation, rotation) of a and b.
+    """
+    (a, sa), (b, sb) = bodies[spring.body_a], bodies[spring.body_b]
+    end_a, end_b = np.array(spring.insertion_a, dtype=float), np.array(spring.insertion_b, dtype=float)
+    ra, rb = sa.turn @ (end_a - a.center), sb.turn @ (end_b - b.center)
+    line = (b.center + sb.shift + rb) - (a.center + sa.shift + ra)
+    length = float(np.linalg.norm(line))
+    if length == 0.0:
+        raise SolveError(
+            f"spring {spring.name!r} has no length", where="rigid springs", fix="move an insertion point"
+        )
+    unit = line / length
+    tension = spring.stiffness * (length - spring.free_length)
+    along = np.outer(unit, unit)
+    k = spring.stiffness * along + tension / length * (np.eye(3) - along)
+    pull = tension * unit
+    on_a = np.concatenate([pull, np.cross(ra, pull)])
+    on_b = -np.concatenate([pull, np.cross(rb, pull)])
+    B = np.concatenate([-np.eye(3), skew(ra), np.eye(3), -skew(rb)], axis=1)  # d(line)
+    K = B.T @ k @ B
+    K[3:6, 3:6] -= skew(pull) @ skew(ra)  # the arms turn
+    K[9:12, 9:12] += skew(pull) @ skew(rb)
+    return on_a, on_b, K
+
+
+def skew(v: Array) -> Array:
+    """Matrix of the cross product v x."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]], dtype=float)

@@ -1,0 +1,192 @@
+"""The tangent as an operator, its approximate inverse, and the Krylov method between them.
+
+The operator is the elastic tangent of the last assembly plus the *exact* contact
+tangent, which is not symmetric. The approximate inverse is the factor of the
+symmetric part, possibly of an earlier state. GMRES closes the gap in a few
+iterations, so that neither a non-symmetric factorisation nor a fresh one is needed.
+Rigid unknowns are a border of dense columns, eliminated by their Schur complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+
+from limbcli.errors import SolveError
+from limbcli.fem.linear import LinearSolver
+from limbcli.fem.system import State, System
+from limbcli.model import Array
+
+
+@dataclass(eq=False)
+class Tangent:
+    """Elastic tangent assembled at `state`, with the border of the rigid unknowns.
+
+    columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
+    corner (n_rigid, n_rigid) : springs and the turning of tied forces
+    """
+
+    system: System
+    state: State
+    upper: sparse.csr_matrix
+    columns: Array
+    corner: Array
+
+    def times(self, state: State, step: Array) -> Array:
+        """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
+        system = self.system
+        n = system.n_tissue
+        x = step[:n]
+        out = np.zeros_like(step)
+        diagonal = self.upper.diagonal()
+        out[:n] = self.upper @ x + self.upper.T @ x - diagonal * x
+        motions = system.motions(step)
+        v = np.zeros_like(state.u)
+        v[system.free] = x
+        for k, column in enumerate(self.columns):
+            out[:n] += column[system.free] * step[n + k]
+            out[n + k] += column[system.free] @ x
+        out[n:] += self.corner @ step[n:]
+        if system.pairs:
+            v += system.follow(state, motions)
+            nodal, bodies = system.contact_times(state, v, motions)
+            out[:n] += nodal[system.free]
+            for k, (b, dof) in enumerate(system.rigid):
+                out[n + k] += bodies[b, dof]
+        return out
+
+
+def assemble(system: System, state: State, nodal: Array) -> Tangent:
+    """The tangent at a state; `nodal` are the forces there."""
+    values = system.stiffness(state)
+    shape = (system.n_tissue, system.n_tissue)
+    upper = sparse.csr_matrix((values, system.pattern.indices, system.pattern.indptr), shape=shape)
+    columns, corner = _border(system, state, nodal)
+    return Tangent(system, state, upper, columns, corner)
+
+
+def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
+    n = len(system.rigid)
+    columns = np.zeros((n, *system.X.shape)) if n else np.zeros((0, 1, 3))
+    corner = np.zeros((n, n))
+    if not n:
+        return columns, corner
+    follows = []
+    for k, (b, dof) in enumerate(system.rigid):
+        motion = np.zeros((len(system.bodies), 6))
+        motion[b, dof] = 1.0
+        v = system.follow(state, motion)
+        follows.append(v)
+        if v.any():
+            columns[k] = system.tangent_times(state, v)
+    springs = system.spring_stiffness(state)
+    for i, (b, dof) in enumerate(system.rigid):
+        for j, (c, other) in enumerate(system.rigid):
+            corner[i, j] = springs[6 * b + dof, 6 * c + other] + (follows[i] * columns[j]).sum()
+            if b == c and dof >= 3 and other >= 3 and len(system.bodies[b].tied):
+                corner[i, j] += system.tied_turning(state, nodal, b)[dof - 3, other - 3]
+    return columns, corner
+
+
+class Inverse:
+    """Approximate inverse of a tangent: factor of its symmetric part, and the border's Schur complement."""
+
+    def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
+        self.linear = linear
+        system = tangent.system
+        self.n = system.n_tissue
+        if self.n:
+            linear.factor(system.add_contact(tangent.upper.data))
+        n_rigid = len(system.rigid)
+        self.border = np.zeros((system.n_unknowns, n_rigid))
+        for k in range(n_rigid):
+            unit = np.zeros(system.n_unknowns)
+            unit[self.n + k] = 1.0
+            self.border[:, k] = tangent.times(state, unit)
+        self.solved = np.zeros((self.n, n_rigid))
+        for k in range(n_rigid):
+            self.solved[:, k] = linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
+        schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
+        if n_rigid:
+            check_rigid_modes(system, schur, self.border[self.n :])
+        self.schur = schur
+
+    def __call__(self, rhs: Array) -> Array:
+        out = np.empty_like(rhs)
+        x = self.linear.solve(rhs[: self.n]) if self.n else rhs[:0]
+        if len(rhs) > self.n:
+            rho = np.linalg.solve(self.schur, rhs[self.n :] - self.border[: self.n].T @ x)
+            out[self.n :] = rho
+            x = x - self.solved @ rho
+        out[: self.n] = x
+        return out
+
+
+def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
+    """Raise where a rigid unknown meets no resistance."""
+    scale = np.abs(np.diag(corner)).max(initial=0.0)
+    weak = np.abs(np.diag(schur)) <= 1e-9 * scale
+    if scale == 0.0 or weak.any() or not np.isfinite(schur).all():
+        k = int(np.argmin(np.abs(np.diag(schur))))
+        b, dof = system.rigid[k]
+        name, which = system.bodies[b].name, "xyzuvw"[dof]
+        raise SolveError(
+            f"rigid body {name!r} moves freely along {which!r}: nothing resists it",
+            where=f"rigid body {name!r}, degree of freedom {which!r}",
+            fix="fix or prescribe this degree of freedom, or let the probe touch the skin at the start",
+            body=name,
+            dof=which,
+        )
+
+
+def gmres(
+    apply: Callable[[Array], Array],
+    inverse: Callable[[Array], Array],
+    rhs: Array,
+    *,
+    tolerance: float,
+    max_iterations: int = 60,
+    first: Array | None = None,
+) -> tuple[Array, int, float]:
+    """Right-preconditioned GMRES: (solution, iterations, reached relative residual).
+
+    first : inverse(rhs), where the caller has it already
+    """
+    norm = float(np.linalg.norm(rhs))
+    if norm == 0.0:
+        return np.zeros_like(rhs), 0, 0.0
+    V, Z = [rhs / norm], []
+    H = np.zeros((max_iterations + 1, max_iterations))
+    beta = np.zeros(max_iterations + 1)
+    beta[0] = norm
+    cs, sn = np.zeros(max_iterations), np.zeros(max_iterations)
+    k = 0
+    for k in range(max_iterations):
+        z = first / norm if (k == 0 and first is not None) else inverse(V[k])
+        w = apply(z)
+        Z.append(z)
+        for _ in range(2):  # twice is enough
+            for j in range(k + 1):
+                h = float(V[j] @ w)
+                H[j, k] += h
+                w = w - h * V[j]
+        H[k + 1, k] = float(np.linalg.norm(w))
+        for j in range(k):
+            H[j, k], H[j + 1, k] = cs[j] * H[j, k] + sn[j] * H[j + 1, k], -sn[j] * H[j, k] + cs[j] * H[j + 1, k]
+        length = float(np.hypot(H[k, k], H[k + 1, k]))
+        if length == 0.0:
+            break
+        cs[k], sn[k] = H[k, k] / length, H[k + 1, k] / length
+        last = H[k + 1, k]
+        H[k, k], H[k + 1, k] = length, 0.0
+        beta[k + 1] = -sn[k] * beta[k]
+        beta[k] = cs[k] * beta[k]
+        if abs(beta[k + 1]) <= tolerance * norm or last == 0.0:
+            break
+        V.append(w / last)
+    size = k + 1
+    y = np.linalg.solve(H[:size, :size], beta[:size])
+    return np.array(Z[:size]).T @ y, size, abs(float(beta[size])) / norm

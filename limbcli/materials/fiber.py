@@ -1,0 +1,106 @@
+"""Fibres along a0: exponential-power law, and prescribed active contraction.
+
+`fiber-exp-pow` (tension only, I4 = a0.C.a0 >= lam0^2):
+    W = ksi/(alpha beta) (exp(alpha (I4 - 1)^beta) - 1) + mu/4 a0.(C - 1)^2.a0
+(alpha = 0: ksi/beta (I4 - 1)^beta). Below lam0^2 fibre and shear term vanish both.
+
+Active contraction: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
+
+Source: FEBio User Manual 4.0, "Fiber with Exponential-Power Law" and "Prescribed
+Fiber Active Contraction".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
+
+KSI, ALPHA, BETA, MU, LAM0, A0 = 0, 1, 2, 3, 4, 5
+
+
+@njit(cache=True)
+def fibre_dyad(par, off, A):
+    """A = a0 a0 (6) from the direction at par[off:off+3]."""
+    for p in range(6):
+        A[p] = par[off + FIRST[p]] * par[off + SECOND[p]]
+
+
+@njit(cache=True)
+def fibre_square(A, C):
+    """I4 = a0.C.a0."""
+    return A[0] * C[0] + A[1] * C[1] + A[2] * C[2] + 2.0 * (A[3] * C[3] + A[4] * C[4] + A[5] * C[5])
+
+
+@njit(cache=True)
+def symmetric_product(A, C, p):
+    """Component p of sym(A C)."""
+    i, j = FIRST[p], SECOND[p]
+    total = 0.0
+    for k in range(3):
+        total += A[VOIGT[i, k]] * C[VOIGT[k, j]] + A[VOIGT[j, k]] * C[VOIGT[k, i]]
+    return 0.5 * total
+
+
+@njit(cache=True)
+def add_fiber(par, off, C, A, S, CC, tangent):
+    ksi, alpha, beta, mu = par[off], par[off + ALPHA], par[off + BETA], par[off + MU]
+    fibre_dyad(par, off + A0, A)
+    I4 = fibre_square(A, C)
+    if I4 < par[off + LAM0] ** 2:
+        return
+    x = I4 - 1.0
+    slope, curve = 0.0, 0.0
+    if x > 0.0:
+        e = np.exp(alpha * x**beta)
+        slope = ksi * x ** (beta - 1.0) * e
+        if tangent:
+            curve = ksi * e * (alpha * beta * x ** (2.0 * beta - 2.0))
+            if beta == 2.0:
+                curve += ksi * e
+            else:
+                curve += ksi * e * (beta - 1.0) * x ** (beta - 2.0)
+    for p in range(6):
+        S[p] += (2.0 * slope - mu) * A[p] + mu * symmetric_product(A, C, p)
+    if not tangent:
+        return
+    add_outer(CC, 4.0 * curve, A, A)
+    for p in range(6):  # 2 mu d sym(A C)/dC
+        i, j = FIRST[p], SECOND[p]
+        for q in range(6):
+            k, l = FIRST[q], SECOND[q]
+            value = 0.0
+            if j == l:
+                value += A[VOIGT[i, k]]
+            if j == k:
+                value += A[VOIGT[i, l]]
+            if i == l:
+                value += A[VOIGT[j, k]]
+            if i == k:
+                value += A[VOIGT[j, l]]
+            CC[p, q] += 0.5 * mu * value
+
+
+@njit(cache=True)
+def add_fiber_derivative(par, off, which, C, A, S):
+    """dS with respect to alpha (1) or beta (2)."""
+    ksi, alpha, beta = par[off], par[off + ALPHA], par[off + BETA]
+    fibre_dyad(par, off + A0, A)
+    I4 = fibre_square(A, C)
+    x = I4 - 1.0
+    if I4 < par[off + LAM0] ** 2 or x <= 0.0:
+        return
+    power = x**beta
+    slope = ksi * x ** (beta - 1.0) * np.exp(alpha * power)
+    change = slope * power if which == ALPHA else slope * np.log(x) * (1.0 + alpha * power)
+    for p in range(6):
+        S[p] += 2.0 * change * A[p]
+
+
+@njit(cache=True)
+def add_contraction(par, off, A, S):
+    """par[off:] = T0, a0x, a0y, a0z."""
+    fibre_dyad(par, off + 1, A)
+    for p in range(6):
+        S[p] += par[off] * A[p]

@@ -1,0 +1,48 @@
+"""Isotropic laws in principal axes: from Kirchhoff stresses to S and its tangent.
+
+A law gives, per principal axis i, the Kirchhoff stress tau_i, the matrix
+a_ij = d tau_i / d ln(l_j) and the quotients d_ij = (tau_j - tau_i) / (l_j^2 - l_i^2)
+(with their limit when stretches meet). Everything else is common to all laws:
+S_i = tau_i / l_i^2, the normal block (a_ij - 2 tau_i delta_ij) / (l_i^2 l_j^2) and the
+shear terms (d_ij - tau_i / l_i^2) / l_j^2.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from limbcli.materials.tensors import FIRST, SECOND
+
+
+@njit(cache=True)
+def add_principal(squares, vectors, tau, a, d, S, CC, tangent):
+    """S += sum S_i r_i r_i and, if wanted, its tangent. d holds d_01, d_12, d_02.
+
+    squares (3): principal values of C; vectors (3, 3): their directions in columns.
+    """
+    for i in range(3):
+        s = tau[i] / squares[i]
+        for p in range(6):
+            S[p] += s * vectors[FIRST[p], i] * vectors[SECOND[p], i]
+    if not tangent:
+        return
+    for i in range(3):
+        for j in range(3):
+            value = a[i, j]
+            if i == j:
+                value -= 2.0 * tau[i]
+            value /= squares[i] * squares[j]
+            for p in range(6):
+                left = value * vectors[FIRST[p], i] * vectors[SECOND[p], i]
+                for q in range(6):
+                    CC[p, q] += left * vectors[FIRST[q], j] * vectors[SECOND[q], j]
+    for pair in range(3):
+        i = 1 if pair == 1 else 0
+        j = 1 if pair == 0 else 2
+        g = (d[pair] - tau[i] / squares[i]) / squares[j]
+        for p in range(6):
+            k, l = FIRST[p], SECOND[p]
+            left = g * (vectors[k, i] * vectors[l, j] + vectors[l, i] * vectors[k, j])
+            for q in range(6):
+                k2, l2 = FIRST[q], SECOND[q]
+                CC[p, q] += left * (vectors[k2, i] * vectors[l2, j] + vectors[l2, i] * vectors[k2, j])

@@ -1,0 +1,260 @@
+"""From a `Material` to the rows of numbers that the kernels read.
+
+`compile_material` flattens a law (with its mixtures and wrappers) into leaves;
+`Compiled.rows` evaluates the numbers at a time; `Compiled.derivative` gives the
+programs whose stress is the derivative with respect to one parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.materials.laws import LAWS, LEAVES, Law
+from limbcli.model import Array, Curved, ElementMap, IntArray, Material, Value
+
+CurveAt = Callable[[str], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """ops (n_leaves, 3), par (1 or n_cells, n_numbers); factor: weight of each cell, or None."""
+
+    ops: IntArray
+    par: Array
+    factor: Array | None = None
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One elementary law: `path` is its place in the tree ("", "0", "1" ...)."""
+
+    path: str
+    law: Law
+    name: str
+    parameters: Mapping[str, Value]
+
+    @property
+    def n_slots(self) -> int:
+        return len(self.law.slots({key: 1.0 for key in self.parameters})) + (3 if self.law.fiber else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A material flattened: leaves, Prony series (g0, ((g, t), ...)), prestrain (F0, ramp)."""
+
+    name: str
+    leaves: tuple[Leaf, ...]
+    prony: tuple[float, tuple[tuple[float, float], ...]] | None = None
+    prestrain: tuple[Array, Value] | None = None
+    _offsets: tuple[int, ...] = field(default=())
+
+    @property
+    def varies(self) -> bool:
+        """Whether a number follows a load curve."""
+        return any(isinstance(v, Curved) for leaf in self.leaves for v in leaf.parameters.values())
+
+    def program(self, n_cells: int, curve: CurveAt) -> Program:
+        """The stress program at the time for which `curve` gives the load curves' values."""
+        columns = [c for leaf in self.leaves for c in _columns(leaf, _numbers(leaf, curve))]
+        return Program(self._ops(), _stack(columns, n_cells))
+
+    def _ops(self) -> IntArray:
+        rows, offset = [], 0
+        for leaf in self.leaves:
+            rows.append((leaf.law.kernel, offset, leaf.law.extra(leaf.parameters)))
+            offset += leaf.n_slots
+        return np.array(rows, dtype=np.int64).reshape(-1, 3)
+
+    def find(self, parameter: str) -> tuple[Leaf, str]:
+        """The leaf and name behind "c1" or, where several leaves have it, "0.c1"."""
+        path, _, name = parameter.rpartition(".")
+        found = [
+            leaf for leaf in self.leaves if name in leaf.parameters and (not path or leaf.path == path)
+        ]
+        if len(found) != 1:
+            known = sorted(_address(leaf, key, self.leaves) for leaf in self.leaves for key in leaf.parameters)
+            raise SolveError(
+                f"material {self.name!r} has {'no' if not found else 'several'} parameters {parameter!r}",
+                where=f"derivative with respect to {self.name}.{parameter}",
+                fix=f"use one of {', '.join(known)}",
+            )
+        return found[0], name
+
+    def derivative(
+        self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None
+    ) -> list[Program]:
+        """Programs whose stresses add up to dS/d(parameter), all else held.
+
+        weights (n_cells,): the parameter moves by weights * theta, cell by cell (a map
+        coefficient); None: by theta everywhere.
+        """
+        leaf, name = self.find(parameter)
+        numbers = _numbers(leaf, curve)
+        step = 1e-30
+        factor = 1.0 if weights is None else weights
+        if isinstance(leaf.parameters[name], Curved):
+            factor = factor * curve(leaf.parameters[name].curve)  # type: ignore[union-attr]
+        changed = leaf.law.slots({**numbers, name: numbers[name] + 1j * step * factor})
+        slots = _columns(leaf, numbers)
+        slopes = [np.imag(each) / step for each in changed]
+        return _derivative_programs(leaf, slots, slopes, n_cells)
+
+
+def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cells: int) -> list[Program]:
+    programs = []
+    linear = {k for k in range(len(slopes)) if k not in leaf.law.kernels}
+    extra = leaf.law.extra(leaf.parameters)
+    if any(np.any(slopes[k] != 0.0) for k in linear):
+        columns = [slopes[k] if k in linear else slots[k] for k in range(len(slopes))]
+        columns += slots[len(slopes) :]
+        ops = np.array([[leaf.law.kernel, 0, extra]], dtype=np.int64)
+        programs.append(Program(ops, _stack(columns, n_cells)))
+    for slot, (kernel, which) in leaf.law.kernels.items():
+        if slot < len(slopes) and np.any(slopes[slot] != 0.0) and kernel:
+            ops = np.array([[kernel, 0, which]], dtype=np.int64)
+            factor = np.broadcast_to(np.asarray(slopes[slot], dtype=float), (n_cells,)).copy()
+            programs.append(Program(ops, _stack(slots, n_cells), factor))
+    return programs
+
+
+def compile_material(material: Material, name: str) -> Compiled:
+    """Flatten a material; a law or parameter that is unknown or missing raises, nothing is guessed."""
+    prony, prestrain = None, None
+    if material.law == "prestrain":
+        prestrain = _prestrain(material, name)
+        (material,) = material.parts
+    if material.law == "viscoelastic":
+        prony = _prony(material, name)
+        (material,) = material.parts
+    return Compiled(name, tuple(_leaves(material, name, "")), prony, prestrain)
+
+
+def _leaves(material: Material, name: str, path: str) -> list[Leaf]:
+    if material.law == "mixture":
+        if not material.parts:
+            raise _problem(name, "a mixture without solids", "give it at least one solid")
+        inside = f"{path}." if path else ""
+        return [
+            leaf for k, part in enumerate(material.parts) for leaf in _leaves(part, name, f"{inside}{k}")
+        ]
+    law = LEAVES.get(material.law)
+    if law is None:
+        nested = material.law in LAWS
+        what = f"the law {material.law!r} inside another law" if nested else f"the law {material.law!r}"
+        raise _problem(
+            name, f"the reference solver has no {what}", f"use one of {', '.join(LAWS)}, or run FEBio"
+        )
+    return [Leaf(path, law, material.law, _checked(material, law, name))]
+
+
+def _checked(material: Material, law: Law, name: str) -> dict[str, Value]:
+    given = dict(material.parameters)
+    known = {*law.parameters, *(("fiber",) if law.fiber else ())}
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise _problem(
+            name,
+            f"law {material.law!r} has no parameter {unknown[0]!r}",
+            f"use {', '.join(sorted(known))}",
+        )
+    missing = [key for key, default in law.parameters.items() if default is None and key not in given]
+    missing += ["fiber"] if law.fiber and "fiber" not in given else []
+    if missing:
+        raise _problem(name, f"law {material.law!r} misses {', '.join(missing)}", "give a value")
+    optional = {key: value for key, value in law.parameters.items() if value is not None}
+    if material.law in ("ogden", "ogden_uncoupled"):
+        optional = {}
+        _check_terms(given, name)
+    for key in law.positive:
+        value = given.get(key)
+        if isinstance(value, float | int) and not value > 0:
+            raise _problem(name, f"{key} = {value} is not positive", f"give a positive {key}")
+    return {**optional, **given}
+
+
+def _check_terms(given: Mapping[str, Value], name: str) -> None:
+    for key, value in given.items():
+        if key.startswith("c") and f"m{key[1:]}" not in given:
+            raise _problem(name, f"{key} without m{key[1:]}", f"give m{key[1:]}")
+        if key.startswith("m") and isinstance(value, float | int) and value == 0:
+            raise _problem(name, f"the exponent {key} is 0", "give an exponent that is not 0")
+
+
+def _prony(material: Material, name: str) -> tuple[float, tuple[tuple[float, float], ...]]:
+    values = {key: _plain(value, key, name) for key, value in material.parameters.items()}
+    terms = []
+    for k in range(1, 7):
+        g, t = values.pop(f"g{k}", 0.0), values.pop(f"t{k}", None)
+        if g != 0.0:
+            if t is None or not t > 0:
+                raise _problem(name, f"g{k} without a positive t{k}", f"give t{k} > 0")
+            terms.append((g, t))
+    g0 = values.pop("g0", 1.0)
+    if values:
+        raise _problem(name, f"viscoelastic has no parameter {min(values)!r}", "use g0, g1..g6, t1..t6")
+    return g0, tuple(terms)
+
+
+def _prestrain(material: Material, name: str) -> tuple[Array, Value]:
+    gradient = material.parameters.get("F0")
+    if not isinstance(gradient, tuple) or len(gradient) != 9:
+        raise _problem(name, "prestrain without a constant F0 of nine numbers", "give F0 as nine numbers")
+    F0 = np.array(gradient, dtype=float).reshape(3, 3)
+    if not np.linalg.det(F0) > 0:
+        raise _problem(name, "the prestrain gradient has no positive determinant", "correct F0")
+    return F0, material.parameters.get("ramp", 1.0)
+
+
+def _plain(value: Value, key: str, name: str) -> float:
+    if not isinstance(value, float | int):
+        raise _problem(name, f"{key} must be a plain number here", f"give one number for {key}")
+    return float(value)
+
+
+def _numbers(leaf: Leaf, curve: CurveAt) -> dict[str, Any]:
+    """Parameters as floats or arrays (n_cells,) at a time."""
+    return {key: _evaluate(value, curve) for key, value in leaf.parameters.items()}
+
+
+def _evaluate(value: Value, curve: CurveAt) -> Any:
+    if isinstance(value, Curved):
+        return value.value * curve(value.curve)
+    if isinstance(value, ElementMap):
+        return np.asarray(value.values, dtype=float)
+    if isinstance(value, tuple):
+        return np.asarray(value, dtype=float)
+    return float(value)
+
+
+def _columns(leaf: Leaf, numbers: Mapping[str, Any]) -> list[Any]:
+    columns = list(leaf.law.slots(numbers))
+    if leaf.law.fiber:
+        direction = np.atleast_2d(numbers["fiber"])
+        length = np.linalg.norm(direction, axis=1)
+        if not (length > 0).all():
+            raise _problem(leaf.name, "a fibre direction has no length", "give unit vectors")
+        columns += list((direction / length[:, None]).T)
+    return columns
+
+
+def _stack(columns: list[Any], n_cells: int) -> Array:
+    arrays = [np.atleast_1d(np.asarray(each, dtype=float)) for each in columns]
+    rows = max((len(each) for each in arrays), default=1)
+    rows = 1 if rows == 1 else n_cells
+    return np.ascontiguousarray(
+        np.stack([np.broadcast_to(each, (rows,)) for each in arrays], axis=1), dtype=float
+    )
+
+
+def _address(leaf: Leaf, key: str, leaves: tuple[Leaf, ...]) -> str:
+    alone = sum(key in each.parameters for each in leaves) == 1
+    return key if alone else f"{leaf.path}.{key}"
+
+
+def _problem(name: str, what: str, fix: str) -> SolveError:
+    return SolveError(f"material {name!r}: {what}", where=f"material {name!r}", fix=fix)

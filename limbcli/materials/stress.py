@@ -1,0 +1,63 @@
+"""Stresses of a law at given deformation gradients, outside a simulation.
+
+For tests, plots and the wave-speed prediction; a simulation uses the same kernels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.materials.dispatch import second_piola, workspace
+from limbcli.materials.program import compile_material
+from limbcli.materials.tensors import VOIGT
+from limbcli.model import Array, Material
+
+
+@njit(cache=True)
+def _evaluate(F, ops, par, S, CC, tangent):
+    work = workspace()
+    J = np.empty(F.shape[0])
+    for k in range(F.shape[0]):
+        row = k if par.shape[0] > 1 else 0
+        J[k] = second_piola(F[k], ops, par[row], S[k], CC[k], tangent, work)
+    return J
+
+
+def second_piola_kirchhoff(material: Material, F: Array, *, time_s: float = 0.0) -> tuple[Array, Array]:
+    """S (n, 3, 3) MPa and its tangent CC = dS/dE (n, 3, 3, 3, 3) of an elastic law at F (n, 3, 3).
+
+    Load curves count as 1. Where det F <= 0 both are zero.
+    """
+    F = np.ascontiguousarray(F, dtype=float)
+    program = compile_material(material, material.law).program(len(F), lambda name: 1.0)
+    S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
+    _evaluate(F, program.ops, program.par, S, CC, True)
+    return S[:, VOIGT], CC[:, VOIGT][:, :, :, VOIGT]
+
+
+def cauchy_stress(material: Material, F: Array) -> Array:
+    """Cauchy stress F S F' / J (n, 3, 3) in MPa at F (n, 3, 3).
+
+    >>> from limbcli.materials import ogden_type
+    >>> F = np.diag([1.0, 1.0, 0.9])[None]
+    >>> bool(abs(cauchy_stress(ogden_type(c=0.005, f_kappa=1.0, m=2.0), F)[0, 2, 2] + 0.0016196) < 1e-6)
+    True
+    """
+    F = np.asarray(F, dtype=float)
+    S, _ = second_piola_kirchhoff(material, F)
+    return F @ S @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
+
+
+def young_modulus(C: Array, normals: Array) -> Array:
+    """1 / (nn : C^-1 : nn): uniaxial stiffness along `normals` (n, 3) of tangents C (n, 6, 6), Voigt.
+
+    FEBio's automatic contact penalty is built on it, with C taken at F = 1.
+    """
+    engineering = np.linalg.inv(C)
+    n = normals
+    stress = np.stack(
+        [n[:, 0] ** 2, n[:, 1] ** 2, n[:, 2] ** 2, n[:, 0] * n[:, 1], n[:, 1] * n[:, 2], n[:, 0] * n[:, 2]],
+        axis=1,
+    )
+    return 1.0 / np.einsum("np,npq,nq->n", stress, engineering, stress)

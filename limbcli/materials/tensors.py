@@ -1,0 +1,139 @@
+"""Small symmetric tensors inside compiled kernels.
+
+Symmetric tensors are six numbers in the order xx, yy, zz, xy, yz, xz (tensor
+components, no factor 2 on the shears). A tangent CC is 6x6 with
+CC[IJ, KL] = dS_IJ / dE_KL in tensor components, so that dS = sum over all nine KL.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# place of (i, j) among the six
+VOIGT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]], dtype=np.int64)
+FIRST = np.array([0, 1, 2, 0, 1, 0], dtype=np.int64)
+SECOND = np.array([0, 1, 2, 1, 2, 2], dtype=np.int64)
+
+
+@njit(cache=True, inline="always")
+def determinant(F):
+    return (
+        F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
+        - F[0, 1] * (F[1, 0] * F[2, 2] - F[1, 2] * F[2, 0])
+        + F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
+    )
+
+
+@njit(cache=True)
+def right_cauchy_green(F, C):
+    """C = F'F into C (6)."""
+    for q in range(6):
+        i, j = FIRST[q], SECOND[q]
+        C[q] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
+
+
+@njit(cache=True)
+def inverse6(C, D):
+    """Inverse of a symmetric tensor of six numbers into D."""
+    a, b, c, d, e, f = C[0], C[1], C[2], C[3], C[4], C[5]
+    det = a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f)
+    D[0] = (b * c - e * e) / det
+    D[1] = (a * c - f * f) / det
+    D[2] = (a * b - d * d) / det
+    D[3] = (e * f - d * c) / det
+    D[4] = (d * f - a * e) / det
+    D[5] = (d * e - b * f) / det
+
+
+@njit(cache=True)
+def eigen6(C, values, vectors):
+    """Eigenvalues and orthonormal eigenvectors (columns) of a symmetric tensor.
+
+    Cyclic Jacobi: slower than the closed form, but the vectors stay orthonormal
+    to round-off however close the eigenvalues are.
+    """
+    a00, a11, a22, a01, a12, a02 = C[0], C[1], C[2], C[3], C[4], C[5]
+    for i in range(3):
+        for j in range(3):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    scale = (abs(a00) + abs(a11) + abs(a22)) * 1e-17
+    for _ in range(12):
+        if abs(a01) + abs(a02) + abs(a12) <= scale:
+            break
+        if abs(a01) > 0.0:
+            theta = 0.5 * (a11 - a00) / a01
+            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+            if theta < 0.0:
+                t = -t
+            c = 1.0 / np.sqrt(t * t + 1.0)
+            s = t * c
+            a00 -= t * a01
+            a11 += t * a01
+            a01 = 0.0
+            x, y = a02, a12
+            a02 = c * x - s * y
+            a12 = s * x + c * y
+            for k in range(3):
+                x, y = vectors[k, 0], vectors[k, 1]
+                vectors[k, 0] = c * x - s * y
+                vectors[k, 1] = s * x + c * y
+        if abs(a02) > 0.0:
+            theta = 0.5 * (a22 - a00) / a02
+            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+            if theta < 0.0:
+                t = -t
+            c = 1.0 / np.sqrt(t * t + 1.0)
+            s = t * c
+            a00 -= t * a02
+            a22 += t * a02
+            a02 = 0.0
+            x, y = a01, a12
+            a01 = c * x - s * y
+            a12 = s * x + c * y
+            for k in range(3):
+                x, y = vectors[k, 0], vectors[k, 2]
+                vectors[k, 0] = c * x - s * y
+                vectors[k, 2] = s * x + c * y
+        if abs(a12) > 0.0:
+            theta = 0.5 * (a22 - a11) / a12
+            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+            if theta < 0.0:
+                t = -t
+            c = 1.0 / np.sqrt(t * t + 1.0)
+            s = t * c
+            a11 -= t * a12
+            a22 += t * a12
+            a12 = 0.0
+            x, y = a01, a02
+            a01 = c * x - s * y
+            a02 = s * x + c * y
+            for k in range(3):
+                x, y = vectors[k, 1], vectors[k, 2]
+                vectors[k, 1] = c * x - s * y
+                vectors[k, 2] = s * x + c * y
+    values[0] = a00
+    values[1] = a11
+    values[2] = a22
+
+
+@njit(cache=True)
+def add_outer(CC, factor, a, b):
+    """CC += factor a (x) b."""
+    for p in range(6):
+        for q in range(6):
+            CC[p, q] += factor * a[p] * b[q]
+
+
+@njit(cache=True)
+def add_square(CC, factor, A):
+    """CC += factor times the symmetric square A (.) A: 1/2 (A_IK A_JL + A_IL A_JK)."""
+    for p in range(6):
+        i, j = FIRST[p], SECOND[p]
+        for q in range(6):
+            k, l = FIRST[q], SECOND[q]
+            CC[p, q] += (
+                0.5
+                * factor
+                * (A[VOIGT[i, k]] * A[VOIGT[j, l]] + A[VOIGT[i, l]] * A[VOIGT[j, k]])
+            )
