@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+PROGRESS_FILE = "progress.jsonl"
+
 Listener = Callable[[str, dict[str, Any]], None]
 
 

@@ -12,7 +12,7 @@ from limbcli.reporting.figures.convergence import FitWalk
 from limbcli.reporting.numbers import DASH, number
 from limbcli.results import StageResult
 
-MOONEY_RIVLIN, OGDEN = "mooney_rivlin", "ogden"
+MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 STEP_NAMES = {MOONEY_RIVLIN: "Mooney-Rivlin type", OGDEN: "Ogden type"}
 
 

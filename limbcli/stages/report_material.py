@@ -80,7 +80,7 @@ def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
             continue
         found.setdefault("residuals", read_residuals(outcome.result))
         try:
-            state = read_deformed(outcome.result, outcomes.of("mesh", material.name).result)
+            state = read_deformed(outcome.result)
         except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
             found["why_not_deformed"] = f"The deformed model of “{outcome.label}” cannot be drawn: {error}."
             continue

@@ -2,14 +2,133 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.feb.log import LogReader
+from limbcli.feb.outline import read_outline
+from limbcli.feb.read import read_feb
+from limbcli.measurement.strain import principal_stretches
+from limbcli.model import Array, IntArray, LimbModel
+from limbcli.progress import PROGRESS_FILE, read_events
 from limbcli.reporting.figures.convergence import Residuals
 from limbcli.reporting.figures.deformed import DeformedState
 from limbcli.results import StageResult
+from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Table
+from limbcli.solvers.tables import read_tables
+
+_MODEL_FILES = ("fitted.feb", MODEL_FILE)
+_GRADIENT = tuple(f"F{row}{column}" for row in "xyz" for column in "xyz")
 
 
-def read_deformed(result: StageResult, mesh: StageResult | None) -> DeformedState | None:
-    return None
+def read_deformed(result: StageResult) -> DeformedState | None:
+    """The last converged state of a stage's simulation, or None if it left none.
+
+    Raises
+    ------
+    LimbError
+        If model or records cannot be read, or hold no displacements.
+    """
+    feb = next((path for name in _MODEL_FILES if (path := result.folder / name).is_file()), None)
+    if feb is None:
+        return None
+    model, tables = read_feb(feb), read_tables(read_outline(feb), feb.parent)
+    kind, cells, numbers = _tissue(model)
+    probe = model.bodies[0].name if model.bodies else "probe"
+    rigid = tables.rigid[probe]
+    places = np.stack([rigid.column(axis)[:, 0] for axis in "xyz"], axis=1)
+    start = np.asarray(model.bodies[0].center_of_mass) if model.bodies else places[0]
+    return DeformedState(
+        points=model.mesh.points,
+        displacement=_displacement(model, tables.nodes, feb),
+        kind=kind,
+        cells=cells,
+        skin=_facets(model, "skin", "contact"),
+        bone=_facets(model, "bone"),
+        probe=_probe_facets(model),
+        probe_shift=places[-1] - start,
+        depth=-float(places[-1, 2]),
+        stretch=_shortest(tables.elements, numbers),
+    )
+
+
+def _tissue(model: LimbModel) -> tuple[str, IntArray, IntArray]:
+    """Kind and cells of the solid blocks (those of the first one's kind), and their numbers in the model."""
+    solid = model.mesh.solid_blocks
+    kind = solid[0].kind
+    cells, numbers, first = [], [], 0
+    for block in model.mesh.blocks:
+        if block.is_solid and block.kind == kind:
+            cells.append(block.cells)
+            numbers.append(np.arange(first, first + len(block.cells)))
+        first += len(block.cells)
+    return kind, np.concatenate(cells), np.concatenate(numbers)
+
+
+def _displacement(model: LimbModel, nodes: Mapping[str, Table], feb: Path) -> Array:
+    """(n_points, 3) mm at the last time; NaN where a node was not recorded."""
+    table = _table_with(nodes, ("ux", "uy", "uz"))
+    if table is None:
+        raise SolveError(
+            "the simulation recorded no displacements",
+            where=str(feb),
+            fix="run it again with our templates: they ask for the nodes' displacements",
+        )
+    found = np.full(model.mesh.points.shape, np.nan)
+    found[table.items] = np.stack([table.column(name)[-1] for name in ("ux", "uy", "uz")], axis=1)
+    return found
+
+
+def _shortest(elements: Mapping[str, Table], numbers: IntArray) -> Array | None:
+    """(n_cells,) smallest principal stretch at the last time; NaN where not recorded."""
+    table = _table_with(elements, _GRADIENT)
+    if table is None:
+        return None
+    gradient = np.stack([table.column(name)[-1] for name in _GRADIENT], axis=1).reshape(-1, 3, 3)
+    size = int(max(numbers.max(), table.items.max())) + 1
+    every = np.full(size, np.nan)
+    every[table.items] = principal_stretches(gradient)[:, 2]
+    return every[numbers]
+
+
+def _table_with(tables: Mapping[str, Table], fields: tuple[str, ...]) -> Table | None:
+    return next((each for each in tables.values() if set(fields) <= set(each.fields)), None)
+
+
+def _facets(model: LimbModel, *names: str) -> dict[str, IntArray]:
+    """Facets of the first of these surfaces that the model has."""
+    for name in names:
+        if name in model.mesh.surfaces:
+            return dict(model.mesh.surfaces[name].facets)
+    return {}
+
+
+def _probe_facets(model: LimbModel) -> dict[str, IntArray]:
+    facets: dict[str, list[IntArray]] = {}
+    for block in model.mesh.blocks:
+        if not block.is_solid:
+            facets.setdefault(block.kind, []).append(block.cells)
+    return {kind: np.concatenate(each) for kind, each in facets.items()}
 
 
 def read_residuals(result: StageResult) -> Residuals | None:
-    return None
+    """Every solver iteration's worst norm over its target: from the log, else from the recorded events."""
+    log, events = result.folder / LOG_FILE, result.folder / PROGRESS_FILE
+    found: list[tuple[int, float, float]] = []
+    if log.is_file():
+        reader = LogReader()
+        with log.open(encoding="utf-8", errors="replace") as stream:
+            for line in stream:
+                reader.feed(line)
+        found = [(each.step, *each.worst()) for each in reader.iterations]
+    if not found and events.is_file():
+        newton = [each for each in read_events(events) if each["kind"] == "newton"]
+        found = [(each["step"], each["residual"], each["target"]) for each in newton]
+    found = [each for each in found if each[2] > 0.0]
+    if not found:
+        return None
+    steps, now, target = np.array(found, dtype=float).T
+    return Residuals(now / target, steps.astype(np.int64))

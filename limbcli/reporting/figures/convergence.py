@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, GREEN, QUIET, VERMILION, new_figure, style
+from limbcli.reporting.figures.style import BLUE, GREEN, VERMILION, new_figure, style
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +26,13 @@ class FitWalk:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Newton iterations of a simulation in order: residual and target (n,), load level (n,)."""
+    """Solver iterations in order: worst norm over its target (n,), 1 or less at rest; load step (n,)."""
 
-    residual: Array
-    target: Array
+    ratio: Array
     level: Array
 
 
-_COLOURS = {"mooney_rivlin": BLUE, "ogden": VERMILION}
+_COLOURS = {"mooney-rivlin": BLUE, "ogden": VERMILION}
 _SYMBOLS = {"f_kappa": "f_κ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
 
 
@@ -63,16 +62,17 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
 
 
 def newton_residuals(residuals: Residuals) -> Figure:
-    """Residual of every solver iteration, load level after load level."""
+    """Worst norm over target of every solver iteration, load step after load step."""
     with style():
         figure = new_figure(7.4, 2.9)
         axes = figure.subplots()
-        count = np.arange(1, residuals.residual.size + 1)
-        axes.semilogy(count, np.maximum(residuals.residual, 1e-300), ".-", lw=0.9, ms=4, color=BLUE)
-        axes.semilogy(count, residuals.target, color=VERMILION, lw=1.2, label="target")
-        for start in np.flatnonzero(np.diff(residuals.level)):
-            axes.axvline(start + 1.5, color=QUIET, lw=0.5)
-        axes.set(xlabel="solver iteration (a line at each new load level)", ylabel="residual, relative [–]")
+        ends = np.flatnonzero(np.diff(residuals.level)) + 1
+        for numbers in np.split(np.arange(residuals.ratio.size), ends):
+            axes.semilogy(
+                numbers + 1, np.maximum(residuals.ratio[numbers], 1e-12), ".-", lw=0.9, ms=4, color=BLUE
+            )
+        axes.axhline(1.0, color=VERMILION, lw=1.2, label="target")
+        axes.set(xlabel="solver iteration (one line a load step)", ylabel="residual over its target [–]")
         axes.legend(loc="upper right")
     return figure
 

@@ -14,7 +14,7 @@ from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_fig
 
 LOOKS: dict[str, tuple[str, str]] = {
     "start": (QUIET, ":"),
-    "mooney_rivlin": (BLUE, "--"),
+    "mooney-rivlin": (BLUE, "--"),
     "ogden": (VERMILION, "-"),
 }
 _OTHER = ("#5b6b78", "-.")
@@ -33,12 +33,17 @@ class MeasuredCurve:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCurve:
-    """key ("start", "mooney_rivlin", "ogden"), what the legend says, depth (n,) mm, force (n,) N."""
+    """A simulation's curve: depth (n,) mm, force (n,) N.
+
+    key : "start", "mooney-rivlin", "ogden"; label : for the legend
+    at_levels : (n_levels,) N at the measured depths, as the fit sampled it; NaN or None where it did not
+    """
 
     key: str
     label: str
     depth: Array
     force: Array
+    at_levels: Array | None = None
 
 
 def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Figure:
@@ -102,24 +107,20 @@ def _limit(axes: Axes, measured: MeasuredCurve) -> None:
     axes.set_ylim(bottom=min(0.0, float(np.nanmin(measured.force))) - 0.04 * top, top=1.35 * max(top, 1e-6))
 
 
-def _difference(measured: MeasuredCurve, curve: SimulatedCurve) -> tuple[Array, Array]:
-    order = np.argsort(curve.depth, kind="stable")
-    inside = (measured.depth >= curve.depth.min() - 1e-9) & (measured.depth <= curve.depth.max() + 1e-9)
-    depth = measured.depth[inside]
-    return depth, measured.force[inside] - np.interp(depth, curve.depth[order], curve.force[order])
-
-
 def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve) -> None:
-    depth, difference = _difference(measured, curve)
+    if curve.at_levels is None:
+        return
+    difference = measured.force - curve.at_levels
     colour, dashes = LOOKS.get(curve.key, _OTHER)
-    order = np.argsort(depth, kind="stable")
-    axes.plot(depth[order], difference[order], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
+    order = np.argsort(measured.depth, kind="stable")
+    order = order[np.isfinite(difference[order])]
+    axes.plot(measured.depth[order], difference[order], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
 
 
 def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
     """Scale to the fits, not to the start curve, which is meant to be far off."""
     fits = [each for each in curves if each.key != "start"] or list(curves)
-    sizes = [np.abs(_difference(measured, each)[1]) for each in fits]
-    largest = max((float(each.max()) for each in sizes if each.size), default=0.0)
+    sizes = [np.abs(measured.force - each.at_levels) for each in fits if each.at_levels is not None]
+    largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)
     span = 1.25 * max(largest, 2.0 * (measured.force_sd or 0.0), 1e-3)
     axes.set_ylim(-span, span)

@@ -21,7 +21,7 @@ def convergence(page: Page, site: SiteMaterial) -> Reportlet:
     if view.walks:
         alt = f"Misfit and parameters of site {site.name} over the iterations of the search."
         pictures.append(Picture(f"convergence-{site.name}", alt, figure=fit_walk(view.walks)))
-    if site.residuals is not None and site.residuals.residual.size:
+    if site.residuals is not None and site.residuals.ratio.size:
         alt = f"The solver's residual at site {site.name}, iteration by iteration, with its target."
         pictures.append(Picture(f"newton-{site.name}", alt, figure=newton_residuals(site.residuals)))
     return Reportlet(

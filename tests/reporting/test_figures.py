@@ -1,0 +1,65 @@
+"""Every drawing has units on its axes and shows what it was given."""
+
+from __future__ import annotations
+
+import re
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
+from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.reporting.figures.wave_speed import SpeedReadings, line_words, wave_speed
+
+DEPTH = np.linspace(0, 10, 11)
+MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)
+SPEEDS = SpeedReadings(1.5 * DEPTH, DEPTH, 2.0 + 0.1 * DEPTH, np.full(11, 0.2))
+
+
+def curve(key: str, factor: float) -> SimulatedCurve:
+    return SimulatedCurve(key, key, DEPTH, factor * DEPTH, factor * DEPTH)
+
+
+def figures() -> dict[str, Figure]:
+    curves = [curve("start", 9.0), curve("mooney-rivlin", 1.4), curve("ogden", 1.5)]
+    line = speed_against_force(SPEEDS.force, SPEEDS.mean_m_per_s)
+    walk = FitWalk("ogden", "Ogden type", np.array([5.0, 1.0]), {"f_kappa": np.array([100.0, 80.0])})
+    return {
+        "force-depth": force_depth(MEASURED, curves),
+        "measured only": force_depth(MEASURED, ()),
+        "wave speed": wave_speed(SPEEDS, against_force=line, against_depth=None),
+        "walk": fit_walk([walk]),
+        "newton": newton_residuals(Residuals(np.array([9.0, 0.1, 3.0, 0.2]), np.array([1, 1, 2, 2]))),
+    }
+
+
+@pytest.mark.parametrize("name", figures())
+def test_every_labelled_axis_names_its_unit(name):
+    for axes in figures()[name].axes:
+        for label in (axes.get_xlabel(), axes.get_ylabel()):
+            if label and "iteration" not in label:
+                assert re.search(r"\[[^\]]+\]", label), label
+        assert axes.get_xlabel() or axes.get_subplotspec() is not None
+
+
+def test_a_start_curve_far_off_does_not_flatten_the_data():
+    upper, lower = force_depth(MEASURED, [curve("start", 50.0), curve("ogden", 1.5)]).axes
+    assert upper.get_ylim()[1] < 2 * 15.0
+    assert lower.get_ylim()[1] < 1.0
+
+
+def test_drawing_leaves_the_callers_settings_alone():
+    before = dict(matplotlib.rcParams)
+    figures()
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_falling_speed_is_written_with_a_minus():
+    assert line_words(Line(-0.05, 2.0, 0.5, None, 3), "N").startswith("2.00 m/s − 0.050 m/s per N")
+
+
+def test_an_undefined_r2_is_said_in_words():
+    assert "R² undefined" in line_words(Line(0.0, 2.0, None, None, 3), "N")

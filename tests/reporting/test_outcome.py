@@ -1,0 +1,52 @@
+"""What stages left is read without ever failing."""
+
+from __future__ import annotations
+
+import json
+
+from limbcli.reporting.outcome import read_outcomes
+from limbcli.results import open_stage
+
+
+def test_each_stage_is_done_failed_or_missing(tmp_path):
+    with open_stage(tmp_path, "segment", subject="S1") as writer:
+        writer.warnings.append("w")
+    note = {"error": "MeshError", "what": "no skin", "where": "p1", "fix": "move it"}
+    (tmp_path / "mesh" / "p1").mkdir(parents=True)
+    (tmp_path / "mesh" / "p1" / "error.json").write_text(json.dumps(note))
+    outcomes = read_outcomes(tmp_path, ("p1",))
+    states = {each.label: each.status for each in outcomes.all}
+    assert states == {
+        "segment": "done", "mesh p1": "failed", "build-feb p1": "missing", "run p1": "missing",
+        "fit p1": "missing",
+    }  # fmt: skip
+    failure = outcomes.of("mesh", "p1").failure
+    assert failure is not None
+    assert (failure.error, failure.what, failure.fix) == ("MeshError", "no skin", "move it")
+    assert "--site p1" in outcomes.of("run", "p1").command
+
+
+def test_a_broken_result_is_a_failure_not_a_crash(tmp_path):
+    (tmp_path / "segment").mkdir()
+    (tmp_path / "segment" / "segment.json").write_text("{")
+    outcome = read_outcomes(tmp_path, ()).of("segment")
+    assert outcome.status == "failed"
+    assert outcome.failure is not None
+    assert "cannot be read" in outcome.failure.what
+
+
+def test_a_broken_error_note_is_still_a_failure(tmp_path):
+    (tmp_path / "segment").mkdir()
+    for text in ("{", "[]", '{"what": null}'):
+        (tmp_path / "segment" / "error.json").write_text(text)
+        outcome = read_outcomes(tmp_path, ()).of("segment")
+        assert outcome.status == "failed"
+        assert outcome.failure is not None
+        assert outcome.failure.what
+
+
+def test_a_warning_that_is_passed_on_is_listed_once(tmp_path):
+    for stage, site in (("segment", None), ("mesh", "p1")):
+        with open_stage(tmp_path, stage, subject="S1", site=site) as writer:
+            writer.warnings.append("the fibula is thin")
+    assert read_outcomes(tmp_path, ("p1",)).warnings() == [("segment", "the fibula is thin")]
