@@ -1,0 +1,210 @@
+"""What a model file says is held by the model or refused by tag and line."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.model import Curved, ElementMap, NodeMap
+
+GOLDEN_LAWS = {
+    "effect-fibre": ["mixture", "ogden", "fiber_exp_pow"],
+    "effect-contraction": ["mixture", "ogden", "active_contraction"],
+    "effect-viscoelastic": ["viscoelastic", "ogden"],
+    "effect-prestrain": ["prestrain", "ogden"],
+    "effect-biphasic": ["biphasic", "ogden"],
+    "effect-base": ["ogden"],
+}
+
+
+def golden_file(folder: Path) -> Path:
+    return next(folder.glob("model.feb*"))
+
+
+def edited(source: Path, target: Path, old: str, new: str) -> Path:
+    """A copy of a model file with one thing changed."""
+    text = source.read_text()
+    assert old in text
+    target.write_text(text.replace(old, new, 1))
+    return target
+
+
+def test_the_punch_is_read_whole(punch: Path) -> None:
+    model = read_feb(punch)
+    assert {block.name: (block.kind, len(block.cells)) for block in model.mesh.blocks} == {
+        "tissue": ("tet4", 192),
+        "probe": ("quad4", 4),
+    }
+    assert model.mesh.points.shape == (84, 3)
+    assert model.mesh.points[:75, 2].min() == -10
+    assert model.materials["tissue"].parameters == {
+        "kappa": 0.05, "c1": 0.0025, "m1": 2.0, "c2": 0.0025, "m2": -2.0,
+    }  # fmt: skip
+    assert [(each.dof, each.kind) for each in model.drives][-1] == ("z", "displacement")
+    assert model.drives[-1].value == -1.95
+    assert model.curves[model.drives[-1].curve or ""].points == ((0, 0), (1, 1))
+    assert model.bodies[0].blocks == ("probe",)
+    assert model.contacts[0].penalty == 20
+    assert model.contacts[0].primary == "skin"
+    assert model.steps[0].must_points == (0.25, 0.5, 1.0)
+    assert model.records[0].items == "probe"
+    assert np.array_equal(np.asarray(model.records[1].items), np.arange(50, 75))
+    assert model.info["site"] == "made by hand"
+
+
+def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "punch.feb.gz"
+    packed.write_bytes(gzip.compress(punch.read_bytes()))
+    assert np.array_equal(read_feb(packed).mesh.points, read_feb(punch).mesh.points)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "tag", "words"),
+    [
+        ("<penalty>", "<penalti>1</penalti><penalty>", "penalti", "did you mean penalty"),
+        ('id="1" name="tissue"', 'id="1" colour="red" name="tissue"', "material", "colour"),
+        ("Ogden unconstrained", "Ogden unconstraint", "material", "Ogden unconstraint"),
+        ('id="2" name="probe"', 'id="3" name="probe"', "material", "where 2 was expected"),
+        ("<cp>0.05</cp>", "<cp>0,05</cp>", "cp", "not 1 number"),
+        ("<cp>0.05</cp>", "<cp>nan</cp>", "cp", "finite"),
+        ("<cp>0.05</cp>", '<cp lc="7">0.05</cp>', "cp", "no load controller 7"),
+        ("<cp>0.05</cp>", '<cp type="math">X</cp>', "cp", "'math' is not supported"),
+        ("<cp>0.05</cp>", '<cp type="map">k</cp>', "cp", "no element map"),
+        ("<cp>0.05</cp>", "<cp>0.05</cp><cp>0.06</cp>", "cp", "twice"),
+        ("mm-N-s", "SI", "units", "SI"),
+        ('version="4.0"', 'version="3.0"', "febio_spec", "3.0"),
+        ('node_set="fixed"', 'node_set="fixd"', "bc", "fixd"),
+        ("<rb>probe</rb>", "<rb>prob</rb>", "rb", "prob"),
+        ("<dof>z</dof>", "<dof>Rz</dof>", "dof", "Rz"),
+        ("zero displacement", "normal displacement", "bc", "normal displacement"),
+        ("sliding-elastic", "sliding-facet-on-facet", "contact", "sliding-facet-on-facet"),
+        ('surface_pair="probe', 'surface_pair="robe', "contact", "robe_contact_pair"),
+        ("<interpolate>LINEAR", "<interpolate>CSPLINE", "interpolate", "CSPLINE"),
+        ('data="J;sz" delim=","', 'data="J;sz" delim=","  format="%g"', "element_data", "format"),
+        ('type="tet4"', 'type="tet5"', "Elements", "tet5"),
+        ('<node id="2">-6.0', '<node id="2">x', "node", "not 3 number"),
+        ('<elem id="1">', '<elem id="1">999,', "elem", "not 4 number"),
+        ("<analysis>STATIC", "<analysis>DYNAMIC", "analysis", "DYNAMIC"),
+        ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
+        (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
+    ],
+)
+def test_what_cannot_be_held_is_refused_by_tag_and_line(
+    punch: Path, tmp_path: Path, old: str, new: str, tag: str, words: str
+) -> None:
+    path = edited(punch, tmp_path / "bad.feb", old, new)
+    line = 1 + path.read_text().split(new)[0].count("\n")
+    with pytest.raises(CaseError) as caught:
+        read_feb(path)
+    error = caught.value
+    assert error.facts["tag"] == tag
+    assert abs(int(str(error.facts["line"])) - line) <= 1
+    assert words in str(error)
+    assert str(path) in error.where
+
+
+def test_the_line_is_right_beyond_65535(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "long.feb", "<Mesh>", "\n" * 70_000 + "<Mesh>")
+    edited(path, path, "<Boundary>", "<Constraints/>\n<Boundary>")
+    with pytest.raises(CaseError) as caught:
+        read_feb(path)
+    assert int(str(caught.value.facts["line"])) > 70_000
+
+
+def test_files_that_are_no_model_are_case_errors(tmp_path: Path) -> None:
+    path = tmp_path / "model.feb"
+    with pytest.raises(CaseError, match="does not exist"):
+        read_feb(path)
+    for content in (b"", b"<febio_spec", b"\x1f\x8bnot really", b"<html/>"):
+        path.write_bytes(content)
+        with pytest.raises(CaseError, match="not a "):
+            read_feb(path)
+
+
+def test_an_entity_bomb_is_not_expanded(tmp_path: Path) -> None:
+    path = tmp_path / "model.feb"
+    path.write_text(
+        '<!DOCTYPE a [<!ENTITY b "bbbb">]><febio_spec version="4.0"><Mesh>&b;</Mesh></febio_spec>'
+    )
+    with pytest.raises(CaseError):
+        read_feb(path)
+
+
+def test_left_out_contact_settings_are_febios_own(punch: Path, tmp_path: Path) -> None:
+    text = punch.read_text()
+    start, end = text.index("<laugon>"), text.index("</contact>")
+    path = tmp_path / "bare.feb"
+    path.write_text(text[:start] + text[end:])
+    contact = read_feb(path).contacts[0]
+    assert (contact.penalty, contact.auto_penalty, contact.search_radius) == (1.0, False, 1.0)
+    assert (contact.tolerance, contact.symmetric, contact.augmented) == (0.1, True, False)
+
+
+def test_neo_hooke_is_kept_in_lames_constants(punch: Path, tmp_path: Path) -> None:
+    text = punch.read_text()
+    start = text.index("<density>")
+    law = text[start : text.index("</material>")]
+    path = tmp_path / "neo.feb"
+    path.write_text(text.replace(law, "<E>0.03</E><v>0.25</v>").replace("Ogden unconstrained", "neo-Hookean"))
+    parameters = read_feb(path).materials["tissue"].parameters
+    assert parameters["mu"] == pytest.approx(0.012, rel=1e-15)
+    assert parameters["lambda"] == pytest.approx(0.012, rel=1e-15)
+
+
+# ---------------------------------------------------------------- against the stored models of FEBio
+
+
+@pytest.mark.parametrize("name", list(GOLDEN_LAWS))
+def test_golden_laws_get_their_names(golden: Path, name: str) -> None:
+    material = read_feb(golden_file(golden / name)).materials["tissue"]
+    assert [material.law, *(part.law for part in material.parts)] == GOLDEN_LAWS[name]
+
+
+def test_golden_curves_maps_springs_and_rules_are_held(golden: Path) -> None:
+    contraction = read_feb(golden_file(golden / "effect-contraction"))
+    active = contraction.materials["tissue"].parts[1].parameters
+    assert active["T0"] == Curved(0.005, "curve_3")
+    assert active["fiber"] == (0.0, 1.0, 0.0)
+    assert contraction.curves["curve_3"].points[1] == (0.5, 0.0)
+
+    mapped = read_feb(golden_file(golden / "effect-map")).materials["tissue"].parameters["c1"]
+    assert isinstance(mapped, ElementMap)
+    assert mapped.block == "Tissue"
+    assert mapped.values.shape == (1080,)
+    assert mapped.values.max() == pytest.approx(4 * 0.0025, rel=0.01)
+
+    driven = read_feb(golden_file(golden / "cube-law-m2-fk100")).supports[0]
+    assert isinstance(driven.value, NodeMap)
+    assert driven.dofs == ("x",)
+
+    spring = read_feb(golden_file(golden / "effect-bone-spring"))
+    assert (spring.springs[0].stiffness, spring.springs[0].free_length) == (2.0, 50.0)
+    assert next(body for body in spring.bodies if body.name == "bone").node_sets == ("fixed",)
+    assert [record.file for record in spring.records] == [
+        "rigid_body.csv", "bone.csv", "nodes.csv", "elements.csv",
+    ]  # fmt: skip
+
+    assert read_feb(golden_file(golden / "effect-tet10g4")).domains[0].rule == "TET10G4"
+    assert read_feb(golden_file(golden / "effect-ut4")).domains[0].rule_parameters["alpha"] == 0.05
+    assert read_feb(golden_file(golden / "effect-friction")).contacts[0].friction == 0.3
+    assert read_feb(golden_file(golden / "punch-tet4-auglag")).contacts[0].augmented
+    force = read_feb(golden_file(golden / "punch-tet4-force")).drives[-1]
+    assert (force.dof, force.kind, force.value) == ("z", "force", -8.0)
+    assert not read_feb(golden_file(golden / "effect-viscoelastic")).steps[0].adaptive
+    varying = read_feb(golden_file(golden / "effect-biphasic"))
+    assert varying.steps[0].dt_max_curve == "curve_2"
+    assert varying.contacts[0].kind == "sliding-biphasic"
+
+
+def test_the_golden_limb_carries_its_must_points(golden: Path) -> None:
+    model = read_feb(golden / "limb-posterior" / "tet10.feb.gz")
+    step = model.steps[0]
+    assert step.must_points == (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+    assert (step.n_steps, step.step_size, step.dt_max) == (50, 0.02, 0.1)
+    assert len(model.mesh.block("Tissue").cells) == 12345
+    assert list(model.curves) == ["curve_1"]

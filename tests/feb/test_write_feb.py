@@ -1,0 +1,256 @@
+"""What is written reads back exactly, and is what FEBio is known to accept."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from limbcli.errors import CaseError, ToolError
+from limbcli.feb.read import read_feb
+from limbcli.feb.write import render, write_feb
+from limbcli.model import (
+    Block,
+    Curve,
+    Curved,
+    Domain,
+    Drive,
+    ElementMap,
+    LimbModel,
+    Material,
+    NodeMap,
+    RigidBody,
+    Spring,
+    Step,
+    Support,
+)
+from limbcli.model_io import differences
+
+
+def round_trip(model: LimbModel, folder: Path) -> LimbModel:
+    return read_feb(write_feb(model, folder / "written.feb"))
+
+
+@pytest.fixture
+def model(punch: Path) -> LimbModel:
+    return read_feb(punch)
+
+
+def everything(model: LimbModel, rng: np.random.Generator) -> LimbModel:
+    """The punch with all that a model can hold."""
+    n_cells = len(model.mesh.block("tissue").cells)
+    fibers = ElementMap("fibers", "tissue", rng.normal(size=(n_cells, 3)))
+    stiff = ElementMap("stiff", "tissue", rng.uniform(1e-3, 1e-2, n_cells))
+    law = Material(
+        "mixture",
+        parts=(
+            Material("ogden", {"kappa": stiff, "c1": 0.1 + 0.2, "m1": 1 / 3}),
+            Material("fiber_exp_pow", {"ksi": 0.003, "alpha": 0.0, "beta": 2.0, "fiber": fibers}),
+            Material("active_contraction", {"T0": Curved(0.005, "twitch"), "fiber": (0.6, 0.0, 0.8)}),
+        ),
+    )
+    relaxing = Material(
+        "viscoelastic", {"g0": 1.0, "g1": 0.4, "t1": 0.8}, (Material("mooney_rivlin", {"c1": 1e-3}),)
+    )
+    relaxing = Material(
+        "viscoelastic", {"g0": 1.0, "g1": 0.4, "t1": 0.8}, (Material("mooney_rivlin", {"c1": 1e-3}),)
+    )
+    prestrained = Material(
+        "prestrain",
+        {"ramp": Curved(1.0, "twitch"), "F0": (1.0, 0.0, 0.0, 0.0, 1.05, 0.0, 0.0, 0.0, 1 / 1.05)},
+        (relaxing,),
+    )
+    bone = model.mesh.node_sets["bone"]
+    tissue, probe = model.mesh.blocks
+    extra = Block("extra", "tet4", tissue.cells[:3])
+    return replace(
+        model,
+        mesh=replace(model.mesh, blocks=(tissue, extra, probe)),
+        materials={"tissue": law, "extra": prestrained},
+        domains=(
+            Domain("tissue", "tissue", "TET4G1"),
+            Domain("extra", "extra", "ut4-solid", {"alpha": 0.05}),
+        ),
+        bodies=(
+            *model.bodies,
+            RigidBody("bone", (0.0, 0.0, -10.0), (), ("bone",)),
+            RigidBody("ground", (0.0, 0.0, 0.0)),
+        ),
+        supports=(
+            Support("skin", ("y",)),
+            Support("bone", ("x",), NodeMap("ux", "bone", rng.normal(size=len(bone))), "travel", True),
+            Support("bone", ("z",), -0.25, None),
+        ),
+        drives=(
+            *model.drives,
+            Drive("bone", "u", "rotation", 0.1, "twitch", True),
+            Drive("bone", "z", "force", -3.0, "travel"),
+            Drive("ground", "w", "fixed"),
+            Drive("ground", "x", "fixed"),
+            Drive("ground", "v", "moment", 2.0),
+        ),
+        springs=(Spring("guide", "ground", "bone", 12.5, (0.0, 0.0, -60.0), (0.0, 0.0, -10.0), 50.0),),
+        curves={**model.curves, "twitch": Curve(((0.0, 0.0), (0.3, 1 / 3)), "smooth", "repeat offset")},
+        steps=(
+            Step(4, 0.1, must_points=(0.1, 0.3), dt_max=0.2, control={"dtol": 1e-3, "cutback": 0.5}),
+            Step(
+                2, 0.5, "transient", adaptive=False,
+                control={"qn_method": "full Newton", "output_level": "OUTPUT_NEVER"},
+                supports=(Support("skin", ("x", "z")),), drives=(Drive("probe", "y", "displacement", 1.0),),
+            ),
+        ),
+        info={"note": "a -- b <&> é", "n": 3},
+    )  # fmt: skip
+
+
+def test_the_punch_comes_back_exactly(model: LimbModel, tmp_path: Path) -> None:
+    assert differences(model, round_trip(model, tmp_path)) == []
+
+
+def test_all_that_a_model_can_hold_comes_back_exactly(
+    model: LimbModel, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    full = everything(model, rng)
+    back = round_trip(full, tmp_path)
+    fixed = replace(back, steps=(back.steps[0], replace(back.steps[1], dt_min=1e-3, max_retries=8)))
+    assert differences(replace(full, materials=dict(full.materials)), fixed) == []
+
+
+def test_random_points_come_back_to_the_last_bit(
+    model: LimbModel, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    points = model.mesh.points + rng.normal(size=model.mesh.points.shape) * 1e-7
+    moved = model.with_mesh(replace(model.mesh, points=points))
+    assert np.array_equal(round_trip(moved, tmp_path).mesh.points, points)
+
+
+def test_lames_constants_come_back_to_round_off(model: LimbModel, tmp_path: Path) -> None:
+    neo = model.with_material("tissue", Material("neo_hooke", {"mu": 0.0027, "lambda": 0.53}))
+    back = round_trip(neo, tmp_path).materials["tissue"].parameters
+    assert back["mu"] == pytest.approx(0.0027, rel=1e-13)
+    assert back["lambda"] == pytest.approx(0.53, rel=1e-11)  # 1 - 2 nu cancels three digits here
+
+
+def test_ids_run_from_1_without_gaps(model: LimbModel, rng: np.random.Generator) -> None:
+    root = etree.fromstring(render(everything(model, rng)).encode("iso-8859-1", "xmlcharrefreplace"))
+    for path in (
+        "Material/material",
+        "LoadData/load_controller",
+        "Mesh/Nodes/node",
+        "Mesh/Elements/elem",
+        "Step/step",
+    ):
+        ids = [int(each.get("id") or 0) for each in root.iterfind(path)]
+        assert ids == list(range(1, len(ids) + 1)), path
+        assert ids
+
+
+def test_must_points_stand_as_the_decimals_they_are(model: LimbModel) -> None:
+    step = replace(model.steps[0], must_points=(0.0625, 0.1, 0.3, 1.0))
+    text = render(replace(model, steps=(step,)))
+    points = re.findall(r"<pt>([^<]*)</pt>", text.split('name="must_points"')[1])
+    assert points == ["0,0.1", "0.0625,0.1", "0.1,0.1", "0.3,0.1", "1,0.1"]
+
+
+def test_must_points_of_a_later_step_are_global_times(model: LimbModel, tmp_path: Path) -> None:
+    steps = (Step(10, 0.07, must_points=(0.35, 0.7)), Step(10, 0.03, must_points=(0.1, 0.3)))
+    two = replace(model, steps=tuple(replace(step, dt_max=0.05) for step in steps))
+    assert "<pt>0.8,0.05</pt>" in render(two)
+    back = round_trip(two, tmp_path)
+    assert [step.must_points for step in back.steps] == [(0.35, 0.7), (0.1, 0.3)]
+
+
+def test_the_users_template_comes_first_and_ours_fill_in(model: LimbModel, tmp_path: Path) -> None:
+    own = tmp_path / "templates" / "feb"
+    own.mkdir(parents=True)
+    (own / "mesh_data.j2").write_text("<MeshData>\n</MeshData>\n<!-- mine -->\n")
+    path = write_feb(model, tmp_path / "model.feb", templates=tmp_path / "templates")
+    assert "<!-- mine -->" in path.read_text()
+    assert differences(model, read_feb(path)) == []
+
+
+def test_a_faulty_template_is_named_with_its_line(model: LimbModel, tmp_path: Path) -> None:
+    own = tmp_path / "templates" / "feb"
+    own.mkdir(parents=True)
+    (own / "output.j2").write_text("<Output>\n{% if %}\n</Output>")
+    with pytest.raises(CaseError, match=r"output\.j2, line 2"):
+        render(model, templates=tmp_path / "templates")
+    (own / "output.j2").write_text("{{ nothing_of_that_name }}")
+    with pytest.raises(CaseError, match="nothing_of_that_name"):
+        render(model, templates=tmp_path / "templates")
+    with pytest.raises(ToolError, match="does not exist"):
+        render(model, templates=tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"steps": (Step(must_points=(0.3, 0.2)),)},
+        {"steps": (Step(control={"dtoll": 1.0}),)},
+        {"materials": {"tissue": Material("ogden", {"c7": 1.0})}},
+        {"materials": {"tissue": Material("ogden", {"c1": float("nan")})}},
+        {"materials": {"tissue": Material("cheese", {})}},
+        {"materials": {"probe": Material("ogden", {})}},
+    ],
+)
+def test_what_febio_cannot_take_is_refused(
+    model: LimbModel, tmp_path: Path, change: dict[str, object]
+) -> None:
+    with pytest.raises(CaseError):
+        write_feb(replace(model, **change), tmp_path / "model.feb")  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------- against the stored models of FEBio
+
+
+def test_every_golden_model_comes_back_exactly(golden: Path, tmp_path: Path) -> None:
+    files = sorted(golden.rglob("*.feb*"))
+    assert len(files) > 50
+    for path in files:
+        model = read_feb(path)
+        assert {domain.block for domain in model.domains} == {each.name for each in model.mesh.solid_blocks}
+        assert differences(model, round_trip(model, tmp_path), path.parent.name) == []
+
+
+def leaves(element: etree._Element) -> list[tuple[str, object]]:
+    """(tag, value) of every leaf below, numbers as numbers."""
+    found: list[tuple[str, object]] = []
+    for each in element.iter():
+        if len(each) == 0:
+            text = (each.text or "").strip()
+            found.append((str(each.tag), float(text) if re.fullmatch(r"[-+.\deE]+", text) else text))
+    return found
+
+
+@pytest.mark.parametrize(
+    "section", ["Control", "Contact", "Boundary", "Rigid", "MeshDomains", "LoadData", "Module"]
+)
+def test_sections_are_those_of_the_golden_limb(golden: Path, section: str) -> None:
+    path = golden / "limb-posterior" / "tet10.feb.gz"
+    theirs = etree.fromstring(gzip.decompress(path.read_bytes()))
+    ours = etree.fromstring(render(read_feb(path)).encode("iso-8859-1"))
+    one, two = theirs.find(section), ours.find(section)
+    assert one is not None
+    assert two is not None
+    assert leaves(one) == leaves(two)
+    theirs_order = [each.tag for each in theirs if each.tag != "MeshData"]
+    assert [each.tag for each in ours if isinstance(each.tag, str)] == theirs_order
+
+
+def test_a_model_of_50000_nodes_is_written_and_read_in_seconds(model: LimbModel, tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(50_000, 3))
+    cells = rng.integers(0, 50_000, size=(30_000, 10))
+    mesh = replace(model.mesh, points=points, blocks=(Block("tissue", "tet10", cells), model.mesh.blocks[1]))
+    start = time.perf_counter()
+    back = round_trip(model.with_mesh(mesh), tmp_path)
+    seconds = time.perf_counter() - start
+    assert np.array_equal(back.mesh.blocks[0].cells, cells)
+    assert seconds < 5, f"{seconds:.1f} s: rows must not pass through template loops"
