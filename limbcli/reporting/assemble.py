@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,8 @@ from limbcli.config import templates_folder
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 
+_LARGE_BYTES = 200_000
+_MOST_PIXELS = 2400  # across; enough for a printed page
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png", ".jpg": "image/jpeg"}
 
 
@@ -52,9 +55,25 @@ def _save(picture: Picture, folder: Path) -> Path:
 
 
 def data_uri(path: Path) -> str:
-    """The file's bytes as a `data:` address."""
-    content = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f"data:{_TYPES[path.suffix.lower()]};base64,{content}"
+    """The picture as a `data:` address; a large PNG is packed as WebP (the file keeps every pixel)."""
+    kind, content = _TYPES[path.suffix.lower()], path.read_bytes()
+    if path.suffix.lower() == ".png" and len(content) > _LARGE_BYTES:
+        packed = _as_webp(path)
+        if len(packed) < len(content):
+            kind, content = "image/webp", packed
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _as_webp(path: Path) -> bytes:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        small = image.convert("RGB")
+    if small.width > _MOST_PIXELS:
+        small = small.resize((_MOST_PIXELS, round(small.height * _MOST_PIXELS / small.width)))
+    stream = io.BytesIO()
+    small.save(stream, "WEBP", quality=88, method=4)
+    return stream.getvalue()
 
 
 def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = None) -> str:

@@ -2,9 +2,66 @@
 
 from __future__ import annotations
 
+import csv
+
+import numpy as np
+
+from limbcli.errors import FitError
+from limbcli.model import Array
 from limbcli.reporting.figures.force_depth import SimulatedCurve
 from limbcli.results import StageResult
 
+CURVES_FILE = "curves.csv"
+_LABELS = {
+    "start": "start (f_κ = 100, m = 2)",
+    "mooney-rivlin": "Mooney-Rivlin type (m = 2)",
+    "ogden": "Ogden type",
+}
+_DEPTH, _MEASURED, _FORCE_UNIT = "depth_mm", "measured_n", "_n"
 
-def read_curves(result: StageResult) -> tuple[SimulatedCurve, ...]:
-    return ()
+
+def read_curves(result: StageResult, measured_depth: Array | None = None) -> tuple[SimulatedCurve, ...]:
+    """Every simulated force column, sampled at the measured depths where the file has them.
+
+    measured_depth : (n_levels,) mm
+
+    Raises
+    ------
+    FitError
+        If the file is missing or a value is not a number.
+    """
+    path = result.folder / result.files.get("curves", CURVES_FILE)
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        columns = {name: _numbers(rows, name) for name in (rows[0] if rows else {})}
+        depth = columns.pop(_DEPTH)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FitError(
+            f"the fit's curves cannot be read ({type(error).__name__}: {error})",
+            where=str(path),
+            fix="run `limbcli fit` again",
+        ) from error
+    columns.pop(_MEASURED, None)
+    return tuple(
+        _curve(name.removesuffix(_FORCE_UNIT), depth, force, measured_depth)
+        for name, force in columns.items()
+        if name.endswith(_FORCE_UNIT)
+    )
+
+
+def _numbers(rows: list[dict[str, str]], name: str) -> Array:
+    return np.array([float(row[name]) if row[name] != "" else np.nan for row in rows])
+
+
+def _curve(key: str, depth: Array, force: Array, measured_depth: Array | None) -> SimulatedCurve:
+    label = _LABELS.get(key, key)
+    if measured_depth is None:
+        return SimulatedCurve(key, label, depth, force)
+    gap = np.abs(depth[None, :] - np.maximum(measured_depth, 0.0)[:, None])
+    nearest = gap.argmin(axis=1)
+    sampled = np.where(gap.min(axis=1) < _SAME_DEPTH, force[nearest], np.nan)
+    return SimulatedCurve(key, label, depth, force, sampled)
+
+
+_SAME_DEPTH = 1e-4  # mm; the file keeps six digits

@@ -27,10 +27,12 @@ class EstimateView:
     high: float | None
     interval_why: str
     flag: str
+    words: str = ""
+    standard_error: float | None = None
 
     @property
     def is_sound(self) -> bool:
-        return self.flag in ("identified", "fixed", "fixed from SWE")
+        return self.flag in ("identified", "fixed")
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,6 @@ class StepView:
     reason: str
     estimates: tuple[EstimateView, ...]
     correlation: float | None
-    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,8 @@ class FitView:
     element: str
     solver: str
     c_source: str
+    noise_scale: float | None
+    noise_source: str
     steps: tuple[StepView, ...]
     walks: tuple[FitWalk, ...]
     raw: Mapping[str, Any]
@@ -77,12 +80,20 @@ def read_fit_view(result: StageResult) -> FitView:
     steps = tuple(
         _step(key, content) for key, content in data.get("steps", {}).items() if isinstance(content, Mapping)
     )
+    noise = data.get("noise")
     solver = " ".join(str(data[key]) for key in ("solver", "solver_version") if data.get(key))
     walks = tuple(
         walk for key, content in data.get("steps", {}).items() if (walk := _walk(key, content)) is not None
     )
     return FitView(
-        str(data.get("element", DASH)), solver or DASH, str(data.get("c_source", "")), steps, walks, data
+        element=str(data.get("element", DASH)),
+        solver=solver or DASH,
+        c_source=str(data.get("c_source") or ""),
+        noise_scale=number(data.get("noise_scale")),
+        noise_source=str(noise.get("source", "")) if isinstance(noise, Mapping) else "",
+        steps=steps,
+        walks=walks,
+        raw=data,
     )
 
 
@@ -105,7 +116,6 @@ def _step(key: str, content: Mapping[str, Any]) -> StepView:
         str(content.get("reason") or ""),
         tuple(_estimate(name, each) for name, each in content.get("parameters", {}).items()),
         number(content.get("correlation")),
-        tuple(str(each.get("words")) for each in content.get("parameters", {}).values() if each.get("words")),
     )
 
 
@@ -119,6 +129,8 @@ def _estimate(name: str, content: Mapping[str, Any]) -> EstimateView:
         number(content.get("high")),
         str(content.get("interval_reason") or "not computed"),
         str(content.get("flag") or DASH),
+        str(content.get("words") or ""),
+        number(content.get("standard_error")),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from limbcli.reporting.reportlet import Cell
 
 DASH = "–"
+_MOST_IN_A_ROW = 4
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -79,22 +80,39 @@ def named(key: str) -> tuple[str, str]:
     return words.replace("_", " "), unit
 
 
-def plain_rows(data: Mapping[str, Any], *, prefix: str = "") -> list[tuple[Cell, ...]]:
-    """The scalar values of a result as (name, value with unit) rows; tables inside it are opened once."""
+def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> list[tuple[Cell, ...]]:
+    """The values of a result as (name, value with unit) rows; a table inside it is opened.
+
+    >>> for name, value in plain_rows({"volume_cm3": {"skin": 1626.6}, "n_slices": 56}):
+    ...     print(name.text, "=", value.text)
+    volume, skin = 1627 cm³
+    number of slices = 56
+    """
     rows: list[tuple[Cell, ...]] = []
     for key, value in data.items():
-        words, unit = named(key)
-        label = f"{prefix}{words}"
-        if isinstance(value, Mapping) and not prefix:
-            rows += plain_rows(value, prefix=f"{words}: ")
-        elif isinstance(value, bool):
-            rows.append((Cell(label, lead=True), Cell("yes" if value else "no")))
-        elif isinstance(value, int) and not unit:
-            rows.append((Cell(label, lead=True), Cell(f"{value:,}".replace(",", " "))))
-        elif isinstance(value, float | int):
-            rows.append((Cell(label, lead=True), cell(value, digits=4, unit=unit)))
-        elif isinstance(value, str):
-            rows.append((Cell(label, lead=True), Cell(value)))
-        elif value is None:
-            rows.append((Cell(label, lead=True), Cell(DASH, reason="undefined for this result")))
+        words, own = named(key)
+        label, of = f"{prefix}{words}", own or unit
+        if isinstance(value, Mapping):
+            rows += plain_rows(value, prefix=f"{label}, ", unit=of)
+        elif (shown := _shown(value, of)) is not None:
+            rows.append((Cell(label, lead=True), shown))
     return rows
+
+
+def _shown(value: object, unit: str) -> Cell | None:
+    """One value as a cell, or None for what does not belong in one (long lists, nested tables)."""
+    if value is None:
+        return Cell(DASH, reason="undefined for this result")
+    if isinstance(value, bool):
+        return Cell("yes" if value else "no")
+    if isinstance(value, str):
+        return Cell(value)
+    if isinstance(value, int) and not unit:
+        return Cell(f"{value:,}".replace(",", "\u202f"))
+    if isinstance(value, int | float):
+        return cell(value, digits=4, unit=unit)
+    short = isinstance(value, list) and 0 < len(value) <= _MOST_IN_A_ROW
+    if short and all(number(each) is not None for each in value):  # type: ignore[attr-defined]
+        texts = [str(each) if isinstance(each, int) else significant(each) for each in value]  # type: ignore[attr-defined]
+        return Cell(" × ".join(texts) + (f" {unit}" if unit else ""))
+    return None

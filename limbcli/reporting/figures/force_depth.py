@@ -36,7 +36,8 @@ class SimulatedCurve:
     """A simulation's curve: depth (n,) mm, force (n,) N.
 
     key : "start", "mooney-rivlin", "ogden"; label : for the legend
-    at_levels : (n_levels,) N at the measured depths, as the fit sampled it; NaN or None where it did not
+    at_levels : (n_levels,) N at the measured depths, as the fit sampled it (NaN where it did not);
+        None: read off the curve
     """
 
     key: str
@@ -107,10 +108,16 @@ def _limit(axes: Axes, measured: MeasuredCurve) -> None:
     axes.set_ylim(bottom=min(0.0, float(np.nanmin(measured.force))) - 0.04 * top, top=1.35 * max(top, 1e-6))
 
 
+def _difference(measured: MeasuredCurve, curve: SimulatedCurve) -> Array:
+    if curve.at_levels is not None:
+        return measured.force - curve.at_levels
+    order = np.argsort(curve.depth, kind="stable")
+    read = np.interp(measured.depth, curve.depth[order], curve.force[order], left=np.nan, right=np.nan)
+    return measured.force - read
+
+
 def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve) -> None:
-    if curve.at_levels is None:
-        return
-    difference = measured.force - curve.at_levels
+    difference = _difference(measured, curve)
     colour, dashes = LOOKS.get(curve.key, _OTHER)
     order = np.argsort(measured.depth, kind="stable")
     order = order[np.isfinite(difference[order])]
@@ -120,7 +127,7 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
 def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
     """Scale to the fits, not to the start curve, which is meant to be far off."""
     fits = [each for each in curves if each.key != "start"] or list(curves)
-    sizes = [np.abs(measured.force - each.at_levels) for each in fits if each.at_levels is not None]
+    sizes = [np.abs(_difference(measured, each)) for each in fits]
     largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)
     span = 1.25 * max(largest, 2.0 * (measured.force_sd or 0.0), 1e-3)
     axes.set_ylim(-span, span)

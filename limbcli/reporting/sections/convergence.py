@@ -36,3 +36,29 @@ def convergence(page: Page, site: SiteMaterial) -> Reportlet:
         "residual that stays above its target",
         notes=() if pictures else ("The result holds no record of the iterations.",),
     )
+
+
+PROFILES_TITLE = "How firmly do the data hold each parameter?"
+
+
+def profiles(page: Page, site: SiteMaterial) -> Reportlet | None:
+    """The profile likelihoods that the fit drew, or None where it drew none."""
+    outcome = page.outcomes.of("fit", site.name)
+    if outcome.result is None or outcome.status == "failed" or "profiles" not in outcome.result.files:
+        return None
+    path = outcome.result.path("profiles")
+    if not path.is_file():
+        return None
+    alt = f"Profile likelihood of each parameter of site {site.name}; the shaded range is its 95 % interval."
+    return Reportlet(
+        f"profiles-{site.name}",
+        PROFILES_TITLE,
+        "fine",
+        site.name,
+        pictures=(Picture(f"profiles-{site.name}", alt, source=path, vector=False),),
+        look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
+        "shaded range",
+        bad="a curve that stays below the 95 % line to one side of its panel: in that direction the data "
+        "exclude "
+        "nothing, and the fitted value is where the search happened to stop",
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from limbcli.errors import FitError
 from limbcli.reporting.figures.force_depth import SimulatedCurve, force_depth
 from limbcli.reporting.fit_curves import read_curves
 from limbcli.reporting.fit_view import FitView, read_fit_view
@@ -23,9 +24,13 @@ def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
         return Reportlet(key, TITLE, "failed", site.name, warned=(site.why_no_levels,))
     curves: tuple[SimulatedCurve, ...] = ()
     notes: list[str] = []
+    warned: tuple[str, ...] = ()
     if outcome.result is not None:
-        curves = read_curves(outcome.result)
         notes = [*_step_notes(read_fit_view(outcome.result)), _R2_CAVEAT]
+        try:
+            curves = read_curves(outcome.result, site.measured.depth)
+        except FitError as error:
+            warned = (f"{error.what}; {error.fix}.",)
     gap = placeholder(key, TITLE, outcome) if outcome.status != "done" else None
     name = f"force-depth-{site.name}"
     picture = Picture(name, _alt(site, curves), figure=force_depth(site.measured, curves))
@@ -44,6 +49,7 @@ def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
         notes=tuple(notes)
         if not gap
         else ("The measured levels alone: there is no fit to draw.", *gap.notes),
+        warned=warned,
         failure=gap.failure if gap else None,
         command=gap.command if gap else "",
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Reportlet
-from limbcli.reporting.sections.convergence import convergence
+from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.elastography import elastography
 from limbcli.reporting.sections.force_depth import force_over_depth
@@ -27,7 +27,9 @@ class Group:
     reportlets: tuple[Reportlet, ...]
 
 
-SITE_REPORTLETS = (force_over_depth, elastography, deformation, mesh, convergence)
+SITE_REPORTLETS: tuple[Callable[[Page, SiteMaterial], Reportlet | None], ...] = (
+    force_over_depth, profiles, elastography, deformation, mesh, convergence,
+)  # fmt: skip
 
 
 def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
@@ -42,5 +44,5 @@ def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
 
 
 def _site(page: Page, site: SiteMaterial) -> Group:
-    reportlets = tuple(make(page, site) for make in SITE_REPORTLETS)
+    reportlets = tuple(each for make in SITE_REPORTLETS if (each := make(page, site)) is not None)
     return Group(f"site-{site.name}", f"Site {site.name}", reportlets)

@@ -9,6 +9,7 @@ from limbcli.reporting.page import Page
 from limbcli.reporting.reportlet import Cell, Mood, Reportlet, Table, head
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
+_NOTABLE = 1.5  # times the stated noise
 TET4_WORDS = (
     "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
     "incompressible tissue. The f_κ (and κ′) found with them compensates for the mesh. It is a property "
@@ -104,7 +105,7 @@ def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
         Cell(_interval(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
-        Cell(each.flag),
+        Cell(each.flag, reason=each.words),
     )  # fmt: skip
 
 
@@ -125,15 +126,32 @@ def _interval(each: EstimateView) -> str:
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
     notes, warned = [], []
     for site, view in views.items():
-        notes.append(f"Site {site}: {view.c_source}")
-        notes += [f"Site {site}, {text}" for step in view.steps for text in step.words]
+        notes.append(f"Site {site}: c is {view.c_source or 'of unknown origin'}.")
         notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
+        warned += [f"Site {site}: {text}" for text in _noise_words(view)]
     elements = {view.element for view in views.values()}
     if "tet4" in elements:
         warned.append(TET4_WORDS)
     if "tet10" in elements:
         notes.append(TET10_WORDS)
     return notes, warned
+
+
+def _noise_words(view: FitView) -> list[str]:
+    """Whether the intervals stand on measured noise, and whether that noise explains the differences."""
+    words = []
+    if view.noise_source == "assumed":
+        words.append(
+            "the measurement noise is assumed, not measured, so the intervals are as good as that guess. "
+            "Repeat a level and state the spread in [site.noise]."
+        )
+    if view.noise_scale is not None and view.noise_scale > _NOTABLE:
+        words.append(
+            f"the differences are {significant(view.noise_scale, 2)} times as large as the stated noise "
+            f"explains. "
+            "The intervals were widened accordingly; the model may lack something."
+        )
+    return words
 
 
 def _effort(step: StepView) -> str:

@@ -35,7 +35,7 @@ def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
             Cell(label, lead=True),
             Cell(str(made.get("command", DASH))),
             Cell(str(made.get("limbcli", DASH))),
-            Cell(str(made.get("finished_utc", DASH))),
+            Cell(str(made.get("finished_utc", DASH)).replace("T", " ").removesuffix("Z")),
             Cell(quantity(made.get("seconds"), "s", digits=2, reason="not yet over")),
         )
         for label, made in _made(done, own)
