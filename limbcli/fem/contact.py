@@ -74,9 +74,7 @@ class Pair:
 
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p in self.patches:
-            kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body
-            )
+            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body)
 
     def stiffness(self, slots: IntArray, values: Array) -> None:
         for p in self.patches:
@@ -116,7 +114,16 @@ def _surface(model: LimbModel, name: str) -> Surface:
     return model.mesh.surfaces[name]
 
 
-_IGNORED = {"seg_up", "minaug", "maxaug", "smooth_aug", "ptol", "pressure_penalty", "contact_frac", "node_reloc"}
+_IGNORED = {
+    "seg_up",
+    "minaug",
+    "maxaug",
+    "smooth_aug",
+    "ptol",
+    "pressure_penalty",
+    "contact_frac",
+    "node_reloc",
+}
 
 
 def _refuse(contact: Contact) -> None:
@@ -167,7 +174,9 @@ def _rigid_side(surface: Surface, bodies: Sequence[Body], contact: Contact) -> t
 
 def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group], contact: Contact) -> Patch:
     if kind not in _CORNERS:
-        raise SolveError(f"{kind} facets are not supported", where=f"contact {contact.name!r}", fix="use tri3")
+        raise SolveError(
+            f"{kind} facets are not supported", where=f"contact {contact.name!r}", fix="use tri3"
+        )
     points, weights = rule(kind)
     N, dN = shape(kind, points)
     facets = np.ascontiguousarray(facets, dtype=np.int64)
@@ -235,7 +244,12 @@ def _moduli(program: Program, cells: IntArray, normals: Array) -> Array:
 
 
 def penalty_derivative(
-    contact: Contact, patch: Patch, groups: Sequence[Group], number: int, curve: CurveAt, programs: list[Program]
+    contact: Contact,
+    patch: Patch,
+    groups: Sequence[Group],
+    number: int,
+    curve: CurveAt,
+    programs: list[Program],
 ) -> Array:
     """d eps/d theta (n_facets,), where the law of group `number` changes as `programs` say.
 

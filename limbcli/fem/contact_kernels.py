@@ -127,7 +127,9 @@ def point_geometry(x, nodes, N, dN, r, g1, g2, n):
 
 
 @njit(cache=True, nogil=True)
-def search(start, stop, x, facets, N, dN, x2, facets2, spheres, box, radius, tolerance, eps, multiplier, state):
+def search(
+    start, stop, x, facets, N, dN, x2, facets2, spheres, box, radius, tolerance, eps, multiplier, state
+):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.

@@ -67,7 +67,9 @@ def _penta6(points: Array) -> tuple[Array, Array]:
     return N, np.concatenate([plane, axis], axis=2)
 
 
-def reference_gradients(points: Array, cells: Array, kind: str, rule: tuple[Array, Array]) -> tuple[Array, Array]:
+def reference_gradients(
+    points: Array, cells: Array, kind: str, rule: tuple[Array, Array]
+) -> tuple[Array, Array]:
     """dN/dX (n_cells, n_gauss, n_nodes, 3) and weights times Jacobian (n_cells, n_gauss)."""
     _, dN = shape(kind, rule[0])
     X = points[cells]

@@ -46,7 +46,9 @@ def _tangent9(F, S, CC, weight, A, T):
                 q = 3 * k + l
                 if q < p:
                     continue
-                value = T[p, VOIGT[0, l]] * F[k, 0] + T[p, VOIGT[1, l]] * F[k, 1] + T[p, VOIGT[2, l]] * F[k, 2]
+                value = (
+                    T[p, VOIGT[0, l]] * F[k, 0] + T[p, VOIGT[1, l]] * F[k, 1] + T[p, VOIGT[2, l]] * F[k, 2]
+                )
                 if p // 3 == k:
                     value += S[VOIGT[p % 3, l]]
                 A[p, q] = weight * value
@@ -66,7 +68,7 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
         for g in range(weight.shape[1]):
             _gradient(u, cells[e], grad[e, g], base, F)
             J = second_piola(F, ops, par[row], S, CC, False, work)
-            if J < worst:
+            if worst > J:
                 worst, place = J, e
             w = weight[e, g]
             for q in range(6):

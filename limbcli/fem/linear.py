@@ -13,7 +13,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sparse
-import scipy.sparse.linalg
 
 from limbcli.errors import SolveError, ToolError
 from limbcli.model import Array, IntArray

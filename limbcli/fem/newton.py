@@ -87,6 +87,13 @@ class Newton:
         self.inverse = Inverse(self.tangent, state, self.linear)
         self.counts.factorisations += 1
 
+    def exact_tangent(self, state: State, forces: Forces) -> None:
+        """The elastic tangent at this very state; the factor may stay older, GMRES makes up for it."""
+        if self.inverse is None:
+            self.refresh(state, forces)
+        elif self.tangent is None or self.tangent.state is not state:
+            self.tangent = assemble(self.system, state, forces.nodal)
+
     def solve_linear(self, state: State, rhs: Array, tolerance: float) -> Array:
         """Solve with the exact contact tangent and the last elastic tangent."""
         assert self.tangent is not None and self.inverse is not None
@@ -181,9 +188,7 @@ class Newton:
             depth=level.depth,
         )
 
-    def failure(
-        self, state: State, forces: Forces, level: Level, iteration: int, why: str
-    ) -> NotConverged:
+    def failure(self, state: State, forces: Forces, level: Level, iteration: int, why: str) -> NotConverged:
         """The error of a level that was not reached, with the worst place."""
         system = self.system
         if forces.worst <= 0:

@@ -14,9 +14,18 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import curves, kernels
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
-from limbcli.fem.contact import Pair, make_pairs
+from limbcli.fem.contact import make_pairs
 from limbcli.fem.groups import Group, Operands, make_groups
-from limbcli.fem.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, rotation_matrix, skew, spring_forces
+from limbcli.fem.rigid import (
+    AT_REST,
+    DOFS,
+    Body,
+    BodyState,
+    make_bodies,
+    rotation_matrix,
+    skew,
+    spring_forces,
+)
 from limbcli.model import Array, Drive, IntArray, LimbModel, NodeMap, Support
 
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -108,7 +117,11 @@ class System:
         for body in self.bodies:
             self.tied[body.tied] = True
         free[self.tied] = False
+        self._prescribed_values: list[tuple[IntArray, int, Array, str | None, bool]] = []
         self._prescribed = self._find_prescribed(free)
+        self.driven = np.zeros((n, 3), dtype=bool)
+        for nodes, axis, _, _, _ in self._prescribed_values:
+            self.driven[nodes, axis] = True
         self.equations = np.full((n, 3), -1, dtype=np.int64)
         self.n_tissue = int(free.sum())
         self.equations[free] = np.arange(self.n_tissue)
@@ -137,8 +150,12 @@ class System:
                     )
                 free[nodes, _AXES[dof]] = False
                 value = each.value.values if isinstance(each.value, NodeMap) else each.value
-                values = np.broadcast_to(np.asarray(0.0 if value is None else value, dtype=float), nodes.shape)
+                values = np.broadcast_to(
+                    np.asarray(0.0 if value is None else value, dtype=float), nodes.shape
+                )
                 found.append((nodes, _AXES[dof], values, each.curve, each.relative))
+                if value is not None:
+                    self._prescribed_values.append(found[-1])
         return found
 
     @property
@@ -150,7 +167,9 @@ class System:
     def curve_at(self, name: str, time: float) -> float:
         if name not in self.model.curves:
             raise SolveError(
-                f"there is no load curve {name!r}", where="load curves", fix=f"use one of {list(self.model.curves)}"
+                f"there is no load curve {name!r}",
+                where="load curves",
+                fix=f"use one of {list(self.model.curves)}",
             )
         return curves.value(self.model.curves[name], time)
 
@@ -279,7 +298,8 @@ class System:
         for k, o in enumerate(self.operands):
             args = o.arguments()
             results = self.threads.run(
-                lambda w, a, b, args=args: kernels.internal_force(a, b, state.u, *args, parts[w]), len(o.cells)
+                lambda w, a, b, args=args: kernels.internal_force(a, b, state.u, *args, parts[w]),
+                len(o.cells),
             )
             low, cell = min(results)
             if low < worst:
@@ -310,7 +330,9 @@ class System:
             for k, dof in enumerate(DOFS):
                 drive = body.drives.get(dof)
                 if drive is not None and drive.kind in ("force", "moment"):
-                    out[b, k] = drive.value * (1.0 if drive.curve is None else self.curve_at(drive.curve, time))
+                    out[b, k] = drive.value * (
+                        1.0 if drive.curve is None else self.curve_at(drive.curve, time)
+                    )
         return out
 
     # ------------------------------------------------------------ tangent
@@ -384,7 +406,9 @@ class System:
         """(3, 3): how the moment of the tied nodes' forces changes as their arms turn with the body."""
         body = self.bodies[b]
         arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
-        return sum((-skew(f) @ -skew(a) for f, a in zip(nodal[body.tied], arm, strict=True)), np.zeros((3, 3)))
+        return sum(
+            (-skew(f) @ -skew(a) for f, a in zip(nodal[body.tied], arm, strict=True)), np.zeros((3, 3))
+        )
 
     def close(self) -> None:
         self.threads.close()

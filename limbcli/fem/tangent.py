@@ -175,7 +175,10 @@ def gmres(
                 w = w - h * V[j]
         H[k + 1, k] = float(np.linalg.norm(w))
         for j in range(k):
-            H[j, k], H[j + 1, k] = cs[j] * H[j, k] + sn[j] * H[j + 1, k], -sn[j] * H[j, k] + cs[j] * H[j + 1, k]
+            H[j, k], H[j + 1, k] = (
+                cs[j] * H[j, k] + sn[j] * H[j + 1, k],
+                -sn[j] * H[j, k] + cs[j] * H[j + 1, k],
+            )
         length = float(np.hypot(H[k, k], H[k + 1, k]))
         if length == 0.0:
             break

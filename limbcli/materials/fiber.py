@@ -1,8 +1,8 @@
 """Fibres along a0: exponential-power law, and prescribed active contraction.
 
-`fiber-exp-pow` (tension only, I4 = a0.C.a0 >= lam0^2):
+`fiber-exp-pow` (tension only, I4 = a0.C.a0 > lam0^2):
     W = ksi/(alpha beta) (exp(alpha (I4 - 1)^beta) - 1) + mu/4 a0.(C - 1)^2.a0
-(alpha = 0: ksi/beta (I4 - 1)^beta). Below lam0^2 fibre and shear term vanish both.
+(alpha = 0: ksi/beta (I4 - 1)^beta). Up to lam0^2 fibre and shear term vanish both.
 
 Active contraction: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
 
@@ -48,7 +48,7 @@ def add_fiber(par, off, C, A, S, CC, tangent):
     ksi, alpha, beta, mu = par[off], par[off + ALPHA], par[off + BETA], par[off + MU]
     fibre_dyad(par, off + A0, A)
     I4 = fibre_square(A, C)
-    if I4 < par[off + LAM0] ** 2:
+    if par[off + LAM0] ** 2 >= I4:
         return
     x = I4 - 1.0
     slope, curve = 0.0, 0.0
@@ -89,7 +89,7 @@ def add_fiber_derivative(par, off, which, C, A, S):
     fibre_dyad(par, off + A0, A)
     I4 = fibre_square(A, C)
     x = I4 - 1.0
-    if I4 < par[off + LAM0] ** 2 or x <= 0.0:
+    if par[off + LAM0] ** 2 >= I4 or x <= 0.0:
         return
     power = x**beta
     slope = ksi * x ** (beta - 1.0) * np.exp(alpha * power)

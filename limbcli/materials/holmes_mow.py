@@ -18,9 +18,7 @@ from limbcli.materials.tensors import add_outer, add_square, inverse6
 def invariants(C):
     """I1, I2 of a symmetric tensor of six numbers."""
     I1 = C[0] + C[1] + C[2]
-    square = (
-        C[0] ** 2 + C[1] ** 2 + C[2] ** 2 + 2.0 * (C[3] ** 2 + C[4] ** 2 + C[5] ** 2)
-    )
+    square = C[0] ** 2 + C[1] ** 2 + C[2] ** 2 + 2.0 * (C[3] ** 2 + C[4] ** 2 + C[5] ** 2)
     return I1, 0.5 * (I1 * I1 - square)
 
 

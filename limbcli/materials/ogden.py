@@ -20,8 +20,8 @@ import numpy as np
 from numba import njit
 
 from limbcli.errors import SolveError
-from limbcli.model import Material
 from limbcli.materials.principal import add_principal
+from limbcli.model import Material
 
 MAX_TERMS = 6
 

@@ -40,7 +40,7 @@ class Leaf:
 
     @property
     def n_slots(self) -> int:
-        return len(self.law.slots({key: 1.0 for key in self.parameters})) + (3 if self.law.fiber else 0)
+        return len(self.law.slots(dict.fromkeys(self.parameters, 1.0))) + (3 if self.law.fiber else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +73,11 @@ class Compiled:
     def find(self, parameter: str) -> tuple[Leaf, str]:
         """The leaf and name behind "c1" or, where several leaves have it, "0.c1"."""
         path, _, name = parameter.rpartition(".")
-        found = [
-            leaf for leaf in self.leaves if name in leaf.parameters and (not path or leaf.path == path)
-        ]
+        found = [leaf for leaf in self.leaves if name in leaf.parameters and (not path or leaf.path == path)]
         if len(found) != 1:
-            known = sorted(_address(leaf, key, self.leaves) for leaf in self.leaves for key in leaf.parameters)
+            known = sorted(
+                _address(leaf, key, self.leaves) for leaf in self.leaves for key in leaf.parameters
+            )
             raise SolveError(
                 f"material {self.name!r} has {'no' if not found else 'several'} parameters {parameter!r}",
                 where=f"derivative with respect to {self.name}.{parameter}",
@@ -139,9 +139,7 @@ def _leaves(material: Material, name: str, path: str) -> list[Leaf]:
         if not material.parts:
             raise _problem(name, "a mixture without solids", "give it at least one solid")
         inside = f"{path}." if path else ""
-        return [
-            leaf for k, part in enumerate(material.parts) for leaf in _leaves(part, name, f"{inside}{k}")
-        ]
+        return [leaf for k, part in enumerate(material.parts) for leaf in _leaves(part, name, f"{inside}{k}")]
     law = LEAVES.get(material.law)
     if law is None:
         nested = material.law in LAWS

@@ -132,8 +132,4 @@ def add_square(CC, factor, A):
         i, j = FIRST[p], SECOND[p]
         for q in range(6):
             k, l = FIRST[q], SECOND[q]
-            CC[p, q] += (
-                0.5
-                * factor
-                * (A[VOIGT[i, k]] * A[VOIGT[j, l]] + A[VOIGT[i, l]] * A[VOIGT[j, k]])
-            )
+            CC[p, q] += 0.5 * factor * (A[VOIGT[i, k]] * A[VOIGT[j, l]] + A[VOIGT[i, l]] * A[VOIGT[j, k]])

@@ -1,0 +1,216 @@
+"""The load, level by level: steps, must-points, first guesses, step cutting.
+
+Without history (elastic law, no friction) the response depends on the load reached
+and not on the way, so the levels are the must-points alone (or the steps, where a
+step has none), and a step is cut only where Newton's method needs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
+from limbcli.fem.system import Forces, State, System
+from limbcli.model import LimbModel, Step
+from limbcli.progress import SILENT, Progress
+
+_MAX_CUTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One converged time. must : it is a must-point, or the end of a step."""
+
+    step: int
+    state: State
+    forces: Forces
+    must: bool
+
+
+Visitor = Callable[["Analysis", Snapshot], None]
+
+
+class Analysis:
+    """Runs a model's steps; keeps system, factor and converged states for warm starts."""
+
+    def __init__(self, model: LimbModel, settings: Settings | None = None, progress: Progress = SILENT):
+        self.model = model
+        self.settings = settings or Settings()
+        self.progress = progress
+        self.counts = Counts()
+        self._newton: Newton | None = None
+        self._supports: tuple[object, ...] | None = None
+
+    @property
+    def newton(self) -> Newton:
+        assert self._newton is not None
+        return self._newton
+
+    @property
+    def system(self) -> System:
+        return self.newton.system
+
+    def run(
+        self, visit: Visitor | None = None, *, guesses: dict[float, State] | None = None
+    ) -> list[Snapshot]:
+        """All steps from rest to the end; `visit` is called at every converged time.
+
+        guesses : first guesses by time, from an earlier run of the same load
+        """
+        snapshots: list[Snapshot] = []
+        state: State | None = None
+        begin = 0.0
+        n_levels = sum(len(step_times(step)) for step in self.model.steps)
+        number = 0
+        for step in self.model.steps:
+            newton = self._prepare(step, state)
+            state = newton.system.start
+            reached: list[State] = [state]
+            for target in step_times(step):
+                number += 1
+                level = Level(number, n_levels, self._depth(newton.system, begin + target))
+                state = self._reach(
+                    begin + target,
+                    step,
+                    reached,
+                    level,
+                    snapshots,
+                    visit,
+                    (guesses or {}).get(begin + target),
+                )
+            begin += step.n_steps * step.step_size
+        return snapshots
+
+    def _prepare(self, step: Step, state: State | None) -> Newton:
+        """The system of a step: the one at hand, if its supports and drives are the same."""
+        key = (*step.supports, *step.drives)
+        if self._newton is not None and self._supports == key and state is None:
+            system = self._newton.system
+            system.with_materials(self.model)
+            system.start = system.rest()
+            return self._newton
+        if self._newton is not None and self._supports == key and state is not None:
+            self._newton.system.start = state
+            return self._newton
+        if self._newton is not None:
+            self._collect()
+            self._newton.close()
+        system = System(
+            self.model,
+            supports=self.model.supports + step.supports,
+            drives=self.model.drives + step.drives,
+            threads=self.settings.threads,
+            start=state,
+        )
+        self._newton = Newton(system, self.settings, self.progress)
+        self._supports = key
+        return self._newton
+
+    def _reach(
+        self,
+        target: float,
+        step: Step,
+        reached: list[State],
+        level: Level,
+        snapshots: list[Snapshot],
+        visit: Visitor | None,
+        known: State | None,
+    ) -> State:
+        """March to a time, halving the step where it fails."""
+        cuts, aim = 0, target
+        while True:
+            try:
+                state, forces = self._solve(aim, reached, level, known if aim == target else None)
+            except SolveError as error:
+                if not isinstance(error, NotConverged):
+                    raise
+                cuts += 1
+                self.newton.counts.retries += 1
+                middle = 0.5 * (reached[-1].time + aim)
+                if cuts > max(_MAX_CUTS, step.max_retries) or middle <= reached[-1].time:
+                    raise
+                self.newton.tangent = None
+                aim, known = middle, None
+                continue
+            must = aim == target
+            snapshot = Snapshot(len(snapshots) + 1, state, forces, must)
+            snapshots.append(snapshot)
+            reached.append(state)
+            if visit is not None:
+                visit(self, snapshot)
+            if must:
+                return state
+            aim = target if cuts <= 1 else min(target, aim + 2 * (aim - reached[-2].time))
+            cuts = max(0, cuts - 1)
+
+    def _solve(
+        self, time: float, reached: list[State], level: Level, known: State | None
+    ) -> tuple[State, Forces]:
+        newton = self.newton
+        if known is not None:
+            return newton.equilibrate(newton.system.prescribed(known, time), level)
+        if len(reached) >= 3:
+            try:
+                return newton.equilibrate(extrapolate(newton.system, reached, time), level)
+            except NotConverged:
+                newton.tangent = None
+        return newton.equilibrate(newton.predict(reached[-1], time), level)
+
+    def _depth(self, system: System, time: float) -> float:
+        state = system.prescribed(system.start, time)
+        depths = [-(body.center + at.shift)[2] for body, at in zip(system.bodies, state.bodies, strict=True)]
+        return float(depths[0]) if depths else 0.0
+
+    def _collect(self) -> None:
+        """Counts of a Newton object that is about to be closed."""
+        for name in ("iterations", "residuals", "krylov", "factorisations", "retries"):
+            setattr(self.counts, name, getattr(self.counts, name) + getattr(self.newton.counts, name))
+        self.newton.counts = Counts()
+
+    def totals(self) -> Counts:
+        self._collect()
+        return self.counts
+
+    def close(self) -> None:
+        if self._newton is not None:
+            self._newton.close()
+
+
+def extrapolate(system: System, reached: list[State], time: float) -> State:
+    """First guess on the line (or parabola) through the last converged states."""
+    states = reached[-3:] if len(reached) >= 4 else reached[-2:]
+    weights = lagrange(np.array([s.time for s in states]), time)
+    u = sum(w * s.u for w, s in zip(weights, states, strict=True))
+    last = states[-1]
+    shifts = [
+        replace(at, shift=sum(w * s.bodies[b].shift for w, s in zip(weights, states, strict=True)))
+        for b, at in enumerate(last.bodies)
+    ]
+    return system.prescribed(State(last.time, np.asarray(u), tuple(shifts)), time)
+
+
+def lagrange(times: np.ndarray, time: float) -> np.ndarray:
+    """Weights of the polynomial through `times`, at `time`.
+
+    >>> lagrange(np.array([0.0, 1.0]), 2.0)
+    array([-1.,  2.])
+    """
+    weights = np.ones(len(times))
+    for k in range(len(times)):
+        for j in range(len(times)):
+            if j != k:
+                weights[k] *= (time - times[j]) / (times[k] - times[j])
+    return weights
+
+
+def step_times(step: Step) -> list[float]:
+    """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps."""
+    end = step.n_steps * step.step_size
+    inner = [t for t in step.must_points if 0 < t < end * (1 - 1e-9)]
+    if step.must_points:
+        return sorted({*inner, end})
+    return [step.step_size * (k + 1) for k in range(step.n_steps - 1)] + [end]

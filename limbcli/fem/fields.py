@@ -1,0 +1,133 @@
+"""What the records ask for: fields of nodes, cells and bodies at a converged state.
+
+Cell fields are means over the integration points, as in FEBio's log. A rigid shell has
+J = 1, F = 1 and no stress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem import kernels
+from limbcli.fem.rigid import rotation_vector
+from limbcli.fem.system import Forces, State, System
+from limbcli.materials.energy import energy_density
+from limbcli.materials.tensors import VOIGT
+from limbcli.model import Array, LogRecord
+
+_TENSOR = {"x": 0, "y": 1, "z": 2, "xy": 3, "yz": 4, "xz": 5}
+_F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
+_STRESS = {f"s{name}": k for name, k in _TENSOR.items()}
+_STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
+_CENTER = ("x", "y", "z")
+CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F)
+NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
+BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
+_KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS}
+
+
+def check_record(record: LogRecord) -> None:
+    """Refuse a record with a field that cannot be given."""
+    for name in record.fields:
+        if name not in _KNOWN[record.kind]:
+            raise SolveError(
+                f"the log variable {name!r} is not supported by the reference solver",
+                where=f"record {record.file!r}",
+                fix=f"use {', '.join(_KNOWN[record.kind])}, or run FEBio",
+            )
+
+
+def record_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+    """(ids from 0, values (n_items, n_fields)) of one record."""
+    if record.kind == "rigid_body":
+        return _body_rows(system, state, forces, record)
+    if record.kind == "node":
+        return _node_rows(system, state, forces, record)
+    return _cell_rows(system, state, record)
+
+
+def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+    names = [body.name for body in system.bodies]
+    if record.items not in names:
+        raise SolveError(
+            f"there is no rigid body {record.items!r}",
+            where=f"record {record.file!r}",
+            fix=f"use one of {names}",
+        )
+    b = names.index(str(record.items))
+    at = state.bodies[b]
+    values = np.concatenate([system.bodies[b].center + at.shift, rotation_vector(at.turn), forces.bodies[b]])
+    columns = [BODY_FIELDS.index(name) for name in record.fields]
+    return np.array([b]), values[None, columns]
+
+
+def _node_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+    reactions = np.where(system.driven, forces.nodal, 0.0)
+    values = np.concatenate([system.X + state.u, state.u, reactions], axis=1)
+    items = np.arange(len(values)) if record.items is None else np.asarray(record.items)
+    return items, values[items][:, [NODE_FIELDS.index(name) for name in record.fields]]
+
+
+def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[Array, Array]:
+    n_cells = sum(len(block.cells) for block in system.model.mesh.blocks)
+    values = np.zeros((n_cells, len(record.fields)))
+    for k, name in enumerate(record.fields):
+        if name == "J" or (name in _F and _F[name][0] == _F[name][1]):
+            values[:, k] = 1.0
+    for number, group in enumerate(system.groups):
+        rows = cell_fields(system, state, number, record.fields)
+        values[group.first : group.first + len(group.cells)] = rows
+    items = np.arange(n_cells) if record.items is None else np.asarray(record.items)
+    return items, values[items]
+
+
+def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
+    """F (n_cells, n_gauss, 3, 3), of the mesh, and Cauchy stress (n_cells, n_gauss, 3, 3) of a group."""
+    o = system.operands[number]
+    shape = (*o.weight.shape, 3, 3)
+    F, S = np.empty(shape), np.empty((*o.weight.shape, 6))
+    nothing = np.zeros((0, 1, 6, 6))
+    args = o.arguments()
+    system.threads.run(
+        lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, nothing), len(o.cells)
+    )
+    J = np.linalg.det(F)
+    stress = F @ S[..., VOIGT] @ np.swapaxes(F, -1, -2) / J[..., None, None]
+    return F @ np.linalg.inv(o.base), stress
+
+
+def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:
+    """(n_cells, n_fields): means over the integration points of a group's cells."""
+    group = system.groups[number]
+    F, stress = gauss_fields(system, state, number)
+    x = (system.X + state.u)[group.cells].mean(axis=1)
+    getters: dict[str, Callable[[], Array]] = {
+        "J": lambda: np.linalg.det(F).mean(axis=1),
+        "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
+    }
+    principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
+    strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
+    columns = []
+    for name in fields:
+        if name in getters:
+            columns.append(getters[name]())
+        elif name in _F:
+            columns.append(F[:, :, _F[name][0], _F[name][1]].mean(axis=1))
+        elif name in _STRESS:
+            columns.append(_component(stress, _STRESS[name]))
+        elif name in _STRAIN:
+            columns.append(_component(strain, _STRAIN[name]))
+        elif name in _CENTER:
+            columns.append(x[:, _CENTER.index(name)])
+        else:
+            assert principal is not None
+            columns.append(principal[:, 3 - int(name[1])])
+    return np.stack(columns, axis=1)
+
+
+def _component(tensor: Array, k: int) -> Array:
+    i, j = np.argwhere(k == VOIGT)[0]
+    return np.asarray(tensor[:, :, i, j].mean(axis=1))

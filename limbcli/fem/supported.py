@@ -1,0 +1,44 @@
+"""What the reference solver takes, said before anything is computed; and its one-time compilation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.errors import SolveError
+from limbcli.fem.fields import check_record
+from limbcli.materials import compile_material
+from limbcli.model import LimbModel
+from limbcli.progress import Progress
+
+
+def check_supported(model: LimbModel) -> None:
+    """Raise SolveError, naming the thing, where a model holds what this solver does not do."""
+    for contact in model.contacts:
+        if contact.kind != "sliding-elastic":
+            raise _refused(f"contact of type {contact.kind!r}", f"contact {contact.name!r}")
+    for domain in model.domains:
+        if domain.material not in model.materials:
+            raise _refused(f"domain {domain.block!r} without a material", "domains")
+        law = model.materials[domain.material].law
+        if law == "biphasic":
+            raise _refused("the law 'biphasic'", f"material {domain.material!r}")
+        compile_material(model.materials[domain.material], domain.material)
+    for record in model.records:
+        check_record(record)
+
+
+def _refused(what: str, where: str) -> SolveError:
+    return SolveError(
+        f"{what} is not supported by the reference solver", where=where, fix="run this model with FEBio"
+    )
+
+
+def warm_up(progress: Progress) -> None:
+    """Tell listeners, once, that the kernels are about to be compiled on this machine."""
+    from limbcli.fem import kernels
+
+    folder = Path(kernels.__file__).parent
+    stats = kernels.internal_force.stats
+    cached = any((folder / "__pycache__").glob("kernels.internal_force*.nbi"))
+    if not cached and not stats.cache_hits:
+        progress.event("compile", what="the reference solver's kernels (about half a minute, once)")

@@ -1,0 +1,304 @@
+"""The bundled reference solver: reads a `.feb` file, leaves the files that FEBio would leave.
+
+`ReferenceSolver` keeps the contract of all solvers; `ReferenceSession` keeps a model
+in memory, solves it again with other parameters from where it was, and gives exact
+derivatives of the probe's force.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import limbcli
+from limbcli.errors import SolveError
+from limbcli.feb.log import check_complete, read_log
+from limbcli.feb.outline import read_outline
+from limbcli.feb.read import read_feb
+from limbcli.feb.write import write_feb
+from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation, Table
+from limbcli.solvers.reference_files import RunFiles
+from limbcli.solvers.tables import read_tables
+
+if TYPE_CHECKING:
+    from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.system import State
+
+NAME = "reference"
+Parameter = tuple[str, str]
+
+
+@dataclass
+class ReferenceSolver:
+    """The reference solver behind the five verbs.
+
+    threads : 1 or 2 and so on; linear : "auto", "pardiso" or "superlu"
+    tolerance : residual over the forces at play
+    """
+
+    threads: int = 2
+    linear: str = "auto"
+    tolerance: float = 1e-6
+    name: str = NAME
+
+    def found(self) -> bool:
+        return True
+
+    def version(self) -> str:
+        return limbcli.__version__
+
+    def write(self, model: LimbModel, folder: Path) -> Path:
+        return write_feb(model, folder / MODEL_FILE)
+
+    def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
+        """Solve a model file in its folder; the log and the record files appear beside it.
+
+        Raises
+        ------
+        CaseError, SolveError
+            If the file holds something that is not supported (before anything is
+            computed), if a level is not reached, or if the time limit passes.
+        """
+        model = read_feb(feb)
+        with RunFiles(model, feb.parent, version=self.version()) as files:
+            self._compute(model, files, progress, time_limit_s)
+
+    def _compute(
+        self, model: LimbModel, files: RunFiles, progress: Progress, time_limit_s: float | None
+    ) -> None:
+        analysis = prepare(
+            model, progress, threads=self.threads, linear=self.linear, tolerance=self.tolerance
+        )
+        started = time.monotonic()
+
+        def visit(running: Analysis, snapshot: Snapshot) -> None:
+            files.step(running, snapshot)
+            if time_limit_s is not None and time.monotonic() - started > time_limit_s:
+                raise SolveError(
+                    f"the reference solver was stopped after {time_limit_s:g} s, at time {snapshot.state.time:g}",
+                    where=str(files.folder / LOG_FILE),
+                    fix="give more time with --time-limit-s, or use --element tet4",
+                    time_reached=snapshot.state.time,
+                )
+
+        try:
+            analysis.run(visit)
+            files.finish(analysis, time.monotonic() - started)
+        finally:
+            analysis.close()
+
+    def read(self, feb: Path) -> Simulation:
+        """What a finished run left beside its model file."""
+        outline = read_outline(feb)
+        path = feb.parent / LOG_FILE
+        log = read_log(path)
+        check_complete(log, path, end_time=outline.end_time)
+        tables = read_tables(outline, feb.parent)
+        return Simulation(
+            solver=self.name,
+            version=log.version,
+            times=tables.times,
+            rigid=tables.rigid,
+            nodes=tables.nodes,
+            elements=tables.elements,
+            n_iterations=log.n_iterations,
+            n_factorisations=log.n_reformations,
+            seconds=log.seconds,
+            linear_solver=log.linear_solver,
+        )
+
+
+def prepare(
+    model: LimbModel,
+    progress: Progress = SILENT,
+    *,
+    threads: int = 2,
+    linear: str = "auto",
+    tolerance: float = 1e-6,
+) -> Analysis:
+    """An analysis of a model, after checking that all of it is supported."""
+    from limbcli.fem.supported import check_supported, warm_up
+
+    check_supported(model)
+    warm_up(progress)
+    from limbcli.fem.analysis import Analysis
+    from limbcli.fem.newton import Settings
+
+    return Analysis(model, Settings(tolerance=tolerance, linear=linear, threads=threads), progress)
+
+
+# ---------------------------------------------------------------- session
+
+
+@dataclass(frozen=True, eq=False)
+class MustPoints:
+    """The levels: times (s), depths (mm, positive down) and probe forces (N, compression positive)."""
+
+    times: Array
+    depths: Array
+    forces: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SessionResult:
+    """One solve.
+
+    force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
+    """
+
+    simulation: Simulation
+    must_points: MustPoints
+    force_gradient: Mapping[Parameter, Array] = field(default_factory=dict)
+
+
+class ReferenceSession:
+    """A model kept in memory, to be solved again and again with other material parameters.
+
+    Every solve starts from the converged levels of the one before, moved along their
+    derivatives where these are known.
+
+    body : whose force is meant; by default the body of the first contact
+    """
+
+    def __init__(
+        self,
+        model: LimbModel,
+        *,
+        progress: Progress = SILENT,
+        threads: int = 2,
+        linear: str = "auto",
+        tolerance: float = 1e-6,
+        body: str | None = None,
+    ):
+        self.model = model
+        self.progress = progress
+        self._analysis = prepare(model, progress, threads=threads, linear=linear, tolerance=tolerance)
+        self.body = body or _contact_body(model)
+        self._states: dict[float, State] = {}
+        self._slopes: dict[float, dict[Parameter, Array]] = {}
+
+    def solve(
+        self, model2: LimbModel | None = None, *, wrt: Sequence[Parameter] = (), records: bool = False
+    ) -> SessionResult:
+        """Solve the model, or `model2`: the same mesh and load with other material parameters.
+
+        wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by
+        records : also fill the node and element tables that the model asks for
+
+        Raises
+        ------
+        SolveError
+            If a level is not reached; the session can be used further.
+        """
+        from limbcli.fem import sensitivity
+        from limbcli.fem.fields import record_rows
+
+        model = model2 if model2 is not None else self.model
+        guesses = self._guesses(model)
+        self._analysis.model = model
+        started = time.monotonic()
+        asked = self._records(model, records)
+        rows: dict[str, list[tuple[Array, Array]]] = {r.file: [] for r in asked}
+        gradients: dict[Parameter, list[float]] = {tuple(each): [] for each in wrt}  # type: ignore[misc]
+        slopes: dict[float, dict[Parameter, Array]] = {}
+
+        def visit(running: Analysis, snapshot: Snapshot) -> None:
+            system, state = running.system, snapshot.state
+            for record in asked:
+                rows[record.file].append(record_rows(system, state, snapshot.forces, record))
+            if gradients and snapshot.must:
+                pairs = [sensitivity.LawParameter(*each) for each in gradients]
+                loads = [sensitivity.partial(system, state, each) for each in pairs]
+                found = sensitivity.solve(running.newton, state, loads)
+                b = [body.name for body in system.bodies].index(self.body)
+                for name, each in zip(gradients, found, strict=True):
+                    gradients[name].append(-float(each.bodies[b, 2]))
+                    slopes.setdefault(state.time, {})[name] = each.displacement
+
+        snapshots = self._analysis.run(visit, guesses=guesses)
+        self.model = model
+        self._states = {s.state.time: s.state for s in snapshots if s.must}
+        self._slopes = slopes
+        simulation = self._simulation(snapshots, asked, rows, time.monotonic() - started)
+        must = np.array([s.must for s in snapshots])
+        points = MustPoints(
+            simulation.times[must],
+            simulation.probe_depth(self.body)[must],
+            simulation.probe_force(self.body)[must],
+        )
+        return SessionResult(simulation, points, {k: np.array(v) for k, v in gradients.items()})
+
+    def close(self) -> None:
+        self._analysis.close()
+
+    def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
+        from limbcli.fem.fields import BODY_FIELDS
+
+        others = [r for r in model.records if everything and r.kind != "rigid_body"]
+        rigid = [LogRecord("rigid_body", BODY_FIELDS, f"*{body.name}", body.name) for body in model.bodies]
+        return rigid + others
+
+    def _simulation(
+        self,
+        snapshots: list[Snapshot],
+        asked: list[LogRecord],
+        rows: dict[str, list[tuple[Array, Array]]],
+        seconds: float,
+    ) -> Simulation:
+        times = np.array([s.state.time for s in snapshots])
+        tables: dict[str, dict[str, Table]] = {"rigid_body": {}, "node": {}, "element": {}}
+        for record in asked:
+            key = str(record.items) if record.kind == "rigid_body" else record.file
+            values = np.stack([each for _, each in rows[record.file]])
+            items = np.zeros(1, dtype=np.int64) if record.kind == "rigid_body" else rows[record.file][0][0]
+            tables[record.kind][key] = Table(record.fields, times, items, values)
+        counts = self._analysis.totals()
+        return Simulation(
+            solver=NAME,
+            version=limbcli.__version__,
+            times=times,
+            rigid=tables["rigid_body"],
+            nodes=tables["node"],
+            elements=tables["element"],
+            n_iterations=counts.iterations,
+            n_factorisations=counts.factorisations,
+            seconds=seconds,
+            linear_solver=self._analysis.newton.linear_name,
+        )
+
+    def _guesses(self, model: LimbModel) -> dict[float, State]:
+        """Converged levels of the last solve, moved along their derivatives."""
+        from dataclasses import replace
+
+        out = {}
+        for when, state in self._states.items():
+            u = state.u
+            for (material, name), slope in self._slopes.get(when, {}).items():
+                before = self.model.materials[material].parameters.get(name)
+                after = model.materials[material].parameters.get(name)
+                if isinstance(before, float | int) and isinstance(after, float | int) and after != before:
+                    u = u + (after - before) * slope
+            out[when] = replace(state, u=u)
+        return out
+
+
+def _contact_body(model: LimbModel) -> str:
+    """The body that the first contact pushes with, else the first body."""
+    names = [body.name for body in model.bodies]
+    if not names:
+        raise SolveError("the model has no rigid body", where="session", fix="add the probe")
+    for contact in model.contacts:
+        surface = model.mesh.surfaces[contact.secondary]
+        nodes = np.concatenate([facets.ravel() for facets in surface.facets.values()])
+        for body in model.bodies:
+            blocks = [model.mesh.block(name).cells.ravel() for name in body.blocks]
+            if blocks and np.isin(nodes, np.concatenate(blocks)).all():
+                return body.name
+    return names[0]

@@ -1,0 +1,111 @@
+"""Log and record files of the reference solver, in the form that FEBio gives them."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.solvers.base import LOG_FILE
+
+if TYPE_CHECKING:
+    from limbcli.fem.analysis import Analysis, Snapshot
+
+_RULE = "=" * 75
+
+
+class RunFiles:
+    """Open files of one run; leaving the block by an error writes an error termination."""
+
+    def __init__(self, model: LimbModel, folder: Path, *, version: str):
+        self.model, self.folder = model, folder
+        self._stack = contextlib.ExitStack()
+        for name in (LOG_FILE, *(record.file for record in model.records)):
+            (folder / name).unlink(missing_ok=True)
+        self._log = self._stack.enter_context((folder / LOG_FILE).open("w"))
+        self._files: dict[str, IO[str]] = {}
+        self._finished = False
+        self._said_solver = False
+        self._say(f"{_RULE}\n  limbcli reference solver\n  version {version}\n{_RULE}\n")
+
+    def __enter__(self) -> RunFiles:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            stars = " *" * 37
+            lines = "\n".join(f" * {line}" for line in str(error).splitlines())
+            self._say(f"{stars}\n * ERROR\n{lines}\n{stars}\n".replace(stars, " " + "*" * 73))
+        if not self._finished:
+            self._say("\n E R R O R   T E R M I N A T I O N\n")
+        self._stack.close()
+
+    def step(self, analysis: Analysis, snapshot: Snapshot) -> None:
+        """A converged step: its line in the log, and its rows in every record file."""
+        if not self._said_solver:
+            self._first(analysis)
+        time = snapshot.state.time
+        counts = analysis.newton.counts
+        self._say(f"===== beginning time step {snapshot.step} : {time:.12g} =====")
+        self._say(
+            f" touching points {snapshot.forces.n_touching}, residual {snapshot.forces.error:.3e},"
+            f" iterations so far {counts.iterations}, factorisations {counts.factorisations}"
+        )
+        self._say(f"------- converged at time : {time:.12g}\n")
+        self._records(analysis, snapshot.step, time, snapshot)
+        self._log.flush()
+
+    def finish(self, analysis: Analysis, seconds: float) -> None:
+        """Totals and the line by which a finished run is known."""
+        counts = analysis.totals()
+        self._say(" N O N L I N E A R   I T E R A T I O N   S U M M A R Y\n")
+        self._say(f"\tTotal number of equilibrium iterations ............ : {counts.iterations}\n")
+        self._say(f"\tTotal number of right hand evaluations ............ : {counts.residuals}\n")
+        self._say(f"\tTotal number of stiffness reformations ............ : {counts.factorisations}\n")
+        self._say(f"\tTotal elapsed time .............. : 0:00:00 ({seconds:.3f} sec)\n")
+        self._say("\n N O R M A L   T E R M I N A T I O N\n")
+        self._finished = True
+
+    def _first(self, analysis: Analysis) -> None:
+        self._said_solver = True
+        box = " " + "*" * 73
+        self._say(f"{box}\n * Selecting linear solver {analysis.newton.linear_name}\n{box}\n")
+        self._say(f"\tNumber of equations ............ : {analysis.system.n_unknowns}\n")
+        self._records(analysis, 0, 0.0, None)
+
+    def _records(self, analysis: Analysis, step: int, time: float, snapshot: Snapshot | None) -> None:
+        from limbcli.fem.fields import record_rows
+
+        system = analysis.system
+        if snapshot is None:
+            state = system.rest()
+            now = system.time
+            system.at(0.0)
+            forces = system.forces(state)
+        else:
+            state, forces = snapshot.state, snapshot.forces
+        for record in self.model.records:
+            ids, values = record_rows(system, state, forces, record)
+            self._write(record, step, time, ids, values)
+        if snapshot is None:
+            system.at(now)
+
+    def _write(self, record: LogRecord, step: int, time: float, ids: Array, values: Array) -> None:
+        if record.file not in self._files:
+            self._files[record.file] = self._stack.enter_context((self.folder / record.file).open("w"))
+        stream = self._files[record.file]
+        title = record.items if record.kind == "rigid_body" else ";".join(record.fields)
+        stream.write(f"*Step  = {step}\n*Time  = {time:.12g}\n*Data  = {title}\n")
+        first = 1 + (len(self.model.materials) if record.kind == "rigid_body" else 0)
+        table = np.column_stack([np.asarray(ids) + first, values])
+        np.savetxt(stream, table, fmt=["%d"] + ["%.12g"] * values.shape[1], delimiter=",")
+        stream.flush()
+
+    def _say(self, text: str) -> None:
+        self._log.write(text + "\n")
