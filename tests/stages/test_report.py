@@ -1,0 +1,364 @@
+"""The report page: whole, honest about gaps, and self-contained."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from limbcli.case import Case
+from limbcli.reporting.sections.parameters import parameters
+from limbcli.results import open_stage, read_result
+from limbcli.stages.report import report
+from limbcli.stages.report_material import gather
+
+CASE_TOML = """\
+format = 1
+[subject]
+id = "S1"
+limb = "left"
+[imaging]
+skin = "skin.ply"
+bones = ["tibia.ply"]
+[probe]
+name = "GE 9L"
+length_mm = 53.0
+width_mm = 14.0
+edge_radius_mm = 3.0
+"""
+SITE_TOML = """\
+[[site]]
+name = "{name}"
+position_mm = [12.0, 48.5, -60.0]
+long_axis = "transverse"
+levels = "{name}.csv"
+[site.noise]
+source = "spec"
+"""
+DEPTH = np.array([0.0, 2.0, 4.0, 5.5, 7.0, 8.2, 9.1, 10.0])
+FORCE = 1.1 * DEPTH + 0.12 * DEPTH**2
+SPEED = 2.25 + 0.055 * FORCE
+
+
+def make_case(folder: Path, *, sites: tuple[str, ...] = ("p1",)) -> Case:
+    folder.mkdir(parents=True, exist_ok=True)
+    tables = "".join(SITE_TOML.format(name=name) for name in sites)
+    (folder / "case.toml").write_text(CASE_TOML + tables)
+    for name in ("skin.ply", "tibia.ply"):
+        (folder / name).write_text("ply\n")
+    rows = ["force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s"]
+    rows += [f"{f:.4f},{d},{v:.4f},0.2" for f, d, v in zip(FORCE, DEPTH, SPEED, strict=True)]
+    for name in sites:
+        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
+    return Case.open(folder)
+
+
+def small_png(path: Path) -> None:
+    figure = Figure(figsize=(2, 1))
+    figure.subplots().plot([0, 1])
+    figure.savefig(path)
+
+
+def add_segment(out: Path) -> None:
+    with open_stage(out, "segment", subject="S1") as writer:
+        small_png(writer.file("contact_sheet", "contact-sheet.png"))
+        writer.data["markers"] = [{"number": 1, "position_mm": [1.0, 2.0, 3.0]}]
+        writer.data["volumes_ml"] = {"skin": 1234.5, "bone_tibia": 98.7}
+        writer.summary.append("2 bones")
+        writer.warnings.append("the fibula is missing <in> two slices")
+
+
+def add_mesh(out: Path, site: str) -> None:
+    with open_stage(out, "mesh", subject="S1", site=site) as writer:
+        small_png(writer.file("picture", "mesh.png"))
+        writer.data.update(n_nodes=6200, element="tet10", edge_mean_mm=2.6)
+
+
+def step_data(*, m: float, m_free: bool, r2: float, rmse_n: float) -> dict:
+    words = "f_kappa is not identifiable from these data: they exclude only values below 52 (95 %)."
+    parameters = {
+        "c_kpa": {"value": 10.13, "low": 9.1, "high": 11.2, "flag": "fixed", "words": "c is held fixed"},
+        "f_kappa": {"value": 80.0, "low": 52.0, "high": None, "flag": "weak", "words": words},
+    }
+    if m_free:
+        parameters["m"] = {
+            "value": m,
+            "low": 3.7,
+            "high": 4.5,
+            "flag": "identified",
+            "words": "m is identified",
+        }
+    history = [{"cost_n2": 50.0 * 0.2**k, "f_kappa": 100.0 - 4 * k} for k in range(5)]
+    return {
+        "c_kpa": 10.13, "m": m, "f_kappa": 80.0, "kappa_kpa": 810.4, "r2": r2, "rmse_n": rmse_n,
+        "n_iterations": 4, "n_solves": 9, "seconds": 33.2, "reason": "the cost settled",
+        "parameters": parameters, "history": history,
+    }  # fmt: skip
+
+
+def add_fit(
+    out: Path, site: str, *, element: str = "tet10", noise: str = "repeats", scale: float = 1.0
+) -> None:
+    with open_stage(out, "fit", subject="S1", site=site) as writer:
+        steps = {
+            "mooney-rivlin": step_data(m=2.0, m_free=False, r2=0.981, rmse_n=0.83),
+            "ogden": step_data(m=4.1, m_free=True, r2=0.99871, rmse_n=0.2134),
+        }
+        writer.data.update(
+            element=element, solver="reference", solver_version="0.1.0", linear_solver="pardiso",
+            c_source="2 mu from SWE at level 0 (2.250 m/s)", steps=steps, noise={"source": noise},
+            noise_scale=scale,
+        )  # fmt: skip
+        rows = ["depth_mm,measured_n,start_n,mooney-rivlin_n,ogden_n"]
+        rows += [
+            f"{d},{f:.6g},{4 * f:.6g},{0.95 * f:.6g},{f + 0.02:.6g}"
+            for d, f in zip(DEPTH, FORCE, strict=True)
+        ]
+        writer.file("curves", "curves.csv").write_text("\n".join(rows) + "\n")
+        small_png(writer.file("profiles", "profiles.png"))
+        writer.warnings.append("f_kappa trades off <with> c")
+
+
+class Page(HTMLParser):
+    """Tags in order, checked for balance; text; attributes."""
+
+    VOID = frozenset({"meta", "img", "link", "br", "hr", "input"})
+
+    def __init__(self, html: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.words: list[str] = []
+        self.tables: list[list[list[str]]] = []
+        self.feed(html)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] == "style":
+            return
+        self.words.append(data)
+        if "tr" in self.open and self.tables[-1][-1]:
+            self.tables[-1][-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", "".join(self.words))
+
+    def all(self, tag: str) -> list[dict[str, str]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+    def table(self, word: str) -> list[list[str]]:
+        """The first table that holds a word, cells without surplus space."""
+        clean = [[[" ".join(cell.split()) for cell in row] for row in table] for table in self.tables]
+        return next(table for table in clean if any(word in cell for row in table for cell in row))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[Path, Page]:
+    """A report of a subject with one finished site, one half done and one failed."""
+    base = tmp_path_factory.mktemp("report")
+    case, out = make_case(base / "case", sites=("p1", "p2", "p3")), base / "out"
+    add_segment(out)
+    for site in ("p1", "p2"):
+        add_mesh(out, site)
+    write_run_of(out, "p1")
+    add_fit(out, "p1")
+    fail(out, "mesh", "p3")
+    result = report(case, out=out)
+    return out, Page(result.path("page").read_text(encoding="utf-8"))
+
+
+def write_run_of(out: Path, site: str) -> None:
+    folder = Path(__file__).parent / "test_report_state.py"
+    spec = importlib.util.spec_from_file_location("report_state_tests", folder)
+    assert spec is not None
+    assert spec.loader is not None
+    helper = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(helper)
+    with open_stage(out, "run", subject="S1", site=site) as writer:
+        helper.write_run(writer.work, helper.box_model())
+        writer.data.update(solver="febio", solver_version="4.11.0")
+
+
+def fail(out: Path, stage: str, site: str | None) -> None:
+    folder = out / stage / site if site else out / stage
+    folder.mkdir(parents=True, exist_ok=True)
+    note = {
+        "error": "MeshError", "what": "the probe reaches beyond the skin", "where": f"site {site}",
+        "fix": "move position_mm & try again",
+    }  # fmt: skip
+    (folder / "error.json").write_text(json.dumps(note))
+
+
+def test_page_needs_nothing_but_itself(whole):
+    _, page = whole
+    for name, attrs in page.tags:
+        for key in ("src", "href", "srcset", "action"):
+            if key in attrs:
+                assert attrs[key].startswith(("data:", "#")), (name, attrs[key])
+    assert not page.all("script")
+    assert not page.all("link")
+
+
+def test_every_picture_is_embedded_whole_and_described(whole):
+    _, page = whole
+    images = page.all("img")
+    assert len(images) >= 8
+    for attrs in images:
+        assert len(attrs["alt"]) > 20
+        head, content = attrs["src"].split(",", 1)
+        data = base64.b64decode(content, validate=True)
+        assert head.startswith("data:image/svg+xml") == data.lstrip().startswith(b"<?xml")
+
+
+def test_ids_are_unique_and_links_lead_somewhere(whole):
+    _, page = whole
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert {attrs["href"][1:] for attrs in page.all("a")} <= set(ids)
+
+
+def test_page_is_small(whole):
+    out, _ = whole
+    assert (out / "report" / "report.html").stat().st_size < 6e6
+
+
+def test_parameter_table_is_laid_out_as_in_the_papers(whole):
+    _, page = whole
+    table = page.table("Mooney-Rivlin type (m = 2)")
+    assert table[0] == ["site", "Mooney-Rivlin type (m = 2)", "Ogden type"]
+    assert table[1] == ["c [kPa]", "m [–]", "κ′ [kPa]", "R² [–]"] * 2
+    assert table[2] == ["p1", "10.1", "2.00", "810", "0.9810", "10.1", "4.10", "810", "0.9987"]
+    assert table[3] == ["p2", "– the fit has not been run", "– the fit has not been run"]
+
+
+def test_open_intervals_are_said_in_words(whole):
+    _, page = whole
+    rows = page.table("95 % interval")
+    row = next(row for row in rows if "fκ" in row)
+    assert "above 52.0" in row
+    assert "fκ is not identifiable from these data" in row[-1]
+
+
+def test_failed_and_missing_stages_have_their_place(whole):
+    _, page = whole
+    assert "mesh p3 failed" in page.text
+    assert "the probe reaches beyond the skin" in page.text
+    assert "move position_mm & try again" in page.text
+    assert "There is no result of “fit” yet" in page.text
+    assert re.search(r"limbcli fit \S+ --site p2 --out \S+", page.text)
+
+
+def test_warnings_of_every_stage_stand_at_the_head(whole):
+    _, page = whole
+    head = page.text.split("What the numbers mean")[0]
+    assert "the fibula is missing <in> two slices" in head
+    assert "fκ trades off <with> c" in head
+
+
+def test_speed_line_is_that_of_the_readings(whole):
+    out, page = whole
+    line = read_result(out, "report").data["sites"]["p1"]["swe_against_force"]
+    assert line["slope_m_per_s_per_n"] == pytest.approx(0.055, rel=1e-3)
+    assert line["r2"] == pytest.approx(1.0, abs=1e-4)
+    assert page.table("speed against")[1][:2] == ["force", "0.0550 m/s per N"]
+
+
+def test_provenance_names_solver_versions_hashes_and_units(whole):
+    _, page = whole
+    tail = page.text[page.text.index("What made this page?") :]
+    for word in ("febio", "4.11.0", "pardiso", "numpy", "mm-N-s (MPa)", "case.toml", "limbcli"):
+        assert word in tail, word
+    assert re.search(r"\b[0-9a-f]{64}\b", tail)
+
+
+def test_figures_are_files_too(whole):
+    out, _ = whole
+    figures = out / "report" / "figures"
+    for name in ("force-depth-p1", "wave-speed-p1", "section-p1", "skin-p1", "convergence-p1"):
+        assert (figures / f"{name}.png").stat().st_size > 1000
+        assert (figures / f"{name}.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    assert (figures / "segmentation.png").is_file()
+
+
+def test_every_caption_says_what_bad_looks_like(whole):
+    _, page = whole
+    assert page.text.count("Look for:") == page.text.count("Bad is:") >= 8
+
+
+def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
+    case = make_case(tmp_path / "case")
+    result = report(case, out=tmp_path / "out")
+    page = Page(result.path("page").read_text(encoding="utf-8"))
+    assert result.data["mood"] == "missing"
+    assert "Tissue parameters were identified at 0 of 1 site." in page.text
+    assert page.text.count("It is made by:") >= 4
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ({"element": "tet4"}, "It is a property of this mesh, not of the tissue"),
+        ({"noise": "assumed"}, "noise is assumed, not measured"),
+        ({"scale": 2.3}, "2.3 times as large"),
+    ],
+)
+def test_what_a_parameter_rests_on_is_warned_of(tmp_path, kind, words):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", **kind)
+    assert any(words in text for text in parameters(gather(case, out=out)).warned)
+    add_fit(out, "p1")
+    assert not any(words in text for text in parameters(gather(case, out=out)).warned)
+
+
+def test_unreadable_levels_and_records_become_words(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    write_run_of(out, "p1")
+    (out / "run" / "p1" / "nodes.csv").write_text("*Step = 1\n")
+    case.sites[0].levels.write_text("force_n,depth_mm\n1,2\n")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert "p1.csv cannot be used" in page.text
+    assert "cannot be drawn" in page.text
+
+
+def test_a_result_older_than_its_source_is_told(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    path = out / "fit" / "p1" / "fit.json"
+    path.write_text(
+        re.sub(r'"finished_utc": "[^"]+"', '"finished_utc": "2001-01-01T00:00:00Z"', path.read_text())
+    )
+    add_mesh(out, "p1")
+    assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
+
+
+def test_users_template_replaces_ours(tmp_path):
+    case = make_case(tmp_path / "case")
+    (tmp_path / "mine" / "report").mkdir(parents=True)
+    (tmp_path / "mine" / "report" / "style.css").write_text("body { color: rebeccapurple }")
+    result = report(case, out=tmp_path / "out", templates=tmp_path / "mine")
+    html = result.path("page").read_text(encoding="utf-8")
+    assert "rebeccapurple" in html
+    assert "At a glance" in html

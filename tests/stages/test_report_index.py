@@ -1,0 +1,76 @@
+"""The index of a batch lists every subject, also those that failed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from limbcli.cli.app import app
+from limbcli.errors import CaseError
+from limbcli.results import open_stage
+from limbcli.stages.report_index import report_index
+
+
+def add_subject(folder: Path, name: str, *, fitted: bool = True, failure: str | None = None) -> None:
+    out = folder / name
+    if fitted:
+        with open_stage(out, "fit", subject=name, site="p1") as writer:
+            m = {"value": 4.1, "low": 3.7, "high": 4.5, "flag": "identified"}
+            step = {"c_kpa": 10.13, "m": 4.1, "kappa_kpa": 810.0, "r2": 0.9987, "rmse_n": 0.21}
+            writer.data["steps"] = {"ogden": {**step, "parameters": {"m": m}}}
+    with open_stage(out, "report", subject=name) as writer:
+        writer.file("page", "report.html").write_text("<!DOCTYPE html>")
+        writer.data["sites"] = {"p1": {}}
+        writer.data["n_warnings"] = 0
+        writer.data["failures"] = [{"stage": "mesh", "site": "p1", "what": failure}] if failure else []
+
+
+def test_every_subject_has_a_row_and_a_link_that_leads_to_its_page(tmp_path):
+    add_subject(tmp_path, "A 1")
+    add_subject(tmp_path, "B", fitted=False, failure="no skin <there>")
+    add_subject(tmp_path, "C", fitted=False)
+    result = report_index(tmp_path)
+    html = result.page.read_text(encoding="utf-8")
+    assert result.page == tmp_path / "index.html"
+    assert [(row.subject, row.mood) for row in result.rows] == [
+        ("A 1", "fine"),
+        ("B", "failed"),
+        ("C", "missing"),
+    ]
+    assert 'href="A%201/report/report.html"' in html
+    assert "mesh failed: no skin &lt;there&gt;" in html
+    assert "3.70 to 4.50" in html
+
+
+def test_a_subject_without_a_report_shows_its_failure(tmp_path):
+    folder = tmp_path / "S9" / "segment"
+    folder.mkdir(parents=True)
+    (folder / "error.json").write_text(json.dumps({"what": "two series in one folder"}))
+    (row,) = report_index(tmp_path).rows
+    assert (row.link, row.mood) == ("", "failed")
+    assert "two series in one folder" in row.state
+
+
+def test_one_subjects_own_folder_can_be_indexed(tmp_path):
+    add_subject(tmp_path, "A")
+    (row,) = report_index(tmp_path / "A").rows
+    assert row.link == "report/report.html"
+
+
+def test_a_folder_without_results_is_refused(tmp_path):
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(CaseError) as caught:
+            report_index(folder)
+        assert caught.value.fix
+
+
+def test_command_makes_the_index_or_asks_for_what_is_missing(tmp_path):
+    add_subject(tmp_path, "A")
+    result = CliRunner().invoke(app, ["report", "--index", str(tmp_path), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["n_subjects"] == 1
+    assert CliRunner().invoke(app, ["report"]).exit_code == 2
+    assert CliRunner().invoke(app, ["report", str(tmp_path), "--index", str(tmp_path)]).exit_code == 2
