@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from limbcli.progress import SILENT, Progress
 F_KAPPA, M = 0, 1
 START_F_KAPPA = 100.0
 M_MOONEY_RIVLIN = 2.0
-MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
+MOONEY_RIVLIN, OGDEN = "mooney_rivlin", "ogden"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,7 @@ class FittedStep:
     r2: float
     rmse: float
     n_solves: int
+    seconds: float
 
 
 def search_parameters(
@@ -106,7 +108,7 @@ def _step(
 ) -> FittedStep:  # fmt: skip
     parameters = [search_parameters(*start)[k] for k in free]
     predict = sampled(curve, knots, data.depth, free=free, fixed=start)
-    before = curve.n_solves
+    before, clock = curve.n_solves, time.perf_counter()
     fit = levenberg_marquardt(
         force_residual(predict, data.force), parameters,
         tolerance=tolerance, max_iterations=max_iterations, progress=progress,
@@ -117,7 +119,7 @@ def _step(
     return FittedStep(
         name, fit, free, theta, simulated,
         coefficient_of_determination(data.force, simulated), root_mean_square(fit.residual),
-        curve.n_solves - before,
+        curve.n_solves - before, time.perf_counter() - clock,
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ from limbcli.model import Array
 _NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
 _WEAK_RATIO = 3.0  # upper over lower end of the interval
 _TRADES_OFF = 0.95
-_WIDENED = 2.0
 
 
 def force_variance(slope: Array, *, force_deviation: float, depth_deviation: float) -> Array:
@@ -90,12 +89,11 @@ def verdict(
     profile: Profile | None,
     *,
     influence: bool,
-    correlations: Sequence[tuple[str, float, float]] = (),
+    correlations: Sequence[tuple[str, float]] = (),
 ) -> Verdict:
     """One plain word for a parameter, and the sentence behind it.
 
-    correlations : (other parameter, correlation, how many times wider the interval is than
-        with that parameter known)
+    correlations : (other parameter, correlation) of the logs
     """
     name = parameter.name
     if not influence:
@@ -110,16 +108,16 @@ def verdict(
         return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}; {excluded}.")
     if profile is None:
         return Verdict("identified", f"{name} = {value:.4g}; no interval was computed.")
-    for other, rho, widening in correlations:
-        if abs(rho) > _TRADES_OFF and widening > _WIDENED:
-            return Verdict(
-                f"trades off with {other}",
-                f"{name} trades off with {other} (correlation {rho:+.2f}): the data fix a combination of the "
-                f"two; {excluded}.",
-            )
+    wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
+    partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
+    if wide and abs(partner[1]) > _TRADES_OFF:
+        text = (
+            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data fix a combination"
+        )
+        return Verdict(f"trades off with {partner[0]}", f"{text} of the two; {excluded}.")
     if profile.is_open:
         return Verdict("weak", f"{name} is not identifiable from these data: {excluded}.")
-    if profile.high / profile.low > _WEAK_RATIO:
+    if wide:
         return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
     return Verdict("identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g} (95 %).")
 

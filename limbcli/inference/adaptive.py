@@ -1,0 +1,163 @@
+"""Best fit and profile likelihoods of a costly model, from few simulations.
+
+Everything is searched on stand-ins; another simulation is made where they are not sure
+enough: at the best fit, at the intervals' ends, and along the profiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.inference.fit import Fit
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.profile import THRESHOLD_95, Profile, best_of, profile_likelihood
+from limbcli.inference.residual import Objective
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+_PRECISE = 0.1  # allowed error of the stand-in, in standard deviations of the data
+_NEAR = 0.05  # a point counts as solved within this distance in ln theta
+_END_NEAR = 0.3  # an interval's end is trusted within this distance
+
+
+class Problem(Protocol):
+    """What is to be estimated, on stand-ins.
+
+    parameters : on the log scale, the whole vector theta; `profiled`: indices
+    n_freedom : data minus parameters
+    """
+
+    parameters: list[Parameter]
+    profiled: tuple[int, ...]
+    n_freedom: int
+
+    def objective(self) -> Objective:
+        """Residuals in standard deviations, on the present stand-ins."""
+        ...
+
+    def starts(self) -> list[Array]: ...
+
+    def doubt(self, theta: Array) -> float:
+        """Error of the stand-ins there, in standard deviations of the data."""
+        ...
+
+    def distance(self, theta: Array) -> float:
+        """To the nearest simulated point, in ln of the parameters that need a simulation."""
+        ...
+
+    def solve(self, theta: Array) -> None:
+        """Simulate there and refresh the stand-ins; SolveError where there is no answer."""
+        ...
+
+    def solved_at(self, theta: Array) -> Array:
+        """The parameters that a simulation there is made with."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """profiles by parameter name; `best`, the most likely theta, with its `fit`.
+
+    scale : chi-square per degree of freedom where above 1 (deviances were divided by it)
+    n_solves : simulations added; `unsolved`: parameter sets without an answer
+    """
+
+    profiles: dict[str, Profile]
+    best: Array
+    chi_square: float
+    n_freedom: int
+    scale: float
+    n_solves: int
+    fit: Fit
+    unsolved: tuple[Array, ...] = ()
+
+
+def adaptive_profiles(
+    problem: Problem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
+) -> Intervals:
+    """Profiles with as few simulations as the accuracy of the intervals allows.
+
+    Where chi-square exceeds its degrees of freedom the noise is taken to be larger by that
+    factor.
+
+    estimate : a theta found otherwise (the published fit); where given, no interval leaves it out
+    """
+    work = _Work(problem, estimate)
+    for done in range(max_solves + 1):
+        found = work.profiles()
+        wanted = work.doubtful(found) if done < max_solves else None
+        if wanted is None:
+            return replace(found, n_solves=done, unsolved=tuple(work.unsolved))
+        progress.event("task", name="simulations for intervals", done=done + 1, total=max_solves)
+        work.solve(*wanted)
+    raise AssertionError("the loop returns")
+
+
+class _Work:
+    def __init__(self, problem: Problem, estimate: Array | None):
+        self.problem, self.estimate = problem, estimate
+        self.unsolved: list[Array] = []
+        self.refused: list[Array] = []
+
+    def profiles(self) -> Intervals:
+        problem, objective = self.problem, self.problem.objective()
+        best = best_of(objective, problem.parameters, problem.starts())
+        scale = max(1.0, best.cost / max(problem.n_freedom, 1))
+        found = {}
+        for k in problem.profiled:
+            profile = profile_likelihood(objective, problem.parameters, best, k, scale=scale)
+            if self.estimate is not None:
+                value = float(self.estimate[k])
+                profile = replace(profile, low=min(profile.low, value), high=max(profile.high, value))
+            found[profile.name] = profile
+        return Intervals(found, best.theta, best.cost, problem.n_freedom, scale, 0, best)
+
+    def doubtful(self, found: Intervals) -> tuple[Array, str, int] | None:
+        """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
+        asked = [(found.best, "", 0)]
+        for name, profile in found.profiles.items():
+            inside = profile.deviance <= THRESHOLD_95
+            asked += [(theta, name, 0) for theta in profile.thetas[inside]]
+            asked += [(end, name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
+        worth = [(self.problem.doubt(theta), theta, name, side) for theta, name, side in asked]
+        worth = [each for each in worth if each[0] > _PRECISE and self._is_new(each[1])]
+        if worth:
+            _, theta, name, side = max(worth, key=lambda each: each[0])
+            return theta, name, side
+        return self._unproved(asked)
+
+    def _unproved(self, asked: Sequence[tuple[Array, str, int]]) -> tuple[Array, str, int] | None:
+        for theta, name, side in asked:
+            limit = _NEAR if not name else _END_NEAR if side else np.inf
+            if self.problem.distance(theta) > limit and self._is_new(theta):
+                return theta, name, side
+        return None
+
+    def solve(self, theta: Array, name: str, side: int) -> None:
+        try:
+            self.problem.solve(theta)
+        except SolveError:
+            self.unsolved.append(self.problem.solved_at(theta))
+            self.refused.append(theta)
+            self._draw_in(theta, name, side)
+
+    def _draw_in(self, theta: Array, name: str, side: int) -> None:
+        """No answer there: the profiles stop half-way between it and the nearest start."""
+        start = self.problem.starts()[0]
+        for k, parameter in enumerate(self.problem.parameters):
+            if k not in self.problem.profiled or (side != 0 and parameter.name != name):
+                continue
+            middle = float(np.sqrt(theta[k] * start[k]))
+            if theta[k] > start[k]:
+                self.problem.parameters[k] = replace(parameter, high=min(parameter.high, middle))
+            elif theta[k] < start[k]:
+                self.problem.parameters[k] = replace(parameter, low=max(parameter.low, middle))
+
+    def _is_new(self, theta: Array) -> bool:
+        near = [float(np.max(np.abs(np.log(theta / other)))) for other in self.refused]
+        return min([*near, self.problem.distance(theta)]) > _NEAR
