@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
 from limbcli.results import open_stage
+from limbcli.stages.report_failure import report_failure
 from limbcli.stages.report_index import report_index
 
 
@@ -74,3 +75,14 @@ def test_command_makes_the_index_or_asks_for_what_is_missing(tmp_path):
     assert json.loads(result.stdout)["n_subjects"] == 1
     assert CliRunner().invoke(app, ["report"]).exit_code == 2
     assert CliRunner().invoke(app, ["report", str(tmp_path), "--index", str(tmp_path)]).exit_code == 2
+
+
+def test_a_case_that_cannot_be_opened_has_a_page_and_a_row(tmp_path):
+    error = CaseError("case.toml is not valid TOML", where="S7/case.toml", fix="mend line 3 <here>")
+    result = report_failure(tmp_path / "S7", error, out=tmp_path / "out" / "S7")
+    html = result.path("page").read_text(encoding="utf-8")
+    assert "case.toml is not valid TOML" in html
+    assert "mend line 3 &lt;here&gt;" in html
+    (row,) = report_index(tmp_path / "out").rows
+    assert (row.subject, row.mood, row.link) == ("S7", "failed", "S7/report/report.html")
+    assert "not valid TOML" in row.state
