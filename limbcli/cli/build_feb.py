@@ -1,0 +1,41 @@
+"""`limbcli build-feb CASE`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.terminal import emit, terminal
+
+
+def command(
+    case: CaseArg,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    c_kpa: Annotated[
+        float | None,
+        typer.Option("--c-kpa", help="c = 2 mu by hand; default: from SWE at level 0.", show_default=False),
+    ] = None,
+    f_kappa: Annotated[float, typer.Option("--f-kappa", min=0.01, max=1000, help="kappa' / c.")] = 100.0,
+    m: Annotated[float, typer.Option("--m", min=1, max=100, help="Exponent of the law.")] = 2.0,
+    templates: TemplatesOpt = None,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:
+    """The mesh and the measurement as a FEBio model, through templates."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.stages.build_feb import TissueOptions, build_feb
+
+    results = build_feb(
+        Case.open(case),
+        out=out or default_out(case),
+        sites=site,
+        options=TissueOptions(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
+        templates=templates,
+        progress=terminal(quiet=quiet, verbose=verbose),
+    )
+    emit(results, as_json=json)

@@ -1,0 +1,144 @@
+"""run: simulate the indentation with FEBio or the reference solver; the same files either way."""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError, LimbError, SolveError
+from limbcli.feb.outline import Outline, read_outline
+from limbcli.files import atomic_folder, sha256
+from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
+from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
+from limbcli.solvers import choose
+from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
+from limbcli.stages.run_files import leave_simulation
+from limbcli.stages.vtu import write_series
+
+STAGE = "run"
+FAILED = "-failed"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """time_limit_s : of each simulation; vtu : also a time series for ParaView."""
+
+    time_limit_s: float | None = None
+    vtu: bool = False
+
+
+def run(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    solver: str = "auto",
+    febio: Path | None = None,
+    options: RunOptions = RunOptions(),
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """Run each site's model.
+
+    Leaves model.feb, model.log, the record files, force-depth.csv and force-depth.png.
+    A run that fails leaves its model and log in `<site>-failed`.
+
+    Raises
+    ------
+    CaseError
+        If `build-feb` has not been run, or the model holds what the solver does not support.
+    ToolError
+        If FEBio is asked for and is not there.
+    SolveError
+        If the end of the load is not reached.
+    """
+    engine = choose(solver, febio)
+    results = []
+    for site in case.selected(sites):
+        progress.event("stage", name=STAGE, site=site.name)
+        results.append(_run_site(site, case.subject, out, engine, options, progress))
+    return results
+
+
+def run_file(
+    feb: Path,
+    *,
+    out: Path,
+    solver: str = "auto",
+    febio: Path | None = None,
+    options: RunOptions = RunOptions(),
+    progress: Progress = SILENT,
+) -> StageResult:
+    """Run a model file of its own; its result is `<out>/run`. Raises as `run` does."""
+    engine = choose(solver, febio)
+    outline = read_outline(feb)
+    progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
+    with open_stage(out, STAGE, subject=feb.name.split(".")[0]) as writer:
+        _simulate(feb, outline, writer, engine, options, progress)
+    assert writer.result is not None
+    return writer.result
+
+
+def _run_site(
+    site: Site, subject: str, out: Path, engine: Solver, options: RunOptions, progress: Progress
+) -> StageResult:
+    built = read_result(out, "build-feb", site=site.name)
+    feb = built.folder / MODEL_FILE
+    if not feb.is_file():
+        raise CaseError(
+            f"{MODEL_FILE} is missing", where=str(built.folder), fix="run `limbcli build-feb` again"
+        )
+    levels = read_levels(site.levels)
+    with open_stage(out, STAGE, subject=subject, site=site.name) as writer:
+        writer.warnings.extend(built.warnings)
+        writer.used("levels", site.levels)
+        _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
+    shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
+    assert writer.result is not None
+    return writer.result
+
+
+def _simulate(
+    source: Path,
+    outline: Outline,
+    writer: StageWriter,
+    engine: Solver,
+    options: RunOptions,
+    progress: Progress,
+    *,
+    levels: Levels | None = None,
+    site: Site | None = None,
+) -> None:
+    feb = writer.file("feb", MODEL_FILE)
+    content = source.read_bytes()
+    feb.write_bytes(gzip.decompress(content) if source.suffix == ".gz" else content)
+    writer.used("model", source)
+    progress.event("note", text=f"solver: {engine.name} {engine.version()}")
+    events = writer.file("progress", PROGRESS_FILE)
+    with recorded(progress, events) as heard:
+        try:
+            engine.run(feb, progress=heard, time_limit_s=options.time_limit_s)
+            simulation = engine.read(feb)
+        except SolveError as error:
+            raise _kept(error, writer) from error
+    writer.files["log"] = LOG_FILE
+    for record in outline.records:
+        writer.files[Path(record.file).stem] = record.file
+    leave_simulation(simulation, outline, writer, levels=levels, site=site)
+    if options.vtu:
+        write_series(feb, simulation, writer)
+    writer.data["model_sha256"] = sha256(feb)
+
+
+def _kept(error: LimbError, writer: StageWriter) -> LimbError:
+    """The same error, with model and log kept where it says."""
+    folder = writer.target.with_name(writer.target.name + FAILED)
+    with atomic_folder(folder) as kept:
+        for path in writer.work.iterdir():
+            if path.is_file():
+                shutil.copy2(path, kept / path.name)
+    where = f"{writer.site or writer.subject}: {folder / LOG_FILE}"
+    return type(error)(error.what, where=where, fix=error.fix, **error.facts)

@@ -1,0 +1,122 @@
+"""What `run` leaves beside the solver's own files: force-depth curve, picture, facts."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Site
+from limbcli.feb.outline import Outline
+from limbcli.measurement.indentation import Levels
+from limbcli.model import Array
+from limbcli.results import StageWriter
+from limbcli.solvers.base import Simulation
+
+COLUMNS = ("time_s", "depth_mm", "force_n")
+_NEEDED = {"z", "Fz"}
+_DIGITS = 12
+
+
+def leave_simulation(
+    simulation: Simulation,
+    outline: Outline,
+    writer: StageWriter,
+    *,
+    levels: Levels | None = None,
+    site: Site | None = None,
+) -> None:
+    """Fill run.json, force-depth.csv and force-depth.png."""
+    writer.data.update(
+        solver=simulation.solver,
+        solver_version=simulation.version,
+        linear_solver=simulation.linear_solver,
+        n_steps=int(np.count_nonzero(simulation.times > 0)),
+        n_iterations=simulation.n_iterations,
+        n_factorisations=simulation.n_factorisations,
+        solve_seconds=simulation.seconds,
+    )
+    writer.summary.append(
+        f"{simulation.solver} {simulation.version}: {writer.data['n_steps']} steps,"
+        f" {simulation.n_iterations} iterations, {simulation.n_factorisations} factorisations,"
+        f" {simulation.seconds:.1f} s"
+    )
+    body = probe_body(simulation)
+    if body is None:
+        writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
+        return
+    curve = force_depth_rows(simulation, body)
+    write_curve(writer.file("force_depth", "force-depth.csv"), curve)
+    writer.data.update(
+        probe=body,
+        max_depth_mm=float(curve[-1, 1]),
+        max_force_n=float(curve[:, 2].max()),
+        levels=_levels(curve, outline.must_points),
+    )
+    writer.summary.append(f"{curve[-1, 2]:.3f} N at {curve[-1, 1]:.2f} mm")
+    draw_curve(
+        writer.file("picture", "force-depth.png"), curve, outline.must_points, simulation, levels, site
+    )
+
+
+def probe_body(simulation: Simulation) -> str | None:
+    """The body called `probe`, else the first one that logs height and force."""
+    names = [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
+    return "probe" if "probe" in names else next(iter(names), None)
+
+
+def force_depth_rows(simulation: Simulation, body: str) -> Array:
+    """(n_steps, 3): time s, depth mm, force N of every converged step; the untouched start is left out."""
+    rows = np.stack([simulation.times, simulation.probe_depth(body), simulation.probe_force(body)], axis=1)
+    return np.asarray(rows[simulation.times > 0])
+
+
+def write_curve(path: Path, curve: Array) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(COLUMNS)
+        table.writerows([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
+
+
+def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:
+    """The converged steps that are must-points."""
+    found = curve[np.isclose(curve[:, :1], np.array([must_points]), rtol=0, atol=1e-9).any(axis=1)]
+    return [dict(zip(COLUMNS, row, strict=True)) for row in found.tolist()]
+
+
+def draw_curve(
+    path: Path,
+    curve: Array,
+    must_points: tuple[float, ...],
+    simulation: Simulation,
+    levels: Levels | None,
+    site: Site | None,
+) -> None:
+    """Simulated force over depth, levels marked, and the measured points where there are any."""
+    from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+    from limbcli.reporting.figures.style import new_figure, style
+
+    depth, force = np.r_[0.0, curve[:, 1]], np.r_[0.0, curve[:, 2]]
+    label = f"simulated, start values ({simulation.solver} {simulation.version})"
+    if levels is not None:
+        noise = site.noise if site is not None else None
+        measured = MeasuredCurve(
+            depth=levels.depth,
+            force=levels.force,
+            depth_sd=noise.depth if noise else None,
+            force_sd=noise.force if noise else None,
+            unloading=~levels.loading,
+        )
+        force_depth(measured, [SimulatedCurve("start", label, depth, force)]).savefig(path)
+        return
+    with style():
+        figure = new_figure()
+        axes = figure.add_subplot()
+        axes.plot(curve[:, 1], curve[:, 2], "-", label=label.replace(", start values", ""))
+        at = np.isclose(curve[:, :1], np.array([must_points]), rtol=0, atol=1e-9).any(axis=1)
+        axes.plot(curve[at, 1], curve[at, 2], "o", markersize=4, label="must-points")
+        axes.set_xlabel("probe depth / mm")
+        axes.set_ylabel("force on the tissue / N")
+        axes.legend()
+        figure.savefig(path)

@@ -1,0 +1,96 @@
+"""A finished simulation as a time series for ParaView: one `.vtu` a step and a `.pvd` that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import meshio
+import numpy as np
+
+from limbcli.feb.read import read_feb
+from limbcli.model import Array, LimbModel
+from limbcli.results import StageWriter
+from limbcli.solvers.base import Simulation, Table
+
+FOLDER = "vtu"
+SERIES = "vtu/series.pvd"
+_MESHIO = {
+    "tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "penta6": "wedge",
+    "tri3": "triangle", "tri6": "triangle6", "quad4": "quad",
+}  # fmt: skip
+_TENSORS = {
+    "stress": ("sx", "sy", "sz", "sxy", "syz", "sxz"),
+    "deformation_gradient": tuple(f"F{row}{column}" for row in "xyz" for column in "xyz"),
+}
+
+
+def write_series(feb: Path, simulation: Simulation, writer: StageWriter) -> Path:
+    """Write the converged steps.
+
+    Points carry `displacement` (mm), cells `part` (number of the block), `J`, `stress`
+    (MPa; xx yy zz xy yz xz), `deformation_gradient` (row by row) and whatever else was
+    logged; NaN where nothing was. Rigid bodies are moved with their nodes where those
+    were logged, else by their centre's shift.
+    """
+    model = read_feb(feb)
+    writer.file("vtu", SERIES)
+    entries = []
+    for k, time in enumerate(simulation.times):
+        name = f"step_{k:03d}.vtu"
+        write_step(model, simulation, k, writer.work / FOLDER / name)
+        entries.append(f"<DataSet timestep={quoteattr(f'{time:.12g}')} file={quoteattr(name)}/>")
+    text = "\n".join(
+        ['<VTKFile type="Collection" version="0.1"><Collection>', *entries, "</Collection></VTKFile>"]
+    )
+    path = writer.work / SERIES
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> None:
+    mesh = model.mesh
+    fields = _cell_fields(model, simulation.elements, k)
+    bounds = np.cumsum([0, *(len(block.cells) for block in mesh.blocks)])
+    spans = list(zip(bounds[:-1], bounds[1:], strict=True))
+    meshio.Mesh(
+        points=mesh.points,
+        cells=[(_MESHIO[block.kind], block.cells) for block in mesh.blocks],
+        point_data={"displacement": displacement(model, simulation, k)},
+        cell_data={
+            "part": [np.full(len(block.cells), n) for n, block in enumerate(mesh.blocks)],
+            **{name: [values[a:b] for a, b in spans] for name, values in fields.items()},
+        },
+    ).write(path, file_format="vtu")
+
+
+def displacement(model: LimbModel, simulation: Simulation, k: int) -> Array:
+    """(n_points, 3) mm at step k: logged where it was, rigid shift for rigid bodies, else NaN."""
+    found = np.full(model.mesh.points.shape, np.nan)
+    for body in model.bodies:
+        table = simulation.rigid.get(body.name)
+        nodes = [model.mesh.block(name).cells.ravel() for name in body.blocks]
+        if table is None or not nodes or not set("xyz") <= set(table.fields):
+            continue
+        shift = [table.column(axis)[k, 0] for axis in "xyz"]
+        found[np.concatenate(nodes)] = np.array(shift) - body.center_of_mass
+    for table in simulation.nodes.values():
+        if {"ux", "uy", "uz"} <= set(table.fields):
+            found[table.items] = np.stack([table.column(name)[k] for name in ("ux", "uy", "uz")], axis=1)
+    return found
+
+
+def _cell_fields(model: LimbModel, tables: Mapping[str, Table], k: int) -> dict[str, Array]:
+    n_cells = sum(len(block.cells) for block in model.mesh.blocks)
+    columns: dict[str, Array] = {}
+    for table in tables.values():
+        for name in table.fields:
+            values = np.full(n_cells, np.nan)
+            values[table.items] = table.column(name)[k]
+            columns[name] = values
+    fields: dict[str, Array] = {}
+    for name, parts in _TENSORS.items():
+        if set(parts) <= set(columns):
+            fields[name] = np.stack([columns.pop(part) for part in parts], axis=1)
+    return {**fields, **columns}
