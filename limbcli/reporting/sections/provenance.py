@@ -60,15 +60,19 @@ def _solvers(done: tuple[Outcome, ...]) -> Table:
         rows.append(
             (
                 Cell(each.label, lead=True),
-                Cell(str(solver or DASH), reason="" if solver else "not in the result"),
-                Cell(str(facts.get("solver_version") or DASH)),
-                Cell(str(facts.get("linear_solver") or DASH), reason="the solver does not say"),
+                _told(solver, "not in the result"),
+                _told(facts.get("solver_version"), "the solver does not say"),
+                _told(facts.get("linear_solver"), "the solver does not say"),
             )
         )
     names = head("stage", "solver that ran", "version", "linear solver")
     if not rows:
         rows = [(Cell(DASH, lead=True, reason="no simulation has been run"), *[Cell(DASH)] * 3)]
     return Table("Solver", (names,), tuple(rows), numeric=False)
+
+
+def _told(value: object, why_not: str) -> Cell:
+    return Cell(str(value)) if value else Cell(DASH, reason=why_not)
 
 
 def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
