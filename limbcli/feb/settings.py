@@ -10,6 +10,7 @@ a contact force to measure itself by, a first step of 0.2 mm, and steps of at mo
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -79,11 +80,8 @@ def schedule(depths: Sequence[float]) -> Schedule:
     >>> schedule([0.06, 0.061]).times
     (0.006, 0.02)
     """
-    if (
-        not depths
-        or depths[0] <= least_level()
-        or any(b <= a for a, b in zip(depths, depths[1:], strict=False))
-    ):
+    growing = all(later > earlier for earlier, later in itertools.pairwise(depths))
+    if not depths or depths[0] <= least_level() or not growing:
         raise CaseError(
             f"the depths {list(depths)} mm do not grow from {least_level():g} mm on",
             where="load schedule",

@@ -113,9 +113,9 @@ def draw_curve(
     with style():
         figure = new_figure()
         axes = figure.add_subplot()
-        axes.plot(curve[:, 1], curve[:, 2], "-", label=label.replace(", start values", ""))
+        axes.plot(curve[:, 1], curve[:, 2], "-", color="C0", label=label.replace(", start values", ""))
         at = np.isclose(curve[:, :1], np.array([must_points]), rtol=0, atol=1e-9).any(axis=1)
-        axes.plot(curve[at, 1], curve[at, 2], "o", markersize=4, label="must-points")
+        axes.plot(curve[at, 1], curve[at, 2], "o", color="C0", markersize=5, label="must-points")
         axes.set_xlabel("probe depth / mm")
         axes.set_ylabel("force on the tissue / N")
         axes.legend()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -53,7 +54,7 @@ def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> 
     mesh = model.mesh
     fields = _cell_fields(model, simulation.elements, k)
     bounds = np.cumsum([0, *(len(block.cells) for block in mesh.blocks)])
-    spans = list(zip(bounds[:-1], bounds[1:], strict=True))
+    spans = list(itertools.pairwise(bounds))
     meshio.Mesh(
         points=mesh.points,
         cells=[(_MESHIO[block.kind], block.cells) for block in mesh.blocks],

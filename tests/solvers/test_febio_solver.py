@@ -1,0 +1,211 @@
+"""FEBio is found, watched, stopped and judged by its log (a stand-in program replays stored logs)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError, SolveError, ToolError
+from limbcli.feb.read import read_feb
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers import choose
+from limbcli.solvers.febio import FebioSolver
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
+
+
+@pytest.fixture
+def binary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The stand-in as a program that can be started."""
+    path = tmp_path / "bin" / "febio4"
+    path.parent.mkdir()
+    path.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{DATA / 'fake_febio.py'}' \"$@\"\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("FAKE_FEBIO_DATA", str(DATA))
+    monkeypatch.delenv("LIMBCLI_FEBIO", raising=False)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    return path
+
+
+@pytest.fixture
+def feb(tmp_path: Path) -> Path:
+    path = tmp_path / "work" / "model.feb"
+    path.parent.mkdir()
+    shutil.copy(DATA / "punch.feb", path)
+    return path
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process runs (one that ended but was not yet collected does not)."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_a_complete_run_is_read(binary: Path, feb: Path) -> None:
+    solver = FebioSolver(binary, threads=3)
+    seen: list[dict[str, float]] = []
+    solver.run(feb, progress=Progress(lambda kind, facts: seen.append({"kind": kind, **facts})))
+    simulation = solver.read(feb)
+    assert (simulation.solver, simulation.version, simulation.linear_solver) == ("febio", "4.9.1", "pardiso")
+    assert simulation.times.tolist() == [0, 0.25, 0.5, 1]
+    assert np.allclose(simulation.probe_force(), [0, 0.2, 0.4, 0.8])
+    assert np.allclose(simulation.probe_depth()[-1], 2.0)
+    assert (simulation.n_iterations, simulation.n_factorisations, simulation.seconds) == (12, 3, 2.125)
+    nodes = simulation.nodes["nodes.csv"]
+    assert np.array_equal(nodes.items, np.arange(50, 75))
+    assert simulation.elements["elements.csv"].column("J").shape == (4, 196)
+    assert (feb.parent / "threads.txt").read_text() == "3"
+    newton = [each for each in seen if each["kind"] == "newton"]
+    assert len(newton) >= 2, "iterations are told while the log grows"
+    assert newton[-1]["step"] == newton[-1]["n_steps"] == 3
+
+
+def test_the_version_is_asked_for(binary: Path) -> None:
+    assert FebioSolver(binary).version() == "4.9.1"
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("failed", "stopped with an error at time 0.25"),
+        ("lies good", "stopped with an error at time 0.25"),
+        ("truncated", "breaks off at time 0.5"),
+        ("no log", r"status 127 and wrote no log(.|\n)*libmkl_rt"),
+    ],
+)
+def test_a_run_that_did_not_end_well_raises_whatever_the_exit_status(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch, mode: str, words: str
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", mode)
+    with pytest.raises(SolveError, match=words):
+        FebioSolver(binary).run(feb, progress=SILENT)
+    if mode != "no log":
+        with pytest.raises(SolveError):
+            FebioSolver(binary).read(feb)
+
+
+def test_a_bad_exit_status_does_not_spoil_a_good_log(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "lies bad")
+    FebioSolver(binary).run(feb, progress=SILENT)
+    assert FebioSolver(binary).read(feb).times[-1] == 1
+
+
+def test_an_old_log_does_not_count(binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    FebioSolver(binary).run(feb, progress=SILENT)
+    monkeypatch.setenv("FAKE_FEBIO", "no log")
+    with pytest.raises(SolveError, match="wrote no log"):
+        FebioSolver(binary).run(feb, progress=SILENT)
+
+
+def test_the_time_limit_stops_febio_and_what_it_started(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "hang")
+    start = time.monotonic()
+    with pytest.raises(SolveError, match=r"stopped after 1\.5 s, at time 0\.5") as caught:
+        FebioSolver(binary).run(feb, progress=SILENT, time_limit_s=1.5)
+    assert time.monotonic() - start < 6
+    assert "--time-limit-s" in caught.value.fix
+    child = int((feb.parent / "child.pid").read_text())
+    assert not is_alive(child)
+
+
+def test_an_interruption_stops_febio_and_what_it_started(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "hang")
+
+    def interrupt(kind: str, facts: object) -> None:
+        if (feb.parent / "child.pid").is_file():
+            raise KeyboardInterrupt
+
+    def until_child(_: float) -> None:
+        for _ in range(200):
+            if (feb.parent / "child.pid").is_file() and (feb.parent / "child.pid").read_text():
+                return
+            os.sched_yield()
+            time_sleep(0.02)
+
+    time_sleep = time.sleep
+    monkeypatch.setattr("limbcli.solvers.febio.time.sleep", until_child)
+    with pytest.raises(KeyboardInterrupt):
+        FebioSolver(binary).run(feb, progress=Progress(interrupt))
+    assert not is_alive(int((feb.parent / "child.pid").read_text()))
+
+
+def test_a_binary_that_is_absent_or_no_program_is_a_tool_error(
+    tmp_path: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("LIMBCLI_FEBIO", raising=False)
+    with pytest.raises(ToolError, match="not found at"):
+        FebioSolver(tmp_path / "nothing").run(feb, progress=SILENT)
+    broken = tmp_path / "broken"
+    broken.write_bytes(b"\x7fELF not really")
+    broken.chmod(0o755)
+    with pytest.raises(ToolError, match="cannot be started"):
+        FebioSolver(broken).run(feb, progress=SILENT)
+
+
+def test_the_binary_is_looked_for_by_option_then_variable_then_path(
+    binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not FebioSolver().found()
+    monkeypatch.setenv("PATH", str(binary.parent))
+    assert FebioSolver().path() == binary
+    other = tmp_path / "other"
+    shutil.copy(binary, other)
+    monkeypatch.setenv("LIMBCLI_FEBIO", str(other))
+    assert FebioSolver().path() == other
+    assert FebioSolver(binary).path() == binary
+
+
+def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
+    binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert choose("auto").name == "reference"
+    assert choose("auto", binary).name == "febio"
+    assert choose("reference", binary).name == "reference"
+    with pytest.raises(ToolError, match="FEBio was not found"):
+        choose("febio")
+    with pytest.raises(ToolError, match="nothing"):
+        choose("auto", tmp_path / "nothing")
+    with pytest.raises(CaseError, match="no solver 'abaqus'"):
+        choose("abaqus")
+    monkeypatch.setenv("PATH", str(binary.parent))
+    assert choose("auto").name == "febio"
+
+
+def test_what_febio_writes_it_reads(tmp_path: Path) -> None:
+    model = read_feb(DATA / "punch.feb")
+    path = FebioSolver().write(model, tmp_path)
+    assert path.name == "model.feb"
+    assert np.array_equal(read_feb(path).mesh.points, model.mesh.points)
+
+
+def test_stored_results_of_febio_become_a_simulation(golden: Path, tmp_path: Path) -> None:
+    folder = golden / "log-normal"
+    text = next((golden / "effect-base-tet4").glob("model.feb")).read_text()
+    start, end = text.index("<node_data"), text.index("</logfile>")
+    (tmp_path / "model.feb").write_text(text[:start] + text[end:])
+    for name in ("model.log", "rigid_body.csv"):
+        shutil.copy(folder / name, tmp_path / name)
+    simulation = FebioSolver().read(tmp_path / "model.feb")
+    assert simulation.version == "4.11.0"
+    assert simulation.probe_force()[-1] == pytest.approx(0.884407, rel=1e-5)
+    assert simulation.probe_depth()[-1] == 6.0
+    shutil.copy(golden / "log-killed" / "model.log", tmp_path / "model.log")
+    with pytest.raises(SolveError, match="breaks off"):
+        FebioSolver().read(tmp_path / "model.feb")
