@@ -1,0 +1,58 @@
+"""`limbcli mesh CASE`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.terminal import emit, terminal
+
+SizeOpt = Annotated[
+    float | None,
+    typer.Option("--size-mm", help="Edge length under the probe; default 2.5.", show_default=False),
+]
+FarSizeOpt = Annotated[
+    float | None,
+    typer.Option("--far-size-mm", help="Edge length far from it; default 8.", show_default=False),
+]
+ElementOpt = Annotated[
+    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's.", show_default=False)
+]
+MarginOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--margin-mm", help="Tissue kept beyond the probe; default: the case's.", show_default=False
+    ),
+]
+
+
+def command(
+    case: CaseArg,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    element: ElementOpt = None,
+    size: SizeOpt = None,
+    far_size: FarSizeOpt = None,
+    margin: MarginOpt = None,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:
+    """Surfaces and site to the local finite-element model."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.stages.mesh import mesh
+
+    results = mesh(
+        Case.open(case),
+        out=out or default_out(case),
+        sites=site,
+        element=element,
+        size=size,
+        far_size=far_size,
+        margin=margin,
+        progress=terminal(quiet=quiet, verbose=verbose),
+    )
+    emit(results, as_json=json)

@@ -1,0 +1,83 @@
+"""What a site's geometry says about the measurement taken there."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from limbcli.meshing.domain import Domain
+from limbcli.meshing.probe import ProbeShape
+from limbcli.model import Array
+
+_DEEPEST = 150.0  # mm
+
+
+@dataclass(frozen=True)
+class SiteChecks:
+    """skin_bone : tissue along the beam at the probe's centre, None without bone there (mm);
+    thinnest_under_probe : the least such distance under the face; over_tissue_share :
+    part of the face with skin below; bone_share : part with bone in the beam; to_cut :
+    distance from the face's outline to the nearest cut (mm), None without cuts.
+    """
+
+    skin_bone_mm: float | None
+    thinnest_under_probe_mm: float | None
+    over_tissue_share: float
+    bone_share: float
+    to_cut_mm: float | None
+    gap_at_first_touch_mm: float
+
+    def to_json(self) -> dict[str, float | None]:
+        return asdict(self)
+
+
+def site_checks(domain: Domain, probe: ProbeShape, margin: float) -> SiteChecks:
+    """Measure the domain along the probe's beam (-z) over its face."""
+    x, y = probe.plan(2.0)
+    covered = np.isfinite(probe.rise(x, y))
+    x, y = x[covered], y[covered]
+    skin, thickness = beam(domain, np.append(x, 0.0), np.append(y, 0.0))
+    centre = thickness[-1]
+    under = np.isfinite(thickness[:-1])
+    reach = [_to_plane(each.normal, each.offset, probe) for each in domain.planes]
+    return SiteChecks(
+        skin_bone_mm=float(centre) if np.isfinite(centre) else None,
+        thinnest_under_probe_mm=float(np.nanmin(thickness)) if np.isfinite(thickness).any() else None,
+        over_tissue_share=float((skin[:-1] > -probe.width).mean()),
+        bone_share=float(under.mean()),
+        to_cut_mm=float(min(reach)) if reach else None,
+        gap_at_first_touch_mm=float(np.nanmax(-skin[:-1])) if np.isfinite(skin).any() else float("nan"),
+    )
+
+
+def _to_plane(normal: Array, offset: float, probe: ProbeShape) -> float:
+    """Distance from the face's outline to a plane."""
+    half = np.array([probe.length / 2, probe.width / 2, 0.0])
+    return float(offset - np.abs(normal * half).sum())
+
+
+def beam(domain: Domain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:
+    """Height of the skin under plan points, and the tissue from there down to bone (n,); NaN where none."""
+    z = np.arange(10.0, -_DEEPEST, -step)
+    grid = np.stack(
+        [np.broadcast_to(v, (len(x), len(z))) for v in (x[:, None], y[:, None], z[None, :])], axis=-1
+    )
+    flat = grid.reshape(-1, 3)
+    skin = domain.skin.at(flat).reshape(len(x), len(z))
+    height = _first_below(skin, z)
+    if domain.bone is None:
+        return height, np.full(len(x), np.nan)
+    bone = _first_below(domain.bone.at(flat).reshape(len(x), len(z)), z)
+    return height, height - bone
+
+
+def _first_below(values: Array, z: Array) -> Array:
+    """Where each row first falls below zero, between samples."""
+    inside = values < 0
+    k = np.argmax(inside, axis=1)
+    found = inside.any(axis=1) & (k > 0)
+    rows = np.arange(len(values))
+    a, b = values[rows, k - 1], values[rows, k]
+    t = np.where(found, a / np.where(found, a - b, 1.0), 0.0)
+    return np.where(found, z[k - 1] + t * (z[k] - z[k - 1]), np.nan)

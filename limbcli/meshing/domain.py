@@ -1,0 +1,188 @@
+"""What is meshed: the tissue of a limb near a site, bounded by skin, bones and cuts.
+
+Skin and bones go through the distance grid, where overlaps, clefts and bones
+that touch the skin are settled; the cuts are planes and stay sharp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import manifold3d
+import numpy as np
+from scipy import ndimage
+from skimage.measure import marching_cubes
+
+from limbcli.errors import MeshError
+from limbcli.meshing.crop import within
+from limbcli.meshing.distance import (
+    Field,
+    distance_again,
+    grid_over,
+    rounded,
+    signed_distance,
+    union,
+)
+from limbcli.meshing.mending import Limb, Plane
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array, IntArray
+
+SKIN, BONE, CUT = 1, 2, 3  # labels of boundary faces; the cut of plane k is CUT + k
+CLEARANCE = 1.2  # mm of tissue kept between skin and bone
+CLEFT = 1.5  # mm: clefts between bones narrower than twice this are filled
+_SMALL = 60.0  # mm3: smaller bits of bone are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Distance fields of skin and bone in the site's frame, the cutting planes, and what was settled."""
+
+    skin: Field
+    bone: Field | None
+    planes: tuple[Plane, ...]
+    notes: tuple[str, ...]
+
+    def label(self, points: Array) -> IntArray:
+        """Which boundary points (n, 3) on the surface belong to: SKIN, BONE or CUT + plane."""
+        distances = [np.abs(self.skin.at(points))]
+        distances.append(np.abs(self.bone.at(points)) if self.bone else np.full(len(points), np.inf))
+        distances += [np.abs(each.height(points)) for each in self.planes]
+        return np.argmin(np.stack(distances), axis=0).astype(np.int64) + 1
+
+    def smoothed(self, width: float) -> Domain:
+        """The same with bones rounded by a Gaussian of `width` mm, still clear of the skin."""
+        if self.bone is None:
+            return self
+        values = ndimage.gaussian_filter(self.bone.values, width / self.bone.grid.spacing)
+        values = np.maximum(values, self.skin.values + CLEARANCE)
+        return replace(self, bone=distance_again(self.bone.with_values(values)))
+
+
+def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) -> Domain:
+    """The tissue between skin, bones and planes, in the frame of the limb given.
+
+    Raises
+    ------
+    MeshError
+        If no tissue is left at the origin (the site).
+    """
+    inside = within(limb.skin.points, planes, slack=2 * spacing)
+    if not inside.any():
+        raise MeshError(
+            "the crop leaves nothing of the limb", where="site", fix="check position_mm and the surfaces"
+        )
+    grid = grid_over(*_reach(limb.skin, planes, 4.0 * spacing), spacing)
+    notes: list[str] = []
+    skin = signed_distance(limb.skin, grid)
+    bones = [
+        signed_distance(each, grid)
+        for each in limb.bones
+        if _meets(each, grid.points().reshape(-1, 3)[[0, -1]])
+    ]
+    bone = None
+    if bones:
+        bone = _clear_of_skin(rounded(union(*bones), CLEFT), skin, planes, notes)
+        bone = _one_tissue(bone, skin, planes, notes)
+    return Domain(skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes))
+
+
+def _reach(skin: Triangles, planes: tuple[Plane, ...], slack: float) -> tuple[Array, Array]:
+    """The box round the skin cut by the planes."""
+    solid = manifold_of(skin, "skin", must=False)
+    if solid is not None:
+        for each in planes:
+            solid = solid.trim_by_plane(tuple(-each.normal), -each.offset)
+        box = np.array(solid.bounding_box())
+        if np.isfinite(box).all():
+            return box[:3] - slack, box[3:] + slack
+    near = skin.points[within(skin.points, planes, slack=10.0)]
+    return near.min(0) - slack, near.max(0) + slack
+
+
+def _meets(surface: Triangles, box: Array) -> bool:
+    return bool((surface.points.max(0) > box[0]).all() and (surface.points.min(0) < box[1]).all())
+
+
+def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
+    """Bone kept `CLEARANCE` below the skin; says how far it had to be pushed."""
+    tight = (bone.values < 0) & (skin.values > -CLEARANCE)
+    points = bone.grid.points()[tight]
+    counted = within(points, planes, slack=-1.0)
+    if counted.any():
+        depth = float(
+            np.max(np.minimum(skin.values[tight][counted], -bone.values[tight][counted]) + CLEARANCE)
+        )
+        notes.append(
+            f"bone came within {CLEARANCE:g} mm of the skin on {int(counted.sum())} mm3 "
+            f"(by up to {depth:.1f} mm) and was pushed inside"
+        )
+    return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))
+
+
+def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
+    """Tissue pockets shut in by bone count as bone; specks of bone are left out."""
+    values = bone.values.copy()
+    specks, n = ndimage.label(values < 0)
+    sizes = ndimage.sum_labels(np.ones_like(values), specks, np.arange(1, n + 1)) * bone.grid.spacing**3
+    for k in np.flatnonzero(sizes < _SMALL) + 1:
+        values[specks == k] = 0.5 * bone.grid.spacing
+    tissue = (values > 0) & (skin.values < 0)
+    pockets, n = ndimage.label(tissue)
+    if n > 1:
+        sizes = ndimage.sum_labels(np.ones_like(values), pockets, np.arange(1, n + 1))
+        shut = tissue & (pockets != int(np.argmax(sizes)) + 1)
+        values[shut] = -0.5 * bone.grid.spacing
+        notes.append(f"{n - 1} pockets shut in by bone filled")
+    return bone.with_values(values)
+
+
+def boundary(domain: Domain) -> Triangles:
+    """The closed boundary of the tissue piece under the site, finely triangulated (about the grid's spacing)."""
+    solid = manifold_of(_level_set(domain.skin), "skin")
+    assert solid is not None
+    if domain.bone is not None:
+        bone = manifold_of(_level_set(domain.bone), "bone")
+        assert bone is not None
+        solid = solid - bone
+    for each in domain.planes:
+        solid = solid.trim_by_plane(tuple(-each.normal), -each.offset)
+    pieces = solid.decompose()
+    if not pieces:
+        raise MeshError(
+            "no tissue is left after the crop", where="site", fix="check position_mm and the surfaces"
+        )
+    piece = min(pieces, key=_distance_from_site)
+    mesh = piece.simplify(0.02).to_mesh64()
+    return Triangles(np.array(mesh.vert_properties[:, :3], float), np.array(mesh.tri_verts, np.int64))
+
+
+def _distance_from_site(piece: manifold3d.Manifold) -> float:
+    points = np.asarray(piece.to_mesh64().vert_properties)[:, :3]
+    return float(np.linalg.norm(points, axis=1).min()) - 1e-9 * float(piece.volume())
+
+
+def _level_set(field: Field) -> Triangles:
+    """The zero level as triangles, closed at the grid's border."""
+    values = np.pad(field.values, 1, constant_values=field.grid.spacing)
+    values = np.where(np.abs(values) < 1e-3 * field.grid.spacing, 1e-3 * field.grid.spacing, values)
+    points, faces, _, _ = marching_cubes(values, 0.0, spacing=(field.grid.spacing,) * 3)
+    points = points + field.grid.origin - field.grid.spacing
+    surface = Triangles(points.astype(float), faces.astype(np.int64))
+    return surface if surface.volume > 0 else surface.flipped()
+
+
+def manifold_of(surface: Triangles, name: str, *, must: bool = True) -> manifold3d.Manifold | None:
+    """The surface as a solid for exact cutting; None (or MeshError) where it is not closed."""
+    mesh = manifold3d.Mesh64(
+        np.ascontiguousarray(surface.points, np.float64), np.ascontiguousarray(surface.faces, np.uint64)
+    )
+    solid = manifold3d.Manifold(mesh)
+    if solid.status() == manifold3d.Error.NoError:
+        return solid
+    if not must:
+        return None
+    raise MeshError(
+        f"the {name} surface is not a closed body ({solid.status()})",
+        where=name,
+        fix="smooth the segmentation a little, or bring a closed surface",
+    )

@@ -1,0 +1,53 @@
+"""The mesh for other programs: one VTU that opens in ParaView with its sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.meshing.quality import dihedral_angles_deg
+from limbcli.model import Block, Mesh
+
+_VTK = {
+    "tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "penta6": "wedge",
+    "tri3": "triangle", "tri6": "triangle6", "quad4": "quad",
+}  # fmt: skip
+
+
+def write_vtu(mesh: Mesh, path: Path) -> None:
+    """All blocks as cells; every node set and surface as a point array of 0 and 1.
+
+    Cell arrays: `block` (its number), one of 0 and 1 for each block by name, and
+    `min_dihedral_deg`.
+    """
+    import meshio
+
+    cells = [(_VTK[each.kind], each.cells) for each in mesh.blocks]
+    point_data = {f"set_{name}": _marked(len(mesh.points), nodes) for name, nodes in mesh.node_sets.items()}
+    for name, surface in mesh.surfaces.items():
+        nodes = np.concatenate([each.ravel() for each in surface.facets.values()])
+        point_data[f"surface_{name}"] = _marked(len(mesh.points), nodes)
+    cell_data: dict[str, list[Any]] = {
+        "block": [np.full(len(each.cells), k, np.int32) for k, each in enumerate(mesh.blocks)],
+        "min_dihedral_deg": [_smallest_angle(mesh, each) for each in mesh.blocks],
+    }
+    for chosen in mesh.blocks:
+        cell_data[f"block_{chosen.name}"] = [
+            np.full(len(each.cells), each is chosen, np.uint8) for each in mesh.blocks
+        ]
+    meshio.Mesh(mesh.points, cells, point_data=point_data, cell_data=cell_data).write(path, file_format="vtu")
+
+
+def _marked(n: int, chosen: Any) -> Any:
+    out = np.zeros(n, np.uint8)
+    out[np.asarray(chosen, int)] = 1
+    return out
+
+
+def _smallest_angle(mesh: Mesh, block: Block) -> Any:
+    """NaN for cells that are no tetrahedra."""
+    if block.kind not in ("tet4", "tet10"):
+        return np.full(len(block.cells), np.nan)
+    return dihedral_angles_deg(mesh.points, block.cells).min(axis=1)

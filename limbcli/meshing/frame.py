@@ -1,0 +1,187 @@
+"""The frame of a site: where on the skin, which way is out, which way is long.
+
+Origin on the skin at first touch, z outward along the mean skin normal under
+the probe, x along the probe's long side, y = z x x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.mending import Limb, principal_axis
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+
+_FAR = 30.0  # mm from the skin: such a site is a mistake
+_HEAD = np.array([0.0, 0.0, 1.0])  # +z of the patient frame (LPS) points to the head
+
+
+@dataclass(frozen=True, eq=False)
+class SiteFrame:
+    """transform_to_model (4, 4): patient LPS to the site's frame; the rest in LPS, mm."""
+
+    to_model: Array
+    skin_point: Array
+    normal: Array
+    long_axis: Array
+    proximal: Array
+    moved: float
+
+    @property
+    def to_patient(self) -> Array:
+        return np.linalg.inv(self.to_model)
+
+
+def proximal_direction(limb: Limb) -> Array:
+    """Unit vector along the limb towards the head: the longest body's axis, turned to +z of LPS."""
+    candidates = [principal_axis(each) for each in (limb.skin, *limb.bones)]
+    axis = max(candidates, key=lambda each: each[1])[0]
+    return axis if axis @ _HEAD >= 0 else -axis
+
+
+def site_frame(
+    limb: Limb,
+    position: Array,
+    long_axis: str | tuple[float, float, float],
+    probe: ProbeShape,
+    *,
+    where: str = "site",
+) -> SiteFrame:
+    """The frame of a site on a mended limb in the patient frame.
+
+    The nearest skin point is the site; the normal is the area-weighted mean over
+    the skin under the probe's footprint; the face's height is that of first touch.
+
+    Raises
+    ------
+    CaseError
+        If the position is more than 30 mm from the skin, or the long axis along the normal.
+    """
+    point, normal, distance = nearest_skin_point(limb.skin, np.asarray(position, float))
+    if distance > _FAR:
+        raise CaseError(
+            f"the site lies {distance:.0f} mm from the skin",
+            where=where,
+            fix="give position_mm on the skin, in mm, patient LPS",
+            distance_mm=distance,
+        )
+    proximal = proximal_direction(limb)
+    for _ in range(4):
+        x = probe_axis(long_axis, proximal, normal, where=where)
+        normal = _mean_normal(limb.skin, point, normal, x, probe)
+    x = probe_axis(long_axis, proximal, normal, where=where)
+    rotation = np.stack([x, np.cross(normal, x), normal])
+    to_model = np.eye(4)
+    to_model[:3, :3] = rotation
+    to_model[:3, 3] = -rotation @ point
+    to_model[2, 3] -= first_touch(limb.skin.moved(to_model), probe)
+    return SiteFrame(to_model, point, normal, x, proximal, distance)
+
+
+def probe_axis(
+    long_axis: str | tuple[float, float, float], proximal: Array, normal: Array, *, where: str = "site"
+) -> Array:
+    """Unit x of the frame: "axial" towards proximal, "transverse" proximal x normal, or a vector; in the skin.
+
+    >>> probe_axis("transverse", np.array([0.0, 0, 1]), np.array([1.0, 0, 0]))
+    array([0., 1., 0.])
+    """
+    if isinstance(long_axis, str):
+        if long_axis not in ("axial", "transverse"):
+            raise CaseError(
+                f"long_axis {long_axis!r} is not known",
+                where=where,
+                fix='use "transverse", "axial" or [x, y, z]',
+            )
+        direction = proximal if long_axis == "axial" else np.cross(proximal, normal)
+    else:
+        direction = np.asarray(long_axis, float)
+    inplane = direction - (direction @ normal) * normal
+    size = float(np.linalg.norm(inplane))
+    if size < 0.1 * max(float(np.linalg.norm(direction)), 1e-12) or size < 1e-9:
+        raise CaseError(
+            "the probe's long axis points along the skin normal",
+            where=where,
+            fix="give long_axis as a vector [x, y, z] that lies in the skin at the site",
+        )
+    return inplane / size
+
+
+def nearest_skin_point(skin: Triangles, position: Array) -> tuple[Array, Array, float]:
+    """Closest point (3,) of the surface, its face's unit normal, and the distance (mm)."""
+    nearest = closest_on_triangles(position, skin.corners)
+    distance = np.linalg.norm(nearest - position, axis=1)
+    k = int(np.argmin(distance))
+    normal = skin.area_vectors[k]
+    return nearest[k], normal / np.linalg.norm(normal), float(distance[k])
+
+
+def closest_on_triangles(p: Array, corners: Array) -> Array:
+    """(m, 3) the point of every triangle (m, 3, 3) that is closest to p (3,)."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    u, v, w = b - a, c - a, p - a
+    uu, uv, vv = (np.einsum("ij,ij->i", *each) for each in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("ij,ij->i", w, u), np.einsum("ij,ij->i", w, v)
+    d = np.maximum(uu * vv - uv * uv, 1e-30)
+    s, t = (vv * wu - uv * wv) / d, (uu * wv - uv * wu) / d
+    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+    best = a + s[:, None] * u + t[:, None] * v
+    edges = [_closest_on_segments(p, *each) for each in ((a, b), (b, c), (c, a))]
+    sizes = np.stack([np.linalg.norm(each - p, axis=1) for each in edges])
+    on_edge = np.stack(edges)[np.argmin(sizes, axis=0), np.arange(len(a))]
+    return np.where(inside[:, None], best, on_edge)
+
+
+def _closest_on_segments(p: Array, a: Array, b: Array) -> Array:
+    e = b - a
+    t = np.einsum("ij,ij->i", p - a, e) / np.maximum(np.einsum("ij,ij->i", e, e), 1e-30)
+    return a + np.clip(t, 0, 1)[:, None] * e
+
+
+def _mean_normal(skin: Triangles, point: Array, normal: Array, x: Array, probe: ProbeShape) -> Array:
+    """Area-weighted mean normal of the skin facing out under the footprint."""
+    y = np.cross(normal, x)
+    relative = skin.centroids - point
+    u, v, w = relative @ x, relative @ y, relative @ normal
+    area = skin.area_vectors
+    under = (np.abs(u) <= probe.length / 2) & (np.abs(v) <= probe.width / 2)
+    under &= (area @ normal > 0) & (w > -probe.length / 2)
+    if not under.any():
+        return normal
+    mean = area[under].sum(axis=0)
+    return mean / np.linalg.norm(mean)
+
+
+def first_touch(skin: Triangles, probe: ProbeShape, *, spacing: float = 0.5) -> float:
+    """Height (mm) of the probe face at which the probe, coming down along z, first meets the skin."""
+    height = skin_height(skin, *probe.plan(spacing))
+    x, y = probe.plan(spacing)
+    gap = height - probe.rise(x, y)
+    if not np.isfinite(gap).any():
+        raise MeshError(
+            "there is no skin under the probe", where="site", fix="move position_mm onto the limb"
+        )
+    return float(np.nanmax(gap))
+
+
+def skin_height(skin: Triangles, x: Array, y: Array, *, lowest: float = -60.0) -> Array:
+    """Height of the uppermost outward-facing skin over plan points (n,); NaN where there is none."""
+    corners = skin.corners[(skin.area_vectors[:, 2] > 0)]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = (high[:, 0] > x.min()) & (low[:, 0] < x.max()) & (high[:, 1] > y.min()) & (low[:, 1] < y.max())
+    near &= high[:, 2] > lowest
+    out = np.full(len(x), np.nan)
+    for a, b, c in corners[near]:
+        d = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+        if d <= 0:
+            continue
+        s = ((x - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (y - a[1])) / d
+        t = ((b[0] - a[0]) * (y - a[1]) - (x - a[0]) * (b[1] - a[1])) / d
+        hit = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9)
+        z = a[2] + s * (b[2] - a[2]) + t * (c[2] - a[2])
+        out[hit] = np.fmax(out[hit], z[hit])
+    return out

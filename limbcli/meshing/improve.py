@@ -1,0 +1,261 @@
+"""Better tetrahedra by moving nodes: interior ones freely, boundary ones along their surface.
+
+Each node of a poor cell is moved to where the worst cell round it is best
+(optimisation-based smoothing, after Freitag and Ollivier-Gooch, Int. J. Numer.
+Meth. Eng. 40, 1997). A cell's quality is the smallest sine of its dihedral
+angles, negative where it is inverted, so flat and needle-like cells both count.
+Boundary nodes slide: they are put back onto the skin's or bone's distance field
+and onto the planes of the cuts after every trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from limbcli.meshing.distance import Field
+from limbcli.meshing.domain import BONE, CUT, SKIN, Domain
+from limbcli.model import Array, IntArray
+
+FREE, FIXED = 0, -1
+_DIRECTIONS = 14
+
+
+@dataclass(frozen=True, eq=False)
+class Ties:
+    """What each node must stay on: two columns of SKIN, BONE, CUT + k, or FREE; FIXED in the first holds it."""
+
+    codes: IntArray  # (n_points, 2)
+
+    @staticmethod
+    def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> Ties:
+        """From labelled boundary faces (m, 3): a node on three surfaces or more is fixed."""
+        pairs = np.unique(np.stack([faces.ravel(), np.repeat(labels, 3)], axis=1), axis=0)
+        codes = np.zeros((n_points, 2), np.int64)
+        count = np.bincount(pairs[:, 0], minlength=n_points)
+        first = np.searchsorted(pairs[:, 0], np.arange(n_points))
+        one, two = count >= 1, count == 2
+        codes[one, 0] = pairs[first[one], 1]
+        codes[two, 1] = pairs[first[two] + 1, 1]
+        codes[count > 2, 0] = FIXED
+        return Ties(codes)
+
+
+def put_back(points: Array, ties: Ties, domain: Domain, *, rounds: int = 3) -> Array:
+    """Boundary points moved onto the surfaces they belong to."""
+    x = np.array(points, float)
+    arrays = _arrays(domain)
+    _put_all_back(x, ties.codes, *arrays, rounds)
+    return x
+
+
+def smooth(
+    points: Array, cells: IntArray, ties: Ties, domain: Domain, *, goal_deg: float = 25.0, passes: int = 12
+) -> Array:
+    """Points moved so that the worst cells improve; nothing changes where every angle reaches `goal_deg`."""
+    corners = np.ascontiguousarray(cells[:, :4])
+    order = np.argsort(corners.ravel(), kind="stable")
+    star = order // 4
+    start = np.searchsorted(corners.ravel()[order], np.arange(len(points) + 1))
+    x = np.array(points, float)
+    goal = float(np.sin(np.radians(goal_deg)))
+    _smooth(x, corners, star, start, ties.codes, *_arrays(domain), goal, passes)
+    return x
+
+
+def worst_sines(points: Array, cells: IntArray) -> Array:
+    """Smallest sine of the six dihedral angles of each cell, negative where inverted."""
+    return _all_sines(np.ascontiguousarray(points), np.ascontiguousarray(cells[:, :4]))
+
+
+def _arrays(domain: Domain) -> tuple[Any, ...]:
+    """The domain as plain arrays for the kernels."""
+    skin = domain.skin
+    bone = domain.bone or Field(skin.grid, np.ones((2, 2, 2)))
+    planes = np.array([[*each.normal, each.offset] for each in domain.planes]).reshape(-1, 4)
+    values = (np.ascontiguousarray(skin.values, np.float64), np.ascontiguousarray(bone.values, np.float64))
+    return (*values, np.asarray(skin.grid.origin, float), float(skin.grid.spacing), planes)
+
+
+# ---------------------------------------------------------------- kernels
+
+
+@njit(cache=True)
+def _sine(x: Any, t: Any) -> float:
+    a, b, c, d = x[t[0]], x[t[1]], x[t[2]], x[t[3]]
+    u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    w0, w1, w2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+    # Normals of the faces opposite to d, c, b and a.
+    d0, d1, d2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+    c0, c1, c2 = u1 * w2 - u2 * w1, u2 * w0 - u0 * w2, u0 * w1 - u1 * w0
+    b0, b1, b2 = v1 * w2 - v2 * w1, v2 * w0 - v0 * w2, v0 * w1 - v1 * w0
+    six = d0 * w0 + d1 * w1 + d2 * w2
+    p0, p1, p2 = v0 - u0, v1 - u1, v2 - u2
+    q0, q1, q2 = w0 - u0, w1 - u1, w2 - u2
+    a0, a1, a2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
+    fa = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
+    fb = np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+    fc = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+    fd = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    r0, r1, r2 = w0 - v0, w1 - v1, w2 - v2
+    tiny = 1e-30
+    s = np.sqrt(u0 * u0 + u1 * u1 + u2 * u2) / (fc * fd + tiny)
+    s = min(s, np.sqrt(v0 * v0 + v1 * v1 + v2 * v2) / (fb * fd + tiny))
+    s = min(s, np.sqrt(w0 * w0 + w1 * w1 + w2 * w2) / (fb * fc + tiny))
+    s = min(s, np.sqrt(p0 * p0 + p1 * p1 + p2 * p2) / (fa * fd + tiny))
+    s = min(s, np.sqrt(q0 * q0 + q1 * q1 + q2 * q2) / (fa * fc + tiny))
+    s = min(s, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2) / (fa * fb + tiny))
+    if six <= 0:
+        return six if six < 0 else -1e-30
+    return six * s
+
+
+@njit(cache=True)
+def _all_sines(x: Any, cells: Any) -> Any:
+    out = np.empty(len(cells))
+    for k in range(len(cells)):
+        out[k] = _sine(x, cells[k])
+    return out
+
+
+@njit(cache=True)
+def _star_quality(x: Any, cells: Any, star: Any, first: int, last: int) -> float:
+    worst = 1e30
+    for k in range(first, last):
+        s = _sine(x, cells[star[k]])
+        if s < worst:
+            worst = s
+    return worst
+
+
+@njit(cache=True)
+def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float:
+    """Trilinear value at p; its gradient goes to out."""
+    f = np.empty(3)
+    n = np.empty(3, np.int64)
+    for k in range(3):
+        at = (p[k] - origin[k]) / spacing
+        at = min(max(at, 0.0), values.shape[k] - 1.000001)
+        n[k] = int(at)
+        f[k] = at - n[k]
+    i, j, k = n
+    value = 0.0
+    out[:] = 0.0
+    for a in range(2):
+        fa = f[0] if a else 1 - f[0]
+        for b in range(2):
+            fb = f[1] if b else 1 - f[1]
+            for c in range(2):
+                fc = f[2] if c else 1 - f[2]
+                v = values[i + a, j + b, k + c]
+                value += fa * fb * fc * v
+                out[0] += (v if a else -v) * fb * fc
+                out[1] += (v if b else -v) * fa * fc
+                out[2] += (v if c else -v) * fa * fb
+    out /= spacing
+    return value
+
+
+@njit(cache=True)
+def _to_surface(
+    p: Any, code: int, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
+) -> None:
+    """One Newton step of p onto the surface named by code; the unit normal there goes to g."""
+    if code >= 3:
+        normal = planes[code - 3]
+        height = p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2] - normal[3]
+        for k in range(3):
+            g[k] = normal[k]
+            p[k] -= height * normal[k]
+        return
+    value = _sample(skin if code == 1 else bone, origin, spacing, p, g)
+    square = max(g[0] * g[0] + g[1] * g[1] + g[2] * g[2], 0.05)
+    step = min(max(value / square, -2.0), 2.0)
+    size = np.sqrt(square)
+    for k in range(3):
+        p[k] -= step * g[k]
+        g[k] /= size
+
+
+@njit(cache=True)
+def _put_back(
+    p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int, g: Any
+) -> None:
+    for _ in range(rounds):
+        for each in range(2):
+            if codes[each] > 0:
+                _to_surface(p, codes[each], skin, bone, origin, spacing, planes, g)
+
+
+@njit(cache=True)
+def _put_all_back(
+    x: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int
+) -> None:
+    g = np.empty(3)
+    for v in range(len(x)):
+        if codes[v, 0] > 0:
+            _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, rounds, g)
+
+
+@njit(cache=True)
+def _smooth(
+    x: Any,
+    cells: Any,
+    star: Any,
+    start: Any,
+    codes: Any,
+    skin: Any,
+    bone: Any,
+    origin: Any,
+    spacing: float,
+    planes: Any,
+    goal: float,
+    passes: int,
+) -> None:
+    np.random.seed(7)
+    g = np.empty(3)
+    for step in range(passes):
+        moved = 0
+        for v in range(len(x)):
+            first, last = start[v], start[v + 1]
+            if first == last or codes[v, 0] < 0:
+                continue
+            best = _star_quality(x, cells, star, first, last)
+            if best >= goal:
+                continue
+            reach = 1e30
+            for k in range(first, last):
+                for m in range(4):
+                    w = cells[star[k], m]
+                    if w != v:
+                        d = (x[w, 0] - x[v, 0]) ** 2 + (x[w, 1] - x[v, 1]) ** 2 + (x[w, 2] - x[v, 2]) ** 2
+                        reach = min(reach, d)
+            reach = np.sqrt(reach)
+            size = 0.4 if step % 2 == 0 else 0.15
+            better = False
+            for _ in range(4):
+                here = x[v].copy()
+                found = here.copy()
+                for _trial in range(_DIRECTIONS):
+                    for k in range(3):
+                        x[v, k] = here[k] + size * reach * np.random.normal() * 0.6
+                    if codes[v, 0] > 0:
+                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, 2, g)
+                    q = _star_quality(x, cells, star, first, last)
+                    if q > best:
+                        best = q
+                        found[:] = x[v]
+                        better = True
+                x[v] = found
+                size *= 0.5
+            if better:
+                moved += 1
+        if moved == 0 and step > 3:
+            break
+
+
+__all__ = ["BONE", "CUT", "FIXED", "FREE", "SKIN", "Ties", "put_back", "smooth", "worst_sines"]

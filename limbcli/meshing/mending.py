@@ -1,0 +1,239 @@
+"""Surfaces from anywhere made fit for meshing, and an account of what was done to them.
+
+What is mended here is what can be told from the triangles: bodies sorted, stray
+pieces dropped, orientation, holes closed, flat ends of a scan found. Overlaps,
+self-intersections and clearances are settled on the distance grid (`domain`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeshError
+from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops
+from limbcli.model import Array
+
+_STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
+_CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
+_CAP_COSINE = 0.97
+_CAP_SLAB = 1.5  # mm in which a cap is flat
+_INSIDE = 1.5  # mm: the fresh cut lies this far inside an open or capped end
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A cut: tissue stays where normal . x <= offset (mm)."""
+
+    normal: Array
+    offset: float
+    name: str = "cut"
+
+    def height(self, points: Array) -> Array:
+        """Signed distance beyond the plane (n,)."""
+        return points @ self.normal - self.offset
+
+    def moved(self, transform: Array) -> Plane:
+        normal = transform[:3, :3] @ self.normal
+        return Plane(normal, float(self.offset + normal @ transform[:3, 3]), self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """Closed skin and bones in one frame, the planes where the limb was cut, and what was mended."""
+
+    skin: Triangles
+    bones: tuple[Triangles, ...]
+    ends: tuple[Plane, ...]
+    notes: tuple[str, ...]
+
+    def moved(self, transform: Array) -> Limb:
+        return Limb(
+            self.skin.moved(transform),
+            tuple(each.moved(transform) for each in self.bones),
+            tuple(each.moved(transform) for each in self.ends),
+            self.notes,
+        )
+
+
+def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") -> Limb:
+    """Closed, outward-oriented bodies out of what was brought.
+
+    Bodies lying inside the skin's own file count as bones. Open ends are closed
+    with a fan; where the limb was cut open, or ends flat as a scan does, a plane
+    just inside the end takes the place of the closure.
+
+    Raises
+    ------
+    MeshError
+        If no body encloses a volume that could be a limb.
+    """
+    notes: list[str] = []
+    pieces = _without_strays(bodies(skin), notes, "skin")
+    within = pieces[1:]
+    if within and bones:
+        notes.append(f"skin: {len(within)} more bodies in its file taken as bones too")
+    elif within:
+        notes.append(
+            f"skin: its file holds {len(within) + 1} bodies; the largest is the skin, the others bones"
+        )
+    loops: list[Array] = []
+    outer = _closed(pieces[0], notes, "skin", loops)
+    n_skin_loops = len(loops)
+    inner = []
+    for number, each in enumerate([*within, *bones], start=1):
+        for body in _without_strays(bodies(each), notes, f"bone {number}"):
+            inner.append(_closed(body, notes, f"bone {number}", loops))
+    if outer.volume < 1e4:
+        raise MeshError(
+            f"the skin surface encloses {outer.volume / 1e3:.2f} cm3",
+            where=where,
+            fix="bring the skin as a surface in mm, nearly closed; check the unit of its coordinates",
+            volume_mm3=outer.volume,
+        )
+    inner = _bones_in_reach(outer, inner, notes)
+    ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer)
+    for each in ends:
+        notes.append(f"skin: {each.name} end taken as a cut, {_INSIDE:g} mm inside it")
+    return Limb(outer, tuple(inner), tuple(ends), tuple(notes))
+
+
+def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> list[Triangles]:
+    """Pieces that are bodies: large, or closed and not tiny."""
+    size = np.linalg.norm(np.ptp(pieces[0].points, axis=0))
+    kept = []
+    for each in pieces:
+        extent = np.linalg.norm(np.ptp(each.points, axis=0))
+        if len(each.faces) >= 4 and extent > _STRAY_EXTENT * size:
+            kept.append(each)
+    if not kept:
+        raise MeshError("the surface has no body", where=name, fix="bring a nearly closed triangle surface")
+    dropped = sum(len(each.faces) for each in pieces) - sum(len(each.faces) for each in kept)
+    if dropped:
+        notes.append(f"{name}: {len(pieces) - len(kept)} stray pieces ({dropped} triangles) removed")
+    return kept
+
+
+def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) -> Triangles:
+    """Holes closed by fans, faces turned outward; the holes' rims are added to `loops`."""
+    body = _coherent(body, notes, name)
+    rims = boundary_loops(body)
+    points, faces = [body.points], [body.faces]
+    n = len(body.points)
+    for rim in rims:
+        centre = body.points[rim].mean(axis=0)
+        fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1)
+        points.append(centre[None])
+        faces.append(fan)
+        n += 1
+        loops.append(body.points[rim])
+    closed = Triangles(np.concatenate(points), np.concatenate(faces).astype(np.int64))
+    if rims:
+        notes.append(f"{name}: {len(rims)} open rim{'s' if len(rims) > 1 else ''} closed")
+    return closed if closed.volume > 0 else closed.flipped()
+
+
+def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
+    """Faces turned to agree with their neighbours, where they do not."""
+    edges = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    if (counts == 1).all():
+        return body
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(body.points, body.faces.astype(np.int32)))
+    meshes.meshing_repair_non_manifold_edges()
+    meshes.meshing_re_orient_faces_coherently()
+    mesh = meshes.current_mesh()
+    notes.append(f"{name}: non-manifold edges parted, faces turned to agree")
+    return Triangles(mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64))
+
+
+def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str]) -> list[Triangles]:
+    """Bones whose box meets the skin's box."""
+    low, high = skin.points.min(0), skin.points.max(0)
+    kept = [b for b in bones if (b.points.max(0) > low).all() and (b.points.min(0) < high).all()]
+    if len(kept) < len(bones):
+        notes.append(f"{len(bones) - len(kept)} bones lie outside the skin altogether and are left out")
+    return kept
+
+
+def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[Plane]:
+    """A plane just inside every large open end of the skin (and of bones that end there)."""
+    centre = skin.centroids.mean(axis=0)
+    planes = []
+    for rim in loops[:n_skin_loops]:
+        middle = rim.mean(axis=0)
+        normal = np.linalg.svd(rim - middle)[2][2]
+        normal = normal if normal @ (middle - centre) > 0 else -normal
+        radius = np.linalg.norm(rim - middle, axis=1).mean()
+        if radius < 15.0:  # mm: a hole, not an end
+            continue
+        near = [each for each in loops if abs((each.mean(0) - middle) @ normal) < 15.0]
+        offset = min(float((each @ normal).min()) for each in near) - _INSIDE
+        planes.append(Plane(normal, offset, "open"))
+    return planes
+
+
+def _flat_ends(skin: Triangles) -> list[Plane]:
+    """Planes just inside flat ends, such as the first and last slice of a scan leave."""
+    planes: list[Plane] = []
+    area, centroids = skin.area_vectors, skin.centroids
+    size = np.linalg.norm(area, axis=1)
+    unit = area / np.maximum(size, 1e-12)[:, None]
+    for normal in _flat_directions(skin):
+        facing = unit @ normal > _CAP_COSINE
+        if not facing.any():
+            continue
+        height = centroids @ normal
+        top = _heaviest_slab(height[facing], size[facing])
+        flat = facing & (np.abs(height - top) < _CAP_SLAB)
+        # The area vectors beyond a plane add up to the section there (closed surface).
+        section = abs(float((area[height > top - 5.0] @ normal).sum()))
+        at_end = (
+            top > np.quantile(skin.points @ normal, 0.95) - 2.0 and top > (skin.points @ normal).max() - 12.0
+        )
+        if at_end and size[flat].sum() > _CAP_SHARE * section:
+            offset = float(np.quantile(height[flat], 0.02)) - _INSIDE
+            planes.append(Plane(normal, offset, "flat"))
+    return planes
+
+
+def _flat_directions(skin: Triangles) -> list[Array]:
+    """The two ends' mean normals along the limb's long axis."""
+    axis = principal_axis(skin)[0]
+    unit = skin.area_vectors / np.maximum(skin.areas, 1e-12)[:, None]
+    out = []
+    for sign in (1.0, -1.0):
+        near = unit @ (sign * axis) > 0.85
+        if not near.any():
+            continue
+        # The commonest normal there: the mean of those close to the area-weighted median.
+        weight = skin.areas[near]
+        mean = (unit[near] * weight[:, None]).sum(0)
+        for _ in range(5):
+            mean /= np.linalg.norm(mean)
+            close = unit[near] @ mean > _CAP_COSINE
+            mean = (unit[near][close] * weight[close][:, None]).sum(0)
+        out.append(mean / np.linalg.norm(mean))
+    return out
+
+
+def _heaviest_slab(height: Array, weight: Array) -> float:
+    """The height round which most area lies."""
+    edges = np.arange(height.min() - 1.0, height.max() + 2.0, 1.0)
+    counts, _ = np.histogram(height, bins=edges, weights=weight)
+    smooth = np.convolve(counts, np.ones(3), mode="same")
+    k = int(np.argmax(smooth))
+    slab = np.abs(height - 0.5 * (edges[k] + edges[k + 1])) < _CAP_SLAB
+    return float(np.average(height[slab], weights=weight[slab]))
+
+
+def principal_axis(surface: Triangles) -> tuple[Array, float]:
+    """Unit direction of largest extent of a surface's area, and how elongated it is (>= 1)."""
+    weight = surface.areas
+    centred = surface.centroids - np.average(surface.centroids, axis=0, weights=weight)
+    values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)
+    return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))

@@ -1,0 +1,116 @@
+"""Volume meshers in a process of their own: they may crash or run on without harm.
+
+`python -m limbcli.meshing.mesher_process MESHER FOLDER` reads FOLDER/in.npz and
+leaves FOLDER/out.npz, or FOLDER/error.txt.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import MeshError, ToolError
+from limbcli.model import Array, IntArray
+
+_FIX = "ask for another size (--size-mm), or mend the surfaces"
+
+
+def in_process(
+    mesher: str, points: Array, faces: IntArray, options: dict[str, Any], *, time_limit_s: float
+) -> tuple[Array, IntArray]:
+    """Nodes (n, 3) and tetrahedra (m, 4) out of a closed surface.
+
+    Raises
+    ------
+    MeshError
+        If the mesher refuses the surface, crashes, or runs out of time.
+    ToolError
+        If the mesher is not installed.
+    """
+    with tempfile.TemporaryDirectory(prefix="limbcli-mesh-") as name:
+        folder = Path(name)
+        np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))
+        command = [sys.executable, "-m", __name__, mesher, name]
+        try:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                timeout=time_limit_s,
+                check=False,
+                cwd=folder,
+                env=_environment(),
+            )
+        except subprocess.TimeoutExpired as error:
+            raise MeshError(
+                f"{mesher} ran out of time ({time_limit_s:g} s)", where="volume mesh", fix=_FIX
+            ) from error
+        message = folder / "error.txt"
+        if message.is_file():
+            kind, _, text = message.read_text().partition("\n")
+            if kind == "ImportError":
+                raise ToolError(
+                    f"{mesher} is not installed ({text})", where="volume mesh", fix=f"pip install {mesher}"
+                )
+            raise MeshError(f"{mesher} refuses the surface: {text}", where="volume mesh", fix=_FIX)
+        if done.returncode or not (folder / "out.npz").is_file():
+            raise MeshError(f"{mesher} crashed (status {done.returncode})", where="volume mesh", fix=_FIX)
+        with np.load(folder / "out.npz") as out:
+            return out["nodes"].astype(float), out["cells"].astype(np.int64)
+
+
+def _environment() -> dict[str, str]:
+    """Ours, with this very package first on the path (the mesher runs in a scratch folder)."""
+    package = str(Path(__file__).resolve().parents[2])
+    path = os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": f"{package}{os.pathsep}{path}" if path else package}
+
+
+def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
+    import tetgen
+
+    maker = tetgen.TetGen(points, faces.astype(np.int32))
+    out = maker.tetrahedralize(
+        nobisect=True,
+        quiet=True,
+        nowarning=True,
+        opt_max_flip_level=9,
+        opt_scheme=7,
+        opt_iterations=5,
+        **options,
+    )
+    return out[0], out[1]
+
+
+def _pytetwild(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
+    import pytetwild
+
+    nodes, cells = pytetwild.tetrahedralize(points, faces.astype(np.int32), **options)[:2]
+    return nodes, cells
+
+
+MESHERS = {"tetgen": _tetgen, "pytetwild": _pytetwild}
+
+
+def main(mesher: str, folder: Path) -> None:
+    """Run one mesher on the folder's input."""
+    with np.load(folder / "in.npz") as given:
+        points, faces, options = given["points"], given["faces"], json.loads(str(given["options"]))
+    try:
+        nodes, cells = MESHERS[mesher](points, faces, options)
+    except ImportError as error:
+        (folder / "error.txt").write_text(f"ImportError\n{error}")
+    except (RuntimeError, ValueError, MemoryError) as error:
+        (folder / "error.txt").write_text(f"{type(error).__name__}\n{error}")
+    else:
+        np.savez(folder / "out.npz", nodes=nodes, cells=cells)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

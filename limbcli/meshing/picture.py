@@ -1,0 +1,111 @@
+"""A look at a site's mesh: two cuts through it, the skin from above, and its quality."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.quality import Quality, dihedral_angles_deg
+from limbcli.model import Array, IntArray, Mesh
+
+_COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
+
+
+def mesh_picture(
+    mesh: Mesh, probe: ProbeShape, figures: Quality, path: Path, *, title: str, start_depth: float
+) -> None:
+    """Write a PNG: what to look for is small cells under the probe, bones where they should be, no thin spikes."""
+    figure = Figure(figsize=(13, 9.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    _cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth)
+    _cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth)
+    _from_above(axes[1, 0], mesh, probe)
+    _histogram(axes[1, 1], mesh, figures)
+    figure.suptitle(title)
+    figure.savefig(path, dpi=110)
+
+
+def _cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float) -> None:
+    """Tetrahedra cut by the plane through the site whose normal is x (0) or y (1)."""
+    across = 1 - axis
+    for block in mesh.solid_blocks:
+        polygons = section(mesh.points, block.cells[:, :4], axis)
+        shapes = [each[:, [across, 2]] for each in polygons]
+        colour = _COLOURS.get(block.name, "#dddddd")
+        axes.add_collection(PolyCollection(shapes, facecolors=colour, edgecolors="#555555", linewidths=0.35))
+    half = (probe.length / 2, probe.width / 2)[across]
+    u = np.linspace(-half, half, 101)
+    rise = probe.rise(u, np.zeros_like(u)) if across == 0 else probe.rise(np.zeros_like(u), u)
+    outline = np.vstack([[-half, probe.wall], np.c_[u, rise], [half, probe.wall]]) - [0, start_depth]
+    axes.fill(*outline.T, facecolor="#9db4c8", edgecolor="#1f4e79", linewidth=1.2, alpha=0.8)
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_xlabel(("x (along the probe)", "y (across the probe)")[across] + ", mm")
+    axes.set_ylabel("z (outward), mm")
+    axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone")
+
+
+def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list[Array]:
+    """Polygons (k, 3) in which the plane points[axis] = at cuts tetrahedra."""
+    height = points[cells, axis] - at
+    cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
+    out = []
+    for corners, h in zip(points[cells[cut]], height[cut], strict=True):
+        below, above = np.flatnonzero(h < 0), np.flatnonzero(h >= 0)
+        ends = [corners[i] + h[i] / (h[i] - h[j]) * (corners[j] - corners[i]) for i in below for j in above]
+        polygon = np.array(ends)
+        if len(polygon) == 4:
+            polygon = polygon[[0, 1, 3, 2]]
+        out.append(polygon)
+    return out
+
+
+def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape) -> None:
+    """Skin facets that face up; those the probe can reach in colour."""
+    for name, colour in (("skin", "#eeeeee"), ("contact", "#f6c9b0")):
+        faces = next(iter(mesh.surfaces[name].facets.values()))[:, :3]
+        corners = mesh.points[faces]
+        up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
+        shapes = PolyCollection(
+            list(corners[up][:, :, :2]), facecolors=colour, edgecolors="#666666", linewidths=0.4
+        )
+        axes.add_collection(shapes)
+    axes.add_collection(LineCollection([_outline(probe)], colors="#1f4e79", linewidths=1.8))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (along the probe), mm")
+    axes.set_ylabel("y (across the probe), mm")
+    axes.set_title("skin from outside; shaded: within the probe's reach; blue: its outline")
+
+
+def _outline(probe: ProbeShape) -> Array:
+    a, b = probe.flat
+    t = np.linspace(0, np.pi / 2, 13)
+    corners = [(a, b, 0.0), (-a, b, 0.5), (-a, -b, 1.0), (a, -b, 1.5)]
+    parts = [
+        np.c_[x + probe.edge_radius * np.cos(t + q * np.pi), y + probe.edge_radius * np.sin(t + q * np.pi)]
+        for x, y, q in corners
+    ]
+    ring = np.vstack(parts)
+    return np.vstack([ring, ring[:1]])
+
+
+def _histogram(axes: Any, mesh: Mesh, figures: Quality) -> None:
+    lowest = [dihedral_angles_deg(mesh.points, each.cells).min(axis=1) for each in mesh.solid_blocks]
+    axes.hist(np.concatenate(lowest), bins=np.arange(0, 72, 2), color="#7f9db9", edgecolor="white")
+    axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: least asked for")
+    axes.axvline(8, color="#d90", linewidth=1, linestyle="--", label="8°: least under the probe")
+    axes.set_xlabel("smallest dihedral angle of a tetrahedron, degrees")
+    axes.set_ylabel("tetrahedra")
+    axes.legend(frameon=False)
+    axes.set_title(
+        f"{figures.n_cells} tetrahedra, {figures.n_nodes} nodes; smallest angle {figures.min_angle_deg:.1f}°, "
+        f"under the probe {figures.min_angle_under_probe_deg:.1f}°"
+    )

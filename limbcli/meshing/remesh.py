@@ -1,0 +1,241 @@
+"""A boundary retriangulated with facets of the sizes asked for, and its faces named.
+
+pymeshlab's isotropic remeshing works with one edge length at a time; a graded
+surface is made from the finest length to the coarsest, each time only where the
+size field allows the next coarser one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.errors import MeshError
+from limbcli.meshing.distance import Field
+from limbcli.meshing.domain import BONE, CUT, Domain
+from limbcli.meshing.improve import Ties, put_back
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array, IntArray
+
+_STEP = 1.45  # ratio between the edge lengths of successive passes
+_CREASE_DEG = 40.0
+_MIN_SIZE = 1.5  # mm
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Edge lengths wanted (mm): under the probe, far from it, and how fast they grow (mm per mm)."""
+
+    under_probe: float = 2.5
+    far: float = 8.0
+    growth: float = 0.35
+    reach: float = 2.0  # mm round the face that keep the fine size
+
+    def finer(self, factor: float) -> Sizes:
+        return Sizes(self.under_probe * factor, self.far * factor, self.growth, self.reach)
+
+
+@dataclass(frozen=True, eq=False)
+class SizeField:
+    """Edge length wanted anywhere: fine under the probe, coarse far, finer in thin tissue and round tight bends."""
+
+    sizes: Sizes
+    probe: ProbeShape
+    domain: Domain
+    bend: Field  # edge length that bends and thin places allow
+    least: float = _MIN_SIZE
+
+    def at(self, points: Array) -> Array:
+        """Edge length (n,) mm at points (n, 3)."""
+        s = self.sizes
+        beside = self.probe.distance_in_plan(points[:, 0], points[:, 1])
+        distance = np.hypot(beside, np.minimum(points[:, 2], 0.0))
+        wanted = np.clip(s.under_probe + s.growth * np.maximum(distance - s.reach, 0), s.under_probe, s.far)
+        return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
+
+
+def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
+    """The size field of a domain: thin tissue and tight bends ask for facets of about their own size."""
+    limit = np.full(domain.skin.grid.shape, sizes.far)
+    if domain.bone is not None:
+        thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
+        limit = np.minimum(limit, 1.4 * thickness + 0.3)
+        limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
+    for field in (domain.skin, domain.bone):
+        if field is not None:
+            limit = np.minimum(limit, _bend_limit(field, sizes.far))
+    return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
+
+
+def _bend_limit(field: Field, far: float, *, share: float = 1.8, least: float = 4.0) -> Array:
+    """Edge length allowed by curvature: `share` of the radius of the tighter bend, near the surface."""
+    from scipy import ndimage
+
+    h = field.grid.spacing
+    phi = ndimage.gaussian_filter(field.values, 1.5)
+    gradient = np.gradient(phi, h)
+    size = np.sqrt(sum(each**2 for each in gradient)) + 1e-6
+    mean = np.abs(sum(np.gradient(g / size, h, axis=k) for k, g in enumerate(gradient)))
+    limit = np.where(np.abs(field.values) < 1.5 * h, share / np.maximum(mean, 1e-6), far)
+    return np.clip(limit, min(least, far), far)
+
+
+def _cleft_limit(domain: Domain, far: float, *, share: float = 2.6) -> Array:
+    """Edge length allowed by narrow tissue or thin bone: `share` of half the width, on its middle."""
+    assert domain.bone is not None
+    h = domain.skin.grid.spacing
+    tissue = np.minimum(-domain.skin.values, domain.bone.values)
+    out = np.full(tissue.shape, far)
+    for depth in (tissue, -domain.bone.values):
+        slope = np.sqrt(sum(each**2 for each in np.gradient(depth, h)))
+        middle = (depth > 0.3 * h) & (depth < far / share) & (slope < 0.75)
+        out[middle] = np.minimum(out[middle], share * depth[middle])
+    return np.maximum(out, _MIN_SIZE)
+
+
+def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: float = 6.0) -> SizeField:
+    """The size field lowered round places (n, 3) where facets got into each other's way."""
+    grid = field.bend.grid
+    distance, _ = cKDTree(places).query(grid.points().reshape(-1, 3), distance_upper_bound=reach)
+    near = np.isfinite(distance).reshape(grid.shape)
+    values = np.where(near, factor * np.minimum(field.bend.values, field.sizes.far), field.bend.values)
+    return replace(field, bend=Field(grid, _graded(np.maximum(values, 0.5), grid.spacing)), least=0.7)
+
+
+def bad_places(boundary: Boundary) -> Array:
+    """Centroids (n, 3) of faces that cut through others."""
+    import pymeshlab
+
+    surface = boundary.surface
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(surface.points, surface.faces.astype(np.int32)))
+    meshes.compute_selection_by_self_intersections_per_face()
+    return surface.centroids[np.asarray(meshes.current_mesh().face_selection_array(), bool)]
+
+
+def unfold(boundary: Boundary, domain: Domain, *, rounds: int = 8) -> Boundary:
+    """Faces folded over their own surface spread out again: their nodes go to the middle of their neighbours."""
+    surface, labels = boundary.surface, boundary.labels
+    ties = Ties.of_faces(len(surface.points), surface.faces, labels)
+    edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    for _ in range(rounds):
+        boundary = Boundary(surface, labels)
+        unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
+        folded = np.einsum("ij,ij->i", unit, outward_normals(boundary, domain)) < 0.1
+        free = np.zeros(len(surface.points), bool)
+        free[surface.faces[folded]] = True
+        free &= (ties.codes[:, 0] > 0) & (ties.codes[:, 1] == 0)
+        if not free.any():
+            break
+        surface = Triangles(put_back(_relaxed(surface.points, edges, free), ties, domain), surface.faces)
+    return Boundary(surface, labels)
+
+
+def _relaxed(points: Array, edges: IntArray, free: Array) -> Array:
+    """Points marked free moved to the mean of their neighbours."""
+    total = np.zeros_like(points)
+    count = np.zeros(len(points))
+    for a, b in (edges.T, edges.T[::-1]):
+        np.add.at(total, a, points[b])
+        np.add.at(count, a, 1)
+    out = points.copy()
+    out[free] = total[free] / count[free][:, None]
+    return out
+
+
+def outward_normals(boundary: Boundary, domain: Domain) -> Array:
+    """The normal (n_faces, 3) that each face should have, from the surface it belongs to."""
+    centroids, labels = boundary.surface.centroids, boundary.labels
+    out = domain.skin.gradient(centroids)
+    if domain.bone is not None:
+        out[labels == BONE] = -domain.bone.gradient(centroids[labels == BONE])
+    for k, plane in enumerate(domain.planes):
+        out[labels == CUT + k] = plane.normal
+    return out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None]
+
+
+def _graded(limit: Array, spacing: float, *, growth: float = 0.3) -> Array:
+    """The limit made to grow by at most `growth` mm per mm away from where it binds."""
+    from scipy import ndimage
+
+    out = limit
+    for reach in (1, 2, 4, 8):
+        shape = 2 * reach + 1
+        out = np.minimum(out, ndimage.minimum_filter(out, size=shape) + growth * reach * spacing)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """A closed, graded boundary with the label of every face, its nodes on their surfaces."""
+
+    surface: Triangles
+    labels: IntArray
+
+
+def remesh(fine: Triangles, domain: Domain, field: SizeField, *, iterations: int = 4) -> Boundary:
+    """Graded facets for a finely triangulated boundary.
+
+    Raises
+    ------
+    MeshError
+        If the remeshed surface is not closed.
+    """
+    import pymeshlab
+
+    points, faces = fine.points, fine.faces
+    least = float(field.at(fine.points).min())
+    lengths = [least]
+    while lengths[-1] * _STEP < field.sizes.far:
+        lengths.append(lengths[-1] * _STEP)
+    lengths.append(field.sizes.far)
+    for number, length in enumerate(lengths):
+        chosen = (
+            field.at(points[faces].mean(axis=1)) >= 0.97 * length if number else np.ones(len(faces), bool)
+        )
+        if not chosen.any():
+            continue
+        meshes = pymeshlab.MeshSet(verbose=False)
+        meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32), f_scalar_array=chosen.astype(float)))
+        meshes.compute_selection_by_condition_per_face(condselect="fq > 0.5")
+        meshes.meshing_isotropic_explicit_remeshing(
+            iterations=iterations,
+            targetlen=pymeshlab.PureValue(length),
+            selectedonly=number > 0,
+            featuredeg=_CREASE_DEG,
+            checksurfdist=False,
+        )
+        mesh = meshes.current_mesh()
+        points, faces = mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64)
+    surface = Triangles(points, faces).part(np.arange(len(faces)))
+    _check_closed(surface)
+    labels = face_labels(surface, domain)
+    ties = Ties.of_faces(len(surface.points), surface.faces, labels)
+    return Boundary(Triangles(put_back(surface.points, ties, domain), surface.faces), labels)
+
+
+def face_labels(surface: Triangles, domain: Domain) -> IntArray:
+    """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone."""
+    labels = domain.label(surface.centroids)
+    unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
+    uncut = Domain(domain.skin, domain.bone, (), ())
+    labels = np.where(labels >= CUT, uncut.label(surface.centroids), labels)
+    for k, plane in enumerate(domain.planes):
+        height = np.sort(np.abs(plane.height(surface.points))[surface.faces], axis=1)
+        flat = (height[:, 1] < 0.02) & (height[:, 2] < 0.5)
+        labels[flat & (unit @ plane.normal > 0.9)] = CUT + k
+    return labels
+
+
+def _check_closed(surface: Triangles) -> None:
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    if (counts != 2).any():
+        raise MeshError(
+            f"the remeshed surface is open or branched at {int((counts != 2).sum())} edges",
+            where="surface remeshing",
+            fix="ask for a finer mesh (--size-mm), or smooth the segmentation",
+        )

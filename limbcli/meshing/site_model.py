@@ -1,0 +1,167 @@
+"""A site's complete model: mesh, probe, contact, supports and load, with a placeholder material."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.meshing.checks import SiteChecks, site_checks
+from limbcli.meshing.crop import crop_planes
+from limbcli.meshing.domain import CUT, Domain, make_domain
+from limbcli.meshing.frame import SiteFrame, site_frame
+from limbcli.meshing.mending import Limb
+from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
+from limbcli.meshing.quality import Quality, quality
+from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.volume import VolumeMesh, mesh_volume, under_probe
+from limbcli.model import (
+    Contact,
+    Curve,
+    Drive,
+    LimbModel,
+    Material,
+    Mesh,
+    RigidBody,
+    Step,
+    Support,
+)
+from limbcli.model import (
+    Domain as MaterialDomain,
+)
+from limbcli.progress import SILENT, Progress
+
+ELEMENTS = ("tet10", "tet4")
+_STIFFNESS, _F_KAPPA, _EXPONENT = 0.005, 100.0, 2.0  # MPa, -, -: placeholders until measurements are set
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """What can be asked of a site's mesh; lengths mm.
+
+    start_depth : how far the probe is inside the skin at the start (contact needs it)
+    depth : indentation at the end of the placeholder load
+    """
+
+    element: str = "tet10"
+    margin: float = 40.0
+    sizes: Sizes = field(default_factory=Sizes)
+    start_depth: float = 0.05
+    depth: float = 10.0
+    spacing: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class SiteModel:
+    """The model and what was found while making it."""
+
+    model: LimbModel
+    frame: SiteFrame
+    domain: Domain
+    quality: Quality
+    checks: SiteChecks
+    maker: str
+    notes: tuple[str, ...]
+
+
+def site_model(
+    limb: Limb,
+    position: tuple[float, float, float],
+    long_axis: str | tuple[float, float, float],
+    probe: ProbeShape,
+    options: MeshOptions = MeshOptions(),
+    *,
+    name: str = "site",
+    progress: Progress = SILENT,
+) -> SiteModel:
+    """The local model round a site: frame, crop, volume mesh, rigid probe, contact, supports, load.
+
+    `limb` is in the patient frame (LPS, mm), as `mend` returns it.
+
+    Raises
+    ------
+    CaseError
+        If site, probe or options cannot be used.
+    MeshError
+        If no volume mesh of sufficient quality could be made.
+    """
+    if options.element not in ELEMENTS:
+        raise CaseError(f"element {options.element!r} is not known", where=name, fix="use tet10 or tet4")
+    check_shape(probe)
+    progress.event("task", name="mesh: frame and crop", done=0, total=4)
+    frame = site_frame(limb, np.asarray(position, float), long_axis, probe, where=f"site {name}")
+    local = limb.moved(frame.to_model)
+    domain = make_domain(local, crop_planes(local, probe, options.margin), spacing=options.spacing)
+    progress.event("task", name="mesh: volume", done=1, total=4)
+    volume = mesh_volume(domain, probe, options.sizes)
+    progress.event("task", name="mesh: model", done=3, total=4)
+    checks = site_checks(domain, probe, options.margin)
+    rigid = probe_mesh(probe)
+    lowered = ProbeMesh(rigid.points - [0, 0, options.start_depth], rigid.quads, rigid.tips)
+    mesh = assemble(
+        volume, np.zeros(len(volume.cells), np.int64), ("tissue",), probe, lowered, element=options.element
+    )
+    figures = _figures(mesh, volume, probe)
+    info = _info(name, frame, probe, options, domain, volume)
+    progress.event("task", name="mesh: done", done=4, total=4)
+    return SiteModel(
+        _model(mesh, options, info),
+        frame,
+        domain,
+        figures,
+        checks,
+        volume.maker,
+        (*domain.notes, *volume.notes),
+    )
+
+
+def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:
+    cells = np.concatenate([each.cells for each in mesh.solid_blocks])
+    return quality(mesh.points, cells, under_probe(mesh.points, cells, probe))
+
+
+def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:
+    """Placeholder law and load on a mesh: indentation along -z, all else of the probe held."""
+    half = _STIFFNESS / 2
+    tissue = Material(
+        "ogden",
+        {"c1": half, "m1": _EXPONENT, "c2": half, "m2": -_EXPONENT, "kappa": _F_KAPPA * _STIFFNESS},
+    )
+    body = RigidBody("probe", (0.0, 0.0, -options.start_depth), (PROBE_QUADS, PROBE_TIPS))
+    held = tuple(Drive("probe", dof, "fixed") for dof in ("x", "y", "u", "v", "w"))  # type: ignore[arg-type]
+    down = Drive("probe", "z", "displacement", -(options.depth - options.start_depth), "load")
+    return LimbModel(
+        mesh=mesh,
+        materials={"tissue": tissue},
+        domains=tuple(MaterialDomain(each.name, "tissue") for each in mesh.solid_blocks),
+        bodies=(body,),
+        supports=(Support("fixed", ("x", "y", "z")),),
+        drives=(*held, down),
+        contacts=(Contact("contact", "probe_face"),),
+        curves={"load": Curve(((0.0, 0.0), (1.0, 1.0)))},
+        steps=(Step(n_steps=20, step_size=0.05, must_points=tuple(k / 10 for k in range(1, 11))),),
+        info=info,
+    )
+
+
+def _info(
+    name: str, frame: SiteFrame, probe: ProbeShape, options: MeshOptions, domain: Domain, volume: VolumeMesh
+) -> dict[str, Any]:
+    return {
+        "site": name,
+        "patient_from_model": [float(v) for v in frame.to_patient.ravel()],
+        "probe_length_mm": probe.length,
+        "probe_width_mm": probe.width,
+        "probe_edge_radius_mm": probe.edge_radius,
+        "start_depth_mm": options.start_depth,
+        "margin_mm": options.margin,
+        "element": options.element,
+        "size_under_probe_mm": options.sizes.under_probe,
+        "size_far_mm": options.sizes.far,
+        "cuts": [each.name for k, each in enumerate(domain.planes) if (volume.labels == CUT + k).any()],
+        "mesher": volume.maker,
+    }

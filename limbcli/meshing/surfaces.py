@@ -1,0 +1,166 @@
+"""Triangle surfaces: reading, splitting into bodies, and their plain geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from limbcli.errors import MeshError
+from limbcli.model import Array, IntArray
+
+SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """A triangle surface: points (n, 3) mm, faces (m, 3) from 0, normals outward by the right hand."""
+
+    points: Array
+    faces: IntArray
+
+    @property
+    def corners(self) -> Array:
+        """(m, 3, 3) coordinates of every face's corners."""
+        return self.points[self.faces]
+
+    @property
+    def area_vectors(self) -> Array:
+        """(m, 3) normals of length area (mm2)."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        return 0.5 * np.cross(b - a, c - a)
+
+    @property
+    def areas(self) -> Array:
+        return np.linalg.norm(self.area_vectors, axis=1)
+
+    @property
+    def centroids(self) -> Array:
+        return self.corners.mean(axis=1)
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume (mm3), positive where normals point outward (divergence theorem).
+
+        >>> round(tetrahedron().volume, 6)
+        0.166667
+        """
+        return float(np.einsum("ij,ij->", self.centroids - self.points.mean(0), self.area_vectors) / 3)
+
+    def moved(self, transform: Array) -> Triangles:
+        """Under a rigid 4 x 4 transform."""
+        return Triangles(self.points @ transform[:3, :3].T + transform[:3, 3], self.faces)
+
+    def flipped(self) -> Triangles:
+        return Triangles(self.points, self.faces[:, ::-1].copy())
+
+    def part(self, keep: Array) -> Triangles:
+        """Only the faces marked or numbered by `keep`, with unused points left out."""
+        faces = self.faces[keep]
+        used, inverse = np.unique(faces, return_inverse=True)
+        return Triangles(self.points[used], inverse.reshape(-1, 3).astype(np.int64))
+
+
+def tetrahedron() -> Triangles:
+    """The unit corner tetrahedron, for examples."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return Triangles(points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+
+
+def join(surfaces: list[Triangles]) -> Triangles:
+    """Several surfaces as one, without merging points."""
+    offsets = np.cumsum([0, *(len(each.points) for each in surfaces)])
+    return Triangles(
+        np.concatenate([each.points for each in surfaces]),
+        np.concatenate([each.faces + o for each, o in zip(surfaces, offsets, strict=False)]),
+    )
+
+
+def read_surface(path: Path) -> Triangles:
+    """Read a triangle surface (PLY, STL, OBJ, ...), coordinates as they stand (mm).
+
+    Raises
+    ------
+    MeshError
+        If the file is absent, holds no triangles, or a coordinate is not a number.
+    """
+    import meshio
+
+    fix = f"bring a triangle surface as one of {', '.join(SUFFIXES)}"
+    if not path.is_file():
+        raise MeshError("the surface file does not exist", where=str(path), fix=fix)
+    try:
+        mesh = meshio.read(path)
+    except (SystemExit, Exception) as error:
+        raise MeshError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
+    faces = [_triangles_of(block.type, block.data) for block in mesh.cells]
+    faces = [each for each in faces if len(each)]
+    if not faces:
+        raise MeshError("the surface holds no triangles", where=str(path), fix=fix)
+    points = np.asarray(mesh.points, float)
+    if not np.isfinite(points).all():
+        bad = int(np.argwhere(~np.isfinite(points))[0, 0])
+        raise MeshError(f"point {bad} of the surface is not a number", where=str(path), fix=fix)
+    return merge_points(Triangles(points, np.concatenate(faces).astype(np.int64)))
+
+
+def _triangles_of(kind: str, cells: IntArray) -> IntArray:
+    """Faces of a block as triangles; quadrilaterals are halved, others ignored."""
+    if kind == "triangle":
+        return cells
+    if kind == "quad":
+        return np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+    return np.empty((0, 3), np.int64)
+
+
+def merge_points(surface: Triangles, *, tolerance: float = 1e-7) -> Triangles:
+    """Equal points made one (within `tolerance` of the surface's size); faces without area left out."""
+    size = float(np.ptp(surface.points, axis=0).max()) or 1.0
+    keys = np.round((surface.points - surface.points.min(0)) / (tolerance * size)).astype(np.int64)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[surface.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    return Triangles(surface.points[first], faces.astype(np.int64)).part(np.arange(len(faces)))
+
+
+def bodies(surface: Triangles) -> list[Triangles]:
+    """The connected pieces of a surface, the largest (by extent) first.
+
+    >>> [len(each.faces) for each in bodies(join([tetrahedron(), tetrahedron()]))]
+    [4, 4]
+    """
+    a, b, c = surface.faces.T
+    n = len(surface.points)
+    links = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
+    _, label = connected_components(links, directed=False)
+    of_face = label[a]
+    pieces = [surface.part(of_face == each) for each in np.unique(of_face)]
+    return sorted(pieces, key=lambda each: -float(np.prod(np.ptp(each.points, axis=0) + 1e-9)))
+
+
+def boundary_loops(surface: Triangles) -> list[IntArray]:
+    """Closed chains of point numbers along the edges that only one face has."""
+    edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    key = np.sort(edges, axis=1)
+    _, inverse, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    following: dict[int, list[int]] = {}
+    for a, b in edges[counts[inverse.reshape(-1)] == 1]:
+        following.setdefault(int(a), []).append(int(b))
+    loops = []
+    while following:
+        start = next(iter(following))
+        loop, here = [start], start
+        while here in following:
+            here, nexts = following[here].pop(), following[here]
+            if not nexts:
+                following.pop(loop[-1])
+            if here == start:
+                break
+            loop.append(here)
+        if len(loop) > 2:
+            loops.append(np.array(loop))
+    return loops

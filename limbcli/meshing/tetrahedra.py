@@ -1,0 +1,115 @@
+"""The volume between the boundary's facets filled with tetrahedra, graded like them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.errors import MeshError
+from limbcli.meshing.mesher_process import in_process
+from limbcli.meshing.quality import volumes
+from limbcli.meshing.remesh import Boundary, SizeField
+from limbcli.model import Array, IntArray
+
+_SPACING = 1.0  # of the wanted edge length: distance kept between interior points
+
+
+@dataclass(frozen=True, eq=False)
+class Tetrahedra:
+    """points (n, 3): the boundary's first, in its order; cells (m, 4), positive volume; who made them."""
+
+    points: Array
+    cells: IntArray
+    maker: str
+
+
+def interior_points(boundary: Boundary, field: SizeField, *, seed: int = 7) -> Array:
+    """Points (n, 3) inside, about one wanted edge length apart and off the boundary (Poisson discs)."""
+    rng = np.random.default_rng(seed)
+    grid = field.domain.skin.grid
+    inside = field.domain.skin.values < 0
+    if field.domain.bone is not None:
+        inside &= field.domain.bone.values > 0
+    voxels = grid.points()[inside]
+    keep = np.ones(len(voxels), bool)
+    for plane in field.domain.planes:
+        keep &= plane.height(voxels) < 0
+    voxels = voxels[keep]
+    size = field.at(voxels)
+    chance = 12 * (grid.spacing / size) ** 3
+    chosen = rng.random(len(voxels)) < chance
+    points = voxels[chosen] + grid.spacing * (rng.random((int(chosen.sum()), 3)) - 0.5)
+    size = size[chosen]
+    clear = _clearance(points, field)
+    points, size = points[clear > 0.55 * size], size[clear > 0.55 * size]
+    near, _ = cKDTree(boundary.surface.points).query(points)
+    points, size = points[near > 0.7 * size], size[near > 0.7 * size]
+    order = np.argsort(size + 1e-3 * rng.random(len(size)), kind="stable")
+    return _discs(points[order], _SPACING * size[order])
+
+
+def _clearance(points: Array, field: SizeField) -> Array:
+    """Distance (n,) to the nearest boundary."""
+    d = -field.domain.skin.at(points)
+    if field.domain.bone is not None:
+        d = np.minimum(d, field.domain.bone.at(points))
+    for plane in field.domain.planes:
+        d = np.minimum(d, -plane.height(points))
+    return d
+
+
+def _discs(points: Array, radius: Array) -> Array:
+    """A subset in which no point lies within the radius of an earlier one."""
+    if not len(points):
+        return points
+    tree = cKDTree(points)
+    removed = np.zeros(len(points), bool)
+    keep = []
+    for k in range(len(points)):
+        if not removed[k]:
+            keep.append(k)
+            removed[tree.query_ball_point(points[k], radius[k])] = True
+    return points[keep]
+
+
+def tetgen_mesh(
+    boundary: Boundary,
+    inner: Array,
+    *,
+    min_ratio: float = 1.4,
+    min_dihedral_deg: float = 12.0,
+    time_limit_s: float = 30.0,
+) -> Tetrahedra:
+    """TetGen in a process of its own (it may crash or run on), boundary facets kept as they are.
+
+    Raises
+    ------
+    MeshError
+        If TetGen refuses the surface, crashes, or runs out of time.
+    """
+    points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
+    faces = np.ascontiguousarray(boundary.surface.faces, np.int32)
+    options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg}
+    nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=time_limit_s)
+    return checked(nodes, cells, boundary.surface.volume, "TetGen")
+
+
+def checked(
+    nodes: Array, cells: IntArray, expected: float, maker: str, *, tolerance: float = 1e-3
+) -> Tetrahedra:
+    """Cells of positive volume, nodes in use only at the end, if the whole `expected` (mm3) is filled."""
+    cells = np.asarray(cells, np.int64)[:, :4].copy()
+    negative = volumes(nodes, cells) < 0
+    cells[negative] = cells[negative][:, [0, 2, 1, 3]]
+    inside = float(volumes(nodes, cells).sum())
+    if abs(inside - expected) > tolerance * abs(expected):
+        raise MeshError(
+            f"{maker} filled {inside / 1e3:.1f} cm3 of {expected / 1e3:.1f} cm3",
+            where="volume mesh",
+            fix="ask for a finer mesh (--size-mm)",
+            filled_mm3=inside,
+            expected_mm3=expected,
+        )
+    return Tetrahedra(nodes, cells, maker)

@@ -1,0 +1,166 @@
+"""From a domain to good tetrahedra: a chain of ways, tried until one is good enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeshError, ToolError
+from limbcli.meshing.domain import Domain, boundary
+from limbcli.meshing.improve import Ties, smooth
+from limbcli.meshing.mesher_process import in_process
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.quality import dihedral_angles_deg
+from limbcli.meshing.remesh import (
+    Boundary,
+    Sizes,
+    bad_places,
+    face_labels,
+    finer_near,
+    remesh,
+    size_field,
+    unfold,
+)
+from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.tetrahedra import Tetrahedra, checked, interior_points, tetgen_mesh
+from limbcli.model import Array, IntArray
+
+MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG = 8.0, 4.0
+_LOCAL_REPAIRS = 3
+# Trials of TetGen on one boundary: radius-edge ratio, smallest dihedral angle asked for, seed.
+_TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeMesh:
+    """Tetrahedra (positive volume), the faces of their boundary with labels, who made them, and the way there."""
+
+    points: Array
+    cells: IntArray
+    faces: IntArray
+    labels: IntArray
+    maker: str
+    notes: tuple[str, ...]
+
+
+def under_probe(
+    points: Array, cells: IntArray, probe: ProbeShape, *, beside: float = 2.0, depth: float = 15.0
+) -> Array:
+    """Which cells (n_cells,) lie under the probe face: their middle at most `depth` mm below it."""
+    middle = points[cells[:, :4]].mean(axis=1)
+    near = probe.distance_in_plan(middle[:, 0], middle[:, 1]) <= beside
+    return near & (middle[:, 2] > -depth)
+
+
+def mesh_volume(domain: Domain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:
+    """Graded tetrahedra in a domain, good enough for the solver.
+
+    Tried in turn: TetGen on the boundary remeshed as asked (finer where facets
+    got into each other's way), TetGen on a finer boundary, TetGen on a mended one
+    (bones smoothed), fTetWild.
+
+    Raises
+    ------
+    MeshError
+        If no way leads to cells of positive volume with dihedral angles of at
+        least 4 degrees (8 under the probe); it tells what each way came to.
+    """
+    tale: list[str] = []
+    ways: list[Callable[[], VolumeMesh]] = [
+        lambda: _with_tetgen(domain, probe, sizes, tale),
+        lambda: _with_tetgen(domain, probe, sizes.finer(0.75), tale),
+        lambda: _with_tetgen(domain.smoothed(1.0), probe, sizes.finer(0.85), tale),
+        lambda: _with_ftetwild(domain.smoothed(1.0), probe, sizes, tale),
+    ]
+    names = ("as asked", "remeshed finer", "bones smoothed", "fTetWild")
+    best: tuple[float, VolumeMesh] | None = None
+    for name, way in zip(names, ways, strict=True):
+        try:
+            found = way()
+        except (MeshError, ToolError) as error:
+            tale.append(f"{name}: {error.what}")
+            continue
+        score = _score(found, probe)
+        if score >= 1.0:
+            return VolumeMesh(found.points, found.cells, found.faces, found.labels, found.maker, tuple(tale))
+        tale.append(f"{name}: smallest dihedral angle only {score:.2f} of what is asked for")
+        if best is None or score > best[0]:
+            best = score, found
+    raise MeshError(
+        "no volume mesh of good quality could be made: " + "; ".join(tale),
+        where="volume mesh",
+        fix="ask for another size (--size-mm), move the site a little, or smooth the segmentation there",
+        best_score=best[0] if best else 0.0,
+    )
+
+
+def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
+    """Smallest dihedral angle over the one asked for, at the worst cell; 1 and more is good."""
+    lowest = dihedral_angles_deg(mesh.points, mesh.cells).min(axis=1)
+    near = under_probe(mesh.points, mesh.cells, probe)
+    return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())
+
+
+def _with_tetgen(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+    fine = boundary(domain)
+    field = size_field(domain, probe, sizes)
+    graded = unfold(remesh(fine, domain, field), domain)
+    for _ in range(_LOCAL_REPAIRS):
+        bad = bad_places(graded)
+        if not len(bad):
+            break
+        x, y, z = bad.mean(axis=0)
+        tale.append(f"{len(bad)} facets crossed near ({x:.0f}, {y:.0f}, {z:.0f}) mm: finer there")
+        field = finer_near(field, bad)
+        graded = unfold(remesh(fine, domain, field), domain)
+    best: tuple[float, VolumeMesh] | None = None
+    for ratio, dihedral, seed in _TETGEN:
+        inner = interior_points(graded, field, seed=seed)
+        try:
+            raw = tetgen_mesh(graded, inner, min_ratio=ratio, min_dihedral_deg=dihedral)
+        except MeshError as error:
+            tale.append(error.what)
+            continue
+        found = _improved(raw, graded.surface.faces, graded.labels, domain)
+        score = _score(found, probe)
+        if best is None or score > best[0]:
+            best = score, found
+        if score >= 1.15:
+            break
+    if best is None:
+        raise MeshError(tale.pop(), where="volume mesh", fix="ask for a finer mesh (--size-mm)")
+    return best[1]
+
+
+def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Domain) -> VolumeMesh:
+    """Nodes moved for better angles; in a second round only where the worst are left."""
+    ties = Ties.of_faces(len(raw.points), faces, labels)
+    points = smooth(raw.points, raw.cells, ties, domain)
+    points = smooth(points, raw.cells, ties, domain, goal_deg=14.0, passes=30)
+    return VolumeMesh(points, raw.cells, faces, labels, raw.maker, ())
+
+
+def _with_ftetwild(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+    """fTetWild: slower, its surface within a tolerance of ours, but it refuses nothing."""
+    fine = remesh(boundary(domain), domain, size_field(domain, probe, sizes.finer(0.8)))
+    options = {"edge_length_abs": 0.5 * (sizes.under_probe + sizes.far), "epsilon": 1e-3, "stop_energy": 8.0}
+    nodes, cells = in_process(
+        "pytetwild", fine.surface.points, fine.surface.faces, options, time_limit_s=120.0
+    )
+    raw = checked(nodes, cells, fine.surface.volume, "fTetWild", tolerance=0.02)
+    faces = boundary_faces(raw.cells)
+    labels = face_labels(Triangles(raw.points, faces), domain)
+    return _improved(raw, faces, labels, domain)
+
+
+def boundary_faces(cells: IntArray) -> IntArray:
+    """Outward faces (m, 3) that only one tetrahedron has."""
+    corners = cells[:, :4]
+    faces = corners[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[counts == 1])]
+
+
+__all__ = ["Boundary", "VolumeMesh", "boundary_faces", "mesh_volume", "under_probe"]

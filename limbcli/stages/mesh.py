@@ -1,0 +1,177 @@
+"""mesh: surfaces and site to the local finite-element model, for every site of a case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError
+from limbcli.meshing.export import write_vtu
+from limbcli.meshing.mending import Limb, mend
+from limbcli.meshing.picture import mesh_picture
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
+from limbcli.meshing.surfaces import read_surface
+from limbcli.model_io import save_model
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage, read_result
+
+_OVER_TISSUE = 0.95  # part of the face that should have skin below
+_OFF_SKIN = 3.0  # mm: a site further from the skin than this was moved, and that is said
+
+
+def mesh(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    element: str | None = None,
+    size: float | None = None,
+    far_size: float | None = None,
+    margin: float | None = None,
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
+
+    element, margin : instead of the case's; size, far_size : edge lengths (mm) under the probe and far from it
+
+    Raises
+    ------
+    CaseError
+        If a site or option cannot be used, or `segment` has not been run.
+    MeshError
+        If no volume mesh of sufficient quality could be made.
+    """
+    chosen = case.selected(sites)
+    options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
+    segmented = read_result(out, "segment")
+    progress.event("note", text="reading and mending the surfaces")
+    limb = read_limb(segmented)
+    return [_mesh_site(case, site, limb, segmented, options, out, progress) for site in chosen]
+
+
+def mesh_options(
+    case: Case, *, element: str | None, size: float | None, far_size: float | None, margin: float | None
+) -> MeshOptions:
+    """The case's options with those of this run on top."""
+    usual = Sizes()
+    sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
+    margin = case.model.margin if margin is None else margin
+    for name, value, low, high in (
+        ("--size-mm", sizes.under_probe, 0.8, 10.0),
+        ("--far-size-mm", sizes.far, sizes.under_probe, 25.0),
+        ("--margin-mm", margin, 5.0, 200.0),
+    ):
+        if not low <= value <= high:
+            raise CaseError(f"{name} is {value:g}", where=case.subject, fix=f"give {low:g} to {high:g} mm")
+    return MeshOptions(element=element or case.model.element, margin=margin, sizes=sizes)
+
+
+def read_limb(segmented: StageResult) -> Limb:
+    """The surfaces that `segment` left, mended."""
+    paths = sorted(segmented.folder.glob("bone_*.ply"))
+    skin = read_surface(segmented.folder / "skin.ply")
+    return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
+
+
+def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:
+    """Where a site lies (LPS, mm): as given, or its marker's place.
+
+    Raises
+    ------
+    CaseError
+        If the marker was not found in the images.
+    """
+    if site.position is not None:
+        return site.position
+    markers = {each["number"]: each["position_mm"] for each in segmented.data.get("markers", [])}
+    if site.marker not in markers:
+        known = ", ".join(map(str, sorted(markers))) or "none"
+        raise CaseError(
+            f"marker {site.marker} was not found (markers in the images: {known})",
+            where=f"site {site.name}",
+            fix="see the contact sheet of `limbcli segment`, or give position_mm instead of marker",
+        )
+    x, y, z = markers[site.marker]
+    return float(x), float(y), float(z)
+
+
+def _mesh_site(
+    case: Case,
+    site: Site,
+    limb: Limb,
+    segmented: StageResult,
+    options: MeshOptions,
+    out: Path,
+    progress: Progress,
+) -> StageResult:
+    progress.event("stage", name="mesh", site=site.name)
+    probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
+    position = site_position(site, segmented)
+    with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
+        for path in sorted(segmented.folder.glob("*.ply")):
+            writer.used(path.name, path)
+        found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
+        save_model(found.model, writer.file("model", "model.npz"))
+        write_vtu(found.model.mesh, writer.file("mesh", "mesh.vtu"))
+        mesh_picture(
+            found.model.mesh,
+            probe,
+            found.quality,
+            writer.file("picture", "mesh.png"),
+            title=f"{case.subject}, site {site.name}: {options.element} model",
+            start_depth=options.start_depth,
+        )
+        _report(writer, found, options, limb, segmented)
+    assert writer.result is not None
+    return writer.result
+
+
+def _report(
+    writer: StageWriter, found: SiteModel, options: MeshOptions, limb: Limb, segmented: StageResult
+) -> None:
+    figures, checks, frame = found.quality, found.checks, found.frame
+    writer.data.update(
+        {
+            "element": options.element,
+            "mesher": found.maker,
+            "quality": figures.to_json(),
+            "checks": checks.to_json(),
+            "mending": [*limb.notes, *found.notes],
+            "frame": {
+                "skin_point_mm": frame.skin_point,
+                "normal": frame.normal,
+                "long_axis": frame.long_axis,
+                "proximal": frame.proximal,
+                "patient_from_model": frame.to_patient,
+                "site_to_skin_mm": frame.moved,
+            },
+            "margin_mm": options.margin,
+            "size_under_probe_mm": options.sizes.under_probe,
+            "size_far_mm": options.sizes.far,
+            "start_depth_mm": options.start_depth,
+            "cuts": found.model.info["cuts"],
+        }
+    )
+    writer.summary.append(
+        f"{figures.n_cells} {options.element}, {figures.n_nodes} nodes by {found.maker}; "
+        f"edges {figures.edge_under_probe_mm:.1f} mm under the probe"
+    )
+    writer.summary.append(
+        f"smallest dihedral angle {figures.min_angle_deg:.1f} deg, under the probe "
+        f"{figures.min_angle_under_probe_deg:.1f} deg; no inverted cell"
+    )
+    bone = (
+        "no bone under the probe's centre"
+        if checks.skin_bone_mm is None
+        else (f"skin to bone {checks.skin_bone_mm:.1f} mm at the probe's centre")
+    )
+    writer.summary.append(f"{bone}; {100 * checks.over_tissue_share:.0f} % of the face over tissue")
+    writer.warnings.extend(segmented.warnings)
+    if checks.over_tissue_share < _OVER_TISSUE:
+        writer.warnings.append(
+            f"only {100 * checks.over_tissue_share:.0f} % of the probe face lies over tissue: is the site right?"
+        )
+    if frame.moved > _OFF_SKIN:
+        writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")
