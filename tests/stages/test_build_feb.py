@@ -1,0 +1,204 @@
+"""build-feb: the model goes exactly through the measured depths, with settings known to converge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.feb.read import read_feb
+from limbcli.feb.settings import apart, schedule
+from limbcli.files import sha256
+from limbcli.measurement.indentation import read_levels
+from limbcli.model import LimbModel
+from limbcli.model_io import load_model
+from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
+from tests.stages.block_case import make_case
+
+DEPTHS = np.array([0.8, 1.7, 3.25])
+FORCES = np.array([0.3, 0.8, 1.9])
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Case:
+    return make_case(tmp_path / "case", tmp_path / "out", DEPTHS, FORCES, c=0.005, build=False)
+
+
+def built(case: Case, out: Path, **options: object) -> LimbModel:
+    return read_feb(build_feb(case, out=out, **options)[0].path("feb"))  # type: ignore[arg-type]
+
+
+def edit_levels(case: Case, text: str) -> None:
+    header = "force_n,depth_mm,swe_mean_m_per_s,phase\n"
+    case.sites[0].levels.write_text(header + text)
+
+
+def probe_travel(model: LimbModel) -> list[tuple[float, float]]:
+    """(time, depth of the probe face) at the points of its load curve."""
+    drive = next(each for each in model.drives if each.dof == "z")
+    start = model.bodies[0].center_of_mass[2]
+    return [(t, -(start + drive.value * y)) for t, y in model.curves[str(drive.curve)].points]
+
+
+def test_the_load_goes_exactly_through_the_measured_depths(case: Case, tmp_path: Path) -> None:
+    model = built(case, tmp_path / "out")
+    step = model.steps[0]
+    travel = probe_travel(model)
+    assert [t for t, _ in travel[1:]] == list(step.must_points)
+    assert np.allclose([d for _, d in travel[1:]], DEPTHS, rtol=0, atol=1e-12)
+    assert travel[0][1] == pytest.approx(0.05)
+    assert step.n_steps * step.step_size == step.must_points[-1]
+    first = np.interp(step.step_size, *np.array(travel).T)
+    assert first - travel[0][1] < 0.5, "the first step is short"
+
+
+def test_the_probe_starts_a_little_inside(case: Case, tmp_path: Path) -> None:
+    model = built(case, tmp_path / "out")
+    face = model.mesh.block("probe").cells
+    assert model.mesh.points[face][..., 2].min() == pytest.approx(-0.05)
+    edit_levels(case, "0,0,1.6,load\n0.02,0.06,,load\n0.9,2.0,,load\n")
+    shallow = built(case, tmp_path / "out")
+    assert shallow.mesh.points[face][..., 2].min() == pytest.approx(-0.03)
+    assert probe_travel(shallow)[1][1] == pytest.approx(0.06)
+
+
+def test_settings_are_those_that_febio_is_known_to_converge_with(
+    case: Case, tmp_path: Path, golden: Path
+) -> None:
+    limb = read_feb(golden / "limb-posterior" / "tet10.feb.gz")
+    path = tmp_path / "tet10"
+    ours = built(
+        make_case(path, path / "out", DEPTHS, FORCES, c=0.005, element="tet10", build=False), path / "out"
+    )
+    theirs_step, step = limb.steps[0], ours.steps[0]
+    same = (
+        "step_size",
+        "dt_min",
+        "dt_max",
+        "max_retries",
+        "opt_iterations",
+        "analysis",
+        "adaptive",
+        "control",
+    )
+    for name in same:
+        assert getattr(step, name) == getattr(theirs_step, name), name
+    theirs = limb.contacts[0]
+    assert ours.contacts[0] == replace(
+        theirs,
+        primary=ours.contacts[0].primary,
+        secondary=ours.contacts[0].secondary,
+        name=ours.contacts[0].name,
+    )
+    fixed = {(each.dof, each.kind) for each in limb.drives}
+    assert {(each.dof, each.kind) for each in ours.drives} == fixed
+    speed_theirs = abs(limb.drives[-1].value)
+    times, depths = np.array(probe_travel(ours)).T
+    assert (np.diff(depths) / np.diff(times)).max() < 1.1 * speed_theirs, "no faster than the limb's probe"
+
+
+def test_tet4_gets_tighter_tolerances(case: Case, tmp_path: Path) -> None:
+    control = built(case, tmp_path / "out").steps[0].control
+    assert (control["dtol"], control["qn_method"], control["symmetric_stiffness"]) == (
+        1e-3,
+        "BFGS",
+        "symmetric",
+    )
+
+
+def test_c_comes_from_shear_waves_at_level_0(case: Case, tmp_path: Path) -> None:
+    result = build_feb(case, out=tmp_path / "out")[0]
+    law = read_feb(result.path("feb")).materials["tissue"].parameters
+    assert law["c1"] == law["c2"] == pytest.approx(0.0025, rel=1e-9)
+    assert (law["m1"], law["m2"]) == (2.0, -2.0)
+    assert law["kappa"] == pytest.approx(0.5, rel=1e-9)
+    assert result.data["c_kpa"] == pytest.approx(5.0, rel=1e-9)
+    assert "SWE at level 0" in result.data["c_source"]
+
+
+def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
+    options = TissueOptions(c_kpa=8.0, f_kappa=50.0, m=3.5)
+    law = built(case, tmp_path / "out", options=options).materials["tissue"].parameters
+    assert (law["c1"], law["m1"], law["m2"]) == (0.004, 3.5, -3.5)
+    assert law["kappa"] == pytest.approx(0.4)
+    with pytest.raises(MeasurementError, match="not positive"):
+        build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=-1.0))
+
+
+def test_without_swe_c_must_be_given(case: Case, tmp_path: Path) -> None:
+    case.sites[0].levels.write_text("force_n,depth_mm\n0,0\n0.3,0.8\n1.9,3.25\n")
+    with pytest.raises(MeasurementError, match="--c-kpa"):
+        build_feb(case, out=tmp_path / "out")
+    assert not (tmp_path / "out" / "build-feb" / "p1").exists()
+    assert built(case, tmp_path / "out", options=TissueOptions(c_kpa=5.0)).steps
+
+
+def test_only_loading_depths_count_sorted_and_once(case: Case, tmp_path: Path) -> None:
+    edit_levels(case, "0,0,1.6,load\n0.3,0.8,,load\n0.5,0.8,,load\n1.0,2.0,,load\n0.6,1.5,,unload\n")
+    levels = read_levels(case.sites[0].levels)
+    assert simulated_depths(levels).tolist() == [0.8, 2.0]
+    assert [d for _, d in probe_travel(built(case, tmp_path / "out"))[1:]] == pytest.approx([0.8, 2.0])
+
+
+def test_records_ask_for_what_pictures_and_shear_waves_need(case: Case, tmp_path: Path) -> None:
+    model = built(case, tmp_path / "out")
+    rigid, nodes, elements = model.records
+    assert rigid.items == "probe"
+    assert {"z", "Fz", "My"} <= set(rigid.fields)
+    assert np.array_equal(np.asarray(nodes.items), np.unique(model.mesh.block("tissue").cells))
+    assert {"J", "sz", "Fxx", "Fzy"} <= set(elements.fields)
+    centroids = model.mesh.points[model.mesh.block("tissue").cells[np.asarray(elements.items)]].mean(axis=1)
+    assert np.abs(centroids[:, 0]).max() <= 20
+    assert 0 < len(centroids) < len(model.mesh.block("tissue").cells)
+
+
+def test_the_result_says_what_it_was_made_of(case: Case, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = build_feb(case, out=out)[0]
+    used = result.provenance["inputs_sha256"]
+    assert used["levels"] == sha256(case.sites[0].levels)
+    assert used["mesh"] == sha256(out / "mesh" / "p1" / "model.npz")
+    assert result.data["level_depths_mm"] == DEPTHS.tolist()
+    mesh = load_model(out / "mesh" / "p1" / "model.npz").mesh
+    assert np.array_equal(read_feb(result.path("feb")).mesh.block("tissue").cells, mesh.block("tissue").cells)
+
+
+def test_the_users_templates_are_used(case: Case, tmp_path: Path) -> None:
+    own = tmp_path / "own" / "feb"
+    own.mkdir(parents=True)
+    (own / "mesh_data.j2").write_text("<!-- from my template -->\n")
+    result = build_feb(case, out=tmp_path / "out", templates=tmp_path / "own")[0]
+    assert "from my template" in result.path("feb").read_text()
+    assert "templates" in result.provenance["inputs_sha256"]
+
+
+def test_without_a_mesh_it_says_what_to_run(case: Case, tmp_path: Path) -> None:
+    with pytest.raises(CaseError, match="limbcli mesh"):
+        build_feb(case, out=tmp_path / "elsewhere")
+
+
+# ---------------------------------------------------------------- the schedule
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_measured_depths_get_exact_short_times(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depths = np.sort(rng.uniform(0.03, 15, rng.integers(1, 14)))
+    kept = apart(depths.tolist())
+    plan = schedule(kept)
+    assert plan.depths == tuple(kept)
+    assert kept[-1] == depths[-1]
+    assert all(float(f"{time:.3f}") == time for time in plan.times), "three decimals at most"
+    assert plan.n_steps * 0.02 == plan.times[-1], "the last must-point is the end, to the last bit"
+    assert (np.diff([0, *plan.times]) > 9e-4).all()
+    assert 0.02 <= plan.start < plan.depths[0]
+
+
+def test_depths_that_do_not_grow_are_refused() -> None:
+    for depths in ([], [1.0, 1.0], [2.0, 1.0], [0.01, 1.0]):
+        with pytest.raises(CaseError, match="do not grow"):
+            schedule(depths)

@@ -1,0 +1,141 @@
+"""run: the same files whoever solves; a failure leaves its log and nothing half-made."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError, SolveError, ToolError
+from limbcli.feb.read import read_feb
+from limbcli.results import read_result
+from limbcli.stages.run import RunOptions, run, run_file
+from tests.stages.block_case import make_case
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
+FILES = {
+    "model.feb", "model.log", "rigid_body.csv", "nodes.csv", "elements.csv",
+    "force-depth.csv", "force-depth.png", "run.json", "progress.jsonl",
+}  # fmt: skip
+
+
+@pytest.fixture
+def febio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "febio4"
+    path.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{DATA / 'fake_febio.py'}' \"$@\"\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("FAKE_FEBIO_DATA", str(DATA))
+    return path
+
+
+def rows(path: Path) -> list[dict[str, float]]:
+    with path.open() as stream:
+        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(stream)]
+
+
+def test_febios_run_leaves_all_files(febio: Path, tmp_path: Path) -> None:
+    result = run_file(DATA / "punch.feb", out=tmp_path / "out", febio=febio)
+    assert {each.name for each in result.folder.iterdir()} >= FILES
+    assert (result.data["solver"], result.data["solver_version"]) == ("febio", "4.9.1")
+    assert (result.data["linear_solver"], result.data["n_iterations"]) == ("pardiso", 12)
+    table = rows(result.path("force_depth"))
+    assert list(table[0]) == ["time_s", "depth_mm", "force_n"]
+    assert [row["time_s"] for row in table] == [0.25, 0.5, 1]
+    assert table[-1] == {"time_s": 1, "depth_mm": 2, "force_n": 0.8}
+    assert [each["time_s"] for each in result.data["levels"]] == [0.25, 0.5, 1]
+    assert json.loads((result.folder / "run.json").read_text())["data"]["max_force_n"] == 0.8
+
+
+@pytest.mark.slow
+def test_both_solvers_leave_the_same_files(febio: Path, tmp_path: Path) -> None:
+    one = run_file(DATA / "punch.feb", out=tmp_path / "a", febio=febio)
+    two = run_file(DATA / "punch.feb", out=tmp_path / "b", solver="reference")
+    names = [{each.name for each in result.folder.iterdir()} for result in (one, two)]
+    assert names[1] == names[0] - {"threads.txt"}
+    assert one.data.keys() == two.data.keys()
+    assert [list(row) for row in rows(one.path("force_depth"))[:1]] == [
+        list(row) for row in rows(two.path("force_depth"))[:1]
+    ]
+    assert two.data["levels"][-1]["depth_mm"] == pytest.approx(2.0)
+    assert 0.3 < two.data["levels"][-1]["force_n"] < 2.0
+
+
+@pytest.mark.slow
+def test_a_case_is_run_with_its_measurement(tmp_path: Path) -> None:
+    depths, forces = np.array([0.5, 1.2, 2.0]), np.array([0.2, 0.5, 1.0])
+    case = make_case(tmp_path / "case", tmp_path / "out", depths, forces, c=0.005)
+    result = run(case, out=tmp_path / "out", solver="reference", options=RunOptions(vtu=True))[0]
+    assert {each.name for each in result.folder.iterdir()} >= FILES
+    assert result.folder == tmp_path / "out" / "run" / "p1"
+    levels = result.data["levels"]
+    assert [each["depth_mm"] for each in levels] == pytest.approx(depths.tolist())
+    assert (np.diff([each["force_n"] for each in levels]) > 0).all()
+    assert set(result.provenance["inputs_sha256"]) == {"levels", "model"}
+
+    steps = sorted((result.folder / "vtu").glob("*.vtu"))
+    listed = (result.folder / "vtu" / "series.pvd").read_text()
+    assert all(path.name in listed for path in steps)
+    last = meshio.read(steps[-1])
+    assert np.isfinite(last.point_data["displacement"]).all()
+    model = read_feb(result.path("feb"))
+    body = model.bodies[0]
+    probe = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
+    assert np.allclose(last.point_data["displacement"][probe, 2], -2.0 - body.center_of_mass[2])
+    assert np.allclose(last.point_data["displacement"][model.mesh.node_sets["fixed"]], 0)
+    assert np.nanmin(np.concatenate(last.cell_data["J"])) > 0.5
+
+
+def test_a_failed_run_keeps_its_log_and_the_last_good_result(
+    febio: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run_file(DATA / "punch.feb", out=out, febio=febio)
+    monkeypatch.setenv("FAKE_FEBIO", "failed")
+    with pytest.raises(SolveError, match="12 negative jacobians") as caught:
+        run_file(DATA / "punch.feb", out=out, febio=febio)
+    assert str(out / "run-failed" / "model.log") in caught.value.where
+    assert "E R R O R" in (out / "run-failed" / "model.log").read_text()
+    assert (out / "run-failed" / "model.feb").is_file()
+    assert read_result(out, "run").data["max_force_n"] == 0.8
+    assert not [each for each in out.iterdir() if each.name.startswith(".partial")]
+
+
+def test_the_time_limit_reaches_the_solver(
+    febio: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "hang")
+    with pytest.raises(SolveError, match=r"after 0\.5 s"):
+        run_file(DATA / "punch.feb", out=tmp_path, febio=febio, options=RunOptions(time_limit_s=0.5))
+
+
+def test_a_model_without_rigid_records_gives_no_curve(febio: Path, tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text()
+    start, end = text.index("<rigid_body_data"), text.index("<node_data")
+    (tmp_path / "bare.feb").write_text(text[:start] + text[end:])
+    result = run_file(tmp_path / "bare.feb", out=tmp_path / "out", febio=febio)
+    assert "force_depth" not in result.files
+    assert "no force-depth curve" in result.warnings[0]
+
+
+def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints/><Boundary>")
+    (tmp_path / "odd.feb").write_text(text)
+    assert run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio).data["max_force_n"] == 0.8
+    with pytest.raises(CaseError, match="Constraints"):
+        run_file(tmp_path / "odd.feb", out=tmp_path / "out", solver="reference")
+
+
+def test_missing_pieces_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(CaseError, match="does not exist"):
+        run_file(tmp_path / "no.feb", out=tmp_path)
+    with pytest.raises(ToolError, match="not found"):
+        run_file(DATA / "punch.feb", out=tmp_path, febio=tmp_path / "no")
+    shutil.copy(DATA / "README.md", tmp_path / "text.feb")
+    with pytest.raises(CaseError, match="not a readable XML"):
+        run_file(tmp_path / "text.feb", out=tmp_path, solver="reference")
