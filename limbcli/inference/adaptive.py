@@ -54,6 +54,10 @@ class Problem(Protocol):
         """Simulate there and refresh the stand-ins; SolveError where there is no answer."""
         ...
 
+    def within_reach(self, theta: Array) -> Array:
+        """The point, drawn in to where a simulation may be expected to converge."""
+        ...
+
     def solved_at(self, theta: Array) -> Array:
         """The parameters that a simulation there is made with."""
         ...
@@ -119,11 +123,12 @@ class _Work:
 
     def doubtful(self, found: Intervals) -> tuple[Array, str, int] | None:
         """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
-        asked = [(found.best, "", 0)]
+        near = self.problem.within_reach
+        asked = [(near(found.best), "", 0)]
         for name, profile in found.profiles.items():
             inside = profile.deviance <= THRESHOLD_95
-            asked += [(theta, name, 0) for theta in profile.thetas[inside]]
-            asked += [(end, name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
+            asked += [(near(theta), name, 0) for theta in profile.thetas[inside]]
+            asked += [(near(end), name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
         worth = [(self.problem.doubt(theta), theta, name, side) for theta, name, side in asked]
         worth = [each for each in worth if each[0] > _PRECISE and self._is_new(each[1])]
         if worth:

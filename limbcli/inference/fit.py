@@ -15,7 +15,6 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 Mask = NDArray[np.bool_]
-_MOST_RATIO = 10.0  # no parameter moves by more than this factor in one iteration
 _MOST_TRIALS = 40
 _LEAST_GAIN = 1e-4
 _SMALLEST_DAMPING = 1e-14
@@ -107,6 +106,7 @@ class _Search:
         self.objective, self.parameters, self.progress = objective, parameters, progress
         self.low = np.array([p.low for p in parameters])
         self.high = np.array([p.high for p in parameters])
+        self.stride = np.array([p.stride for p in parameters])
         self.theta = np.array([p.start for p in parameters])
         self.n_evaluations = 1
         self.now = self._linearised(objective(self.theta, True))
@@ -164,8 +164,8 @@ class _Search:
         held_high = (self.theta * _TOUCHING >= self.high) & (gradient < 0)
         free = ~(held_low | held_high) & (gradient != 0.0)
         x = normalised(self.parameters, self.theta)
-        least = normalised(self.parameters, np.maximum(self.theta / _MOST_RATIO, self.low))
-        most = normalised(self.parameters, np.minimum(self.theta * _MOST_RATIO, self.high))
+        least = normalised(self.parameters, np.maximum(self.theta / self.stride, self.low))
+        most = normalised(self.parameters, np.minimum(self.theta * self.stride, self.high))
         return _Line(x, gradient, jacobian.T @ jacobian, free, least - x, most - x)
 
     def _step(self, line: _Line) -> Array:

@@ -20,7 +20,8 @@ from limbcli.progress import SILENT, Progress
 F_KAPPA, M = 0, 1
 START_F_KAPPA = 100.0
 M_MOONEY_RIVLIN = 2.0
-MOONEY_RIVLIN, OGDEN = "mooney_rivlin", "ogden"
+M_STRIDE = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
+MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ def search_parameters(
     """f_kappa and m with the paper's bounds."""
     return (
         Parameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
-        Parameter("m", start_m, *M_BOUNDS),
+        Parameter("m", start_m, *M_BOUNDS, stride=M_STRIDE),
     )
 
 

@@ -109,6 +109,15 @@ class _ForceProblem:
         self.curve(self.solved_at(theta), (0, 1))
         self.emulator.refresh()
 
+    def within_reach(self, theta: Array) -> Array:
+        """Not further than a stride beyond what was solved before."""
+        solved = np.array([each for each, _ in self.curve.solved])
+        near = theta.copy()
+        for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=True), 1):
+            low, high = solved[:, column].min(), solved[:, column].max()
+            near[k] = np.clip(theta[k], low / parameter.stride, high * parameter.stride)
+        return near
+
     def solved_at(self, theta: Array) -> Array:
         full = self.fitted.copy()
         full[list(self.free)] = theta[1:]

@@ -17,6 +17,7 @@ from limbcli.model import Array
 THRESHOLD_95 = float(chi2.ppf(0.95, 1))
 _TIGHT = 1e-4
 _CLOSE = 0.02
+_FEWEST = 6  # points on a side
 _Point = tuple[float, float, Array]  # value, deviance, theta
 
 
@@ -136,10 +137,22 @@ class _Walker:
             here = (float(value), *self.at(float(value), inside[2]))
             if here[1] > threshold:
                 end, more = self._crossing(inside, here, threshold)
-                return _Side([*points, *sorted(more, key=lambda point: sign * point[0])], end, False)
+                points = sorted([*points, *more], key=lambda point: sign * point[0])
+                return _Side(self._filled(points), end, False)
             points.append(here)
             inside = here
         return _Side(points, inside[2], True)
+
+    def _filled(self, points: list[_Point]) -> list[_Point]:
+        """A short side gets points enough for a smooth curve."""
+        if len(points) >= _FEWEST:
+            return points
+        start, last = float(self.best.theta[self.index]), points[-1]
+        more: list[_Point] = []
+        for share in np.arange(1, _FEWEST) / _FEWEST:
+            value = float(start * (last[0] / start) ** share)
+            more.append((value, *self.at(value, more[-1][2] if more else self.best.theta)))
+        return [*more, last]
 
     def _crossing(self, inside: _Point, outside: _Point, threshold: float) -> tuple[Array, list[_Point]]:
         """Where the deviance meets the threshold: its root is nearly linear in ln theta."""

@@ -51,6 +51,7 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
     assert np.all(np.diff(found.values) > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "truth", "n"), [("tet4", (150.0, 3.0), 12), ("tet10", (100.0, 3.0), 6)])
 def test_truth_is_covered_at_the_stated_rate(stand_in, kind, truth, n):
     """95 % each: 2 misses among 12 (6) have a chance of 12 (3) %; more would be a fault."""

@@ -41,7 +41,7 @@ def test_every_verdict_has_its_case():
         "at bound": verdict(F_KAPPA, 1000.0, profile(60.0, 1000.0, open_high=True), influence=True),
         "no influence": verdict(F_KAPPA, 100.0, None, influence=False),
         "trades off with m": verdict(
-            F_KAPPA, 100.0, profile(20.0, 400.0), influence=True, correlations=[("m", -0.99, 6.0)]
+            F_KAPPA, 100.0, profile(20.0, 400.0), influence=True, correlations=[("c", 0.2), ("m", -0.99)]
         ),
     }
     for flag, found in cases.items():

@@ -1,0 +1,64 @@
+"""`limbcli fit CASE`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import (
+    CaseArg,
+    FebioOpt,
+    JsonOpt,
+    OutOpt,
+    QuietOpt,
+    SiteOpt,
+    SolverOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
+from limbcli.cli.terminal import emit, terminal
+
+
+def command(
+    case: CaseArg,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    solver: SolverOpt = "auto",
+    febio: FebioOpt = None,
+    c_kpa: Annotated[
+        float | None,
+        typer.Option("--c-kpa", help="c = 2 mu by hand; default: from SWE at level 0.", show_default=False),
+    ] = None,
+    c_deviation: Annotated[
+        float | None,
+        typer.Option(
+            "--c-deviation-fraction", help="Standard deviation of c, relative; default: from the SWE noise.",
+            show_default=False,
+        ),
+    ] = None,
+    tolerance: Annotated[float, typer.Option(help="Of cost and parameters, relative.")] = 1e-3,
+    max_iterations: Annotated[int, typer.Option(min=1, help="Of each step.")] = 50,
+    intervals: Annotated[bool, typer.Option(help="95 % intervals by profile likelihood.")] = True,
+    time_limit_s: Annotated[
+        float | None, typer.Option("--time-limit-s", help="Of each FEBio run.", show_default=False)
+    ] = None,
+    templates: TemplatesOpt = None,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:  # fmt: skip
+    """Identify f_kappa and m of each site from its force-depth curve (c from SWE)."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.stages.fit import FitOptions, fit
+
+    options = FitOptions(
+        c_kpa=c_kpa, c_deviation=c_deviation, tolerance=tolerance,
+        max_iterations=max_iterations, intervals=intervals, templates=templates, time_limit_s=time_limit_s,
+    )  # fmt: skip
+    progress = terminal(quiet=quiet, verbose=verbose)
+    results = fit(
+        Case.open(case), out=out or default_out(case), sites=site, options=options, progress=progress
+    )
+    emit(results, as_json=json)

@@ -1,0 +1,184 @@
+"""fit: the tissue parameters of a site, from its force-depth curve.
+
+The paper's method: c from the shear-wave speed at level 0 and held fixed; f_kappa with
+m = 2 first, then f_kappa and m. Beside each number stands how far it can be trusted.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.feb.write import write_feb
+from limbcli.files import sha256
+from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
+from limbcli.inference.interval import Stiffness, force_intervals
+from limbcli.inference.prediction import Memory
+from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.solvers import choose
+from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.febio import FebioSolver
+from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fit_result import Identified, leave_result
+
+STAGE = "fit"
+START = np.array([START_F_KAPPA, 2.0])
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How to fit.
+
+    c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
+        standard deviation `c_deviation` (None: that of the shear-wave reading)
+    intervals : profile intervals (more simulations), or only standard errors
+    """
+
+    c_kpa: float | None = None
+    c_deviation: float | None = None
+    tolerance: float = 1e-3
+    max_iterations: int = 50
+    max_interval_solves: int = 12
+    intervals: bool = True
+    templates: Path | None = None
+    time_limit_s: float | None = None
+
+
+def fit(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    solver: str = "auto",
+    febio: Path | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """Identify the tissue parameters of each site with the model that `build-feb` wrote.
+
+    Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
+    fitted.feb and the records of its run.
+
+    Raises
+    ------
+    CaseError
+        If `build-feb` has not been run, or the measurement changed since.
+    MeasurementError
+        If the levels cannot be used, or c is neither measured nor given.
+    SolveError, FitError
+        If the model cannot be solved at the start values, or the search does not settle.
+    """
+    options = options or FitOptions()
+    engine = choose(solver, febio)
+    results = []
+    for site in case.selected(sites):
+        progress.event("stage", name=STAGE, site=site.name)
+        with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            _fit_site(site, out, writer, engine, options, progress)
+        assert writer.result is not None
+        results.append(writer.result)
+    return results
+
+
+def _fit_site(
+    site: Site, out: Path, writer: StageWriter, solver: Solver, options: FitOptions, progress: Progress
+) -> None:
+    clock = time.perf_counter()
+    model = _model(site, out, writer)
+    levels = read_levels(site.levels)
+    data = force_depth_data(levels, site)
+    stiffness, c_source = initial_stiffness(levels, site, options)
+    curve, knots, cold = _first_solve(solver, model, stiffness.c, options, progress)
+    steps = two_step(
+        curve, knots, data,
+        tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
+    )  # fmt: skip
+    theta = steps[-1].theta
+    intervals = None
+    if options.intervals:
+        limit = options.max_interval_solves
+        full = force_intervals(curve, knots, data, stiffness, theta, max_solves=limit, progress=progress)
+        first = force_intervals(curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=2)
+        intervals = (first, full)
+    identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold)
+    fitted = with_tissue(model, c=stiffness.c, f_kappa=float(theta[0]), m=float(theta[1]))
+    simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
+    leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+
+
+def _model(site: Site, out: Path, writer: StageWriter) -> LimbModel:
+    """What build-feb wrote for this site, if it was made from this measurement."""
+    built = read_result(out, "build-feb", site=site.name)
+    feb = built.folder / "model.feb"
+    used = built.provenance.get("inputs_sha256", {})
+    if "levels" in used and used["levels"] != sha256(site.levels):
+        raise CaseError(
+            "the measurement changed after the model was built",
+            where=str(site.levels),
+            fix="run `limbcli build-feb` again, then `limbcli fit`",
+        )
+    writer.used("model", feb)
+    writer.used("levels", site.levels)
+    writer.warnings.extend(built.warnings)
+    return read_feb(feb)
+
+
+def force_depth_data(levels: Levels, site: Site) -> ForceDepth:
+    """The loading levels, with the noise the case states."""
+    rows = levels.loading
+    noise = site.noise
+    return ForceDepth(levels.force[rows], levels.depth[rows], noise.force, noise.depth)
+
+
+def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[Stiffness, str]:
+    """c = 2 rho v^2 of level 0, or the value given by hand; and where it comes from.
+
+    The deviation of ln c is twice that of the mean speed: the share common to a level's
+    pixels, and the pixels' own share divided by the root of their number.
+    """
+    c, source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
+    if options.c_deviation is not None:
+        return Stiffness(c, options.c_deviation), source
+    pixels = float(levels.swe_pixels[0])
+    own = site.noise.swe_pixel_fraction / np.sqrt(pixels) if np.isfinite(pixels) else 0.0
+    return Stiffness(c, 2.0 * float(np.hypot(site.noise.swe_level_fraction, own))), source
+
+
+def _first_solve(
+    solver: Solver, model: LimbModel, c: float, options: FitOptions, progress: Progress
+) -> tuple[Memory, Array, float]:
+    """The curve, the depths of its levels, and the seconds of the first (cold) solve."""
+    clock = time.perf_counter()
+    if solver.name == "reference":
+        exact = ReferenceCurve(model, c=c, progress=progress)
+        curve = Memory(exact)
+        curve(START, (0, 1))
+        return curve, exact.depths, time.perf_counter() - clock
+    if isinstance(solver, FebioSolver):
+        solver = replace(solver, threads=1)
+    files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
+    curve = Memory(files.differentiable())
+    curve(START)
+    return curve, files.depths, time.perf_counter() - clock
+
+
+def _leave_fitted_run(
+    fitted: LimbModel, solver: Solver, writer: StageWriter, options: FitOptions, progress: Progress
+) -> Simulation:
+    """fitted.feb, ready for FEBio Studio, and the records of its run."""
+    feb = write_feb(fitted, writer.file("feb", "fitted.feb"), options.templates)
+    solver.run(feb, progress=progress, time_limit_s=options.time_limit_s)
+    for name in ["model.log", *(record.file for record in fitted.records)]:
+        if (writer.work / name).is_file():
+            writer.file(Path(name).stem.replace("model", "log"), name)
+    return solver.read(feb)

@@ -1,0 +1,129 @@
+"""Force at the depth levels as a function of (f_kappa, m): what `fit` asks a solver.
+
+With the reference solver one session keeps the converged states and returns exact
+derivatives; any other solver is run on files, the shifted parameter sets side by side.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
+from limbcli.inference.prediction import Differences, Evaluate, Prediction
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.reference import ReferenceSession
+from limbcli.stages.build_feb import TISSUE
+
+SIDE_BY_SIDE = 2
+_SAME_TIME = 1e-6
+
+
+def with_tissue(model: LimbModel, *, c: float, f_kappa: float, m: float) -> LimbModel:
+    """The model with the Ogden-type law of these parameters as its tissue."""
+    return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+
+
+def level_times(model: LimbModel) -> Array:
+    """Times of the model's must-points, from the start of the analysis: (n_levels,)."""
+    times, start = [], 0.0
+    for step in model.steps:
+        times += [start + each for each in step.must_points]
+        start += step.n_steps * step.step_size
+    return np.array(times)
+
+
+def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
+    """Rows of `values` (n_times, ...) at the level times.
+
+    Raises
+    ------
+    SolveError
+        If a level was not reached.
+    """
+    nearest = np.abs(simulation.times[None, :] - times[:, None]).argmin(axis=1)
+    missed = np.abs(simulation.times[nearest] - times) > _SAME_TIME
+    if missed.any():
+        k = int(np.flatnonzero(missed)[0])
+        raise SolveError(
+            f"level {k + 1} of {len(times)} (time {times[k]:g} s) is missing from the simulation",
+            where=f"{simulation.solver}, {len(simulation.times)} converged steps",
+            fix="run `limbcli run` and look at model.log",
+            level=k + 1,
+        )
+    return np.asarray(values[nearest])
+
+
+class ReferenceCurve:
+    """Forces at the levels and their exact derivatives, by one session of the reference solver.
+
+    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve.
+    """
+
+    def __init__(self, model: LimbModel, *, c: float, progress: Progress = SILENT):
+        self._model, self._c = model, c
+        self._session = ReferenceSession(model, progress=progress)
+        self.depths: Array = np.zeros(0)
+        self.n_solves = 0
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        f_kappa, m = float(theta[0]), float(theta[1])
+        try:
+            result = self._session.solve(
+                with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m),
+                wrt=[(TISSUE, name) for name in ("kappa", "m1", "m2")],
+            )
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at f_kappa {f_kappa:.4g}, m {m:.4g}",
+                where="reference solver",
+                fix="a smaller m; check the depths in levels.csv",
+            ) from error
+        by_kappa, by_m1, by_m2 = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1", "m2"))
+        self.depths = result.must_points.depths
+        return Prediction(result.must_points.forces, np.column_stack([self._c * by_kappa, by_m1 - by_m2]))
+
+    def close(self) -> None:
+        self._session.close()
+
+
+class FileCurve:
+    """Forces at the levels by a solver that works on files; a folder of its own each run."""
+
+    def __init__(
+        self, solver: Solver, model: LimbModel, *, c: float, time_limit_s: float | None = None,
+        progress: Progress = SILENT,
+    ):  # fmt: skip
+        self._solver, self._model, self._c = solver, model, c
+        self._limit, self._progress = time_limit_s, progress
+        self._times = level_times(model)
+        self.depths: Array = np.zeros(0)
+
+    def __call__(self, theta: Array) -> Array:
+        with tempfile.TemporaryDirectory(prefix="limbcli-fit-") as folder:
+            model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
+            feb = self._solver.write(model, Path(folder))
+            self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
+            simulation = self._solver.read(feb)
+        self.depths = at_levels(simulation, simulation.probe_depth(), self._times)
+        return at_levels(simulation, simulation.probe_force(), self._times)
+
+    def differentiable(self, *, relative_step: float = 0.05) -> Differences:
+        """With forward differences, `SIDE_BY_SIDE` runs at a time."""
+        upper = (F_KAPPA_BOUNDS[1], M_BOUNDS[1])
+        return Differences(self, upper=upper, relative_step=relative_step, run_all=run_side_by_side)
+
+
+def run_side_by_side(evaluate: Evaluate, thetas: Iterable[Array]) -> Iterable[Array]:
+    """All at once; the first error is raised after the others have ended."""
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        return list(pool.map(evaluate, thetas))

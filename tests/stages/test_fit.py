@@ -1,0 +1,158 @@
+"""fit, on a block whose parameters are known: what it finds, what it leaves, what it refuses."""
+
+import csv
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.feb.read import read_feb
+from limbcli.inference.prediction import Memory
+from limbcli.progress import Progress
+from limbcli.results import StageResult
+from limbcli.solvers.reference import ReferenceSolver
+from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
+from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, run_side_by_side
+
+
+def _load(name: str):
+    path = Path(__file__).with_name(f"{name}.py")
+    spec = importlib.util.spec_from_file_location(f"limbcli_test_{name}", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+block = _load("block_case")
+TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
+DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
+
+
+@pytest.fixture(scope="module")
+def forces() -> np.ndarray:
+    return block.true_curve("tet4", DEPTHS, **TRUTH)
+
+
+@pytest.fixture(scope="module")
+def fitted(forces, tmp_path_factory) -> tuple[StageResult, list]:
+    root = tmp_path_factory.mktemp("block")
+    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=TRUTH["c"])
+    seen = []
+    progress = Progress(lambda kind, facts: seen.append((kind, facts)))
+    options = FitOptions(max_interval_solves=3)
+    return fit(case, out=root / "out", solver="reference", options=options, progress=progress)[0], seen
+
+
+def test_parameters_are_recovered_within_one_per_cent(fitted):
+    data = fitted[0].data
+    assert data["c_kpa"] == pytest.approx(8.0, rel=1e-9)
+    assert data["f_kappa"] == pytest.approx(150.0, rel=0.01)
+    assert data["m"] == pytest.approx(3.0, rel=0.01)
+    assert data["kappa_kpa"] == pytest.approx(1200.0, rel=0.01)
+    assert data["r2"] > 0.999999
+    assert data["rmse_n"] < 0.005
+
+
+def test_both_steps_are_told_with_their_numbers(fitted):
+    steps = fitted[0].data["steps"]
+    assert list(steps) == ["mooney-rivlin", "ogden"]
+    assert steps["mooney-rivlin"]["m"] == 2.0
+    assert steps["mooney-rivlin"]["rmse_n"] > steps["ogden"]["rmse_n"]
+    assert steps["mooney-rivlin"]["history"][0]["f_kappa"] == 100.0
+    for step in steps.values():
+        assert step["n_iterations"] > 0
+        assert set(step["flags"]) == set(step["words"]) == set(step["parameters"])
+
+
+def test_intervals_hold_the_estimate_and_open_ones_are_null(fitted):
+    data = fitted[0].data
+    assert set(data["interval_95"]) == {"c_kpa", "f_kappa", "m"}
+    for name, (low, high) in data["interval_95"].items():
+        assert low is None or low < data[name]
+        assert high is None or high > data[name]
+    assert data["standard_error"]["f_kappa"] > 0.0
+    assert data["correlation"]["c,f_kappa"] < -0.5, "a softer c is made up for by f_kappa"
+
+
+def test_the_fitted_model_and_its_records_are_left(fitted):
+    result = fitted[0]
+    for name in ("feb", "log", "rigid_body", "nodes", "elements", "curves", "picture", "profiles"):
+        assert result.path(name).stat().st_size > 0
+    law = read_feb(result.path("feb")).materials["tissue"].parameters
+    assert law["m1"] == pytest.approx(result.data["m"])
+    assert law["kappa"] == pytest.approx(result.data["kappa_kpa"] / 1000.0)
+    simulation = ReferenceSolver().read(result.path("feb"))
+    assert simulation.probe_depth()[-1] == pytest.approx(DEPTHS[-1])
+
+
+def test_curves_hold_measured_and_simulated_forces(fitted, forces):
+    with fitted[0].path("curves").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["depth_mm", "measured_n", "start_n", "mooney-rivlin_n", "ogden_n"]
+    measured = [(float(r["measured_n"]), float(r["ogden_n"])) for r in rows if r["measured_n"]]
+    np.testing.assert_allclose([m for m, _ in measured], np.r_[0.0, forces], rtol=1e-5)
+    np.testing.assert_allclose([o for _, o in measured], np.r_[0.0, forces], rtol=2e-3, atol=1e-9)
+
+
+def test_progress_and_summary_speak(fitted):
+    result, seen = fitted
+    kinds = [kind for kind, _ in seen]
+    assert {"stage", "fit"} <= set(kinds)
+    assert any("f_kappa = 15" in line for line in result.summary)
+    json.dumps(result.to_json(), allow_nan=False)
+
+
+@pytest.fixture
+def case(forces, tmp_path) -> Case:
+    return block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=TRUTH["c"])
+
+
+def test_a_changed_measurement_is_noticed(case, tmp_path):
+    levels = case.sites[0].levels
+    levels.write_text(levels.read_text().replace("\n0,0,", "\n0.01,0,"))
+    with pytest.raises(CaseError, match="build-feb"):
+        fit(case, out=tmp_path / "out", solver="reference")
+
+
+def test_without_speed_at_level_0_c_must_be_given(case, tmp_path, forces):
+    levels = block.read_levels(case.sites[0].levels)
+    silent = replace(levels, swe_mean_m_per_s=np.full(len(levels), np.nan))
+    with pytest.raises(MeasurementError, match="--c-kpa"):
+        initial_stiffness(silent, case.sites[0], FitOptions())
+    given, source = initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=6.0))
+    assert given.c == pytest.approx(0.006)
+    assert "--c-kpa" in source
+    with pytest.raises(MeasurementError, match="not positive"):
+        initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=-1.0))
+
+
+def test_deviation_of_c_is_that_of_the_speed_twice(case):
+    stiffness, _ = initial_stiffness(block.read_levels(case.sites[0].levels), case.sites[0], FitOptions())
+    assert stiffness.log_deviation == pytest.approx(2 * np.hypot(0.05, 0.10 / np.sqrt(100)))
+
+
+def test_a_solver_on_files_gives_the_same_curve_and_derivative(case, tmp_path):
+    """Twin: the session's exact derivative against differences of two runs side by side."""
+    model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
+    exact = ReferenceCurve(model, c=TRUTH["c"])
+    files = FileCurve(ReferenceSolver(threads=1), model, c=TRUTH["c"])
+    one, other = exact(START), Memory(files.differentiable(relative_step=1e-3))(START, (0, 1))
+    exact.close()
+    np.testing.assert_allclose(other.values, one.values, rtol=1e-5)
+    np.testing.assert_allclose(files.depths, exact.depths, rtol=1e-9)
+    np.testing.assert_allclose(
+        other.jacobian, one.jacobian, rtol=0.02, atol=0.01 * np.abs(one.jacobian).max(0).min()
+    )
+
+
+def test_side_by_side_keeps_the_order_and_raises_errors():
+    assert list(run_side_by_side(lambda x: x**2, [np.array([1.0]), np.array([3.0])])) == [1.0, 9.0]
+    with pytest.raises(ZeroDivisionError):
+        run_side_by_side(lambda x: 1 / 0, [np.array([1.0])])
