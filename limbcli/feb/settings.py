@@ -23,9 +23,9 @@ SECONDS_PER_MM = 0.1
 FIRST_STEP_S = 0.02
 LARGEST_STEP_S = 0.1
 SMALLEST_STEP_S = 0.001
-START_DEPTH = 0.05
+START_DEPTHS = (0.05, 0.1, 0.15, 0.2)
+LEAST_START = 0.02
 _START_SHARE = 0.5
-_LEAST_START = 0.02
 _TIME_DIGITS = 3
 
 # Tolerances: for tet10 those of the limb that FEBio 4.11 brought to 10 mm in 25 steps and
@@ -59,7 +59,7 @@ class Schedule:
         return round(self.times[-1] / FIRST_STEP_S)
 
 
-def schedule(depths: Sequence[float]) -> Schedule:
+def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule:
     """About 0.1 s a millimetre, every level at a time of at most three decimals.
 
     Rounded times are harmless as load-curve points and dangerous as anything else: a
@@ -69,6 +69,7 @@ def schedule(depths: Sequence[float]) -> Schedule:
     Parameters
     ----------
     depths : mm, growing, all above `least_level()`
+    start : mm, depth of the probe at time 0; None: 0.05, less where the first level is shallow
 
     Raises
     ------
@@ -96,7 +97,8 @@ def schedule(depths: Sequence[float]) -> Schedule:
     while n_steps * FIRST_STEP_S != round(n_steps * FIRST_STEP_S, _TIME_DIGITS):
         n_steps += 1
     times[-1] = n_steps * FIRST_STEP_S
-    start = min(START_DEPTH, max(_LEAST_START, _START_SHARE * depths[0]))
+    if start is None:
+        start = min(START_DEPTHS[0], max(LEAST_START, _START_SHARE * depths[0]))
     return Schedule(start=start, times=tuple(times), depths=tuple(float(each) for each in depths))
 
 
@@ -119,7 +121,7 @@ def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:
 
 def least_level() -> float:
     """Depth (mm) below which a level is not simulated: the probe starts there already."""
-    return _LEAST_START
+    return LEAST_START
 
 
 def robust_step(plan: Schedule, element: str) -> Step:

@@ -7,39 +7,35 @@ at each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.errors import CaseError, MeasurementError
-from limbcli.feb.settings import Schedule, apart, least_level, robust_contact, robust_step, schedule
+from limbcli.errors import MeasurementError
+from limbcli.feb.settings import Schedule, apart, least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files import sha256
-from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels, read_levels
-from limbcli.model import Array, Drive, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers.base import MODEL_FILE
+from limbcli.stages.indentation_model import (
+    PROBE,
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    tissue_nodes,
+    touching_points,
+)
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
-PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
-RIGID_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
-NODE_FIELDS = ("ux", "uy", "uz")
-ELEMENT_FIELDS = (
-    "J", "sx", "sy", "sz", "sxy", "syz", "sxz",
-    "Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz",
-)  # fmt: skip
-
-# Elements whose stretch the shear-wave prediction may look at: the scanner's window (12 mm to
-# either side, 25 mm deep, a slice 3 mm thick each way) with room for its smoothing and for
-# tissue that moves into it.
-_SWE_HALF_WIDTH, _SWE_HALF_THICKNESS, _SWE_DEPTH = 20.0, 12.0, 32.0
+__all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
 @dataclass(frozen=True)
@@ -86,8 +82,9 @@ def _build_site(
     path = meshed.folder / "model.npz"
     levels = read_levels(site.levels)
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
-    plan = schedule(simulated_depths(levels).tolist())
-    model = indentation_model(load_model(path), plan, c=c, f_kappa=options.f_kappa, m=options.m)
+    meshed_model, depths = load_model(path), simulated_depths(levels).tolist()
+    plan = schedule(depths, start=starting_depth(meshed_model, depths[0]))
+    model = indentation_model(meshed_model, plan, c=c, f_kappa=options.f_kappa, m=options.m)
     write_feb(model, writer.file("feb", MODEL_FILE), templates)
     writer.used("mesh", path)
     writer.used("levels", site.levels)
@@ -143,72 +140,6 @@ def simulated_depths(levels: Levels) -> Array:
     return np.array(apart(depths.tolist()))
 
 
-def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:
-    """The mesh's model with tissue, load through the plan's depths, settings and records.
-
-    Raises
-    ------
-    CaseError
-        If the model has no body `probe`, no contact, or no material `tissue`.
-    """
-    if (
-        TISSUE not in model.materials
-        or PROBE not in {body.name for body in model.bodies}
-        or not model.contacts
-    ):
-        raise CaseError(
-            f"the meshed model lacks {TISSUE!r}, {PROBE!r} or their contact",
-            where="model.npz",
-            fix="mesh again",
-        )
-    model = start_at(model, plan.start).with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
-    others = tuple(each for each in model.drives if (each.body, each.dof) != (PROBE, "z"))
-    element = next(each.kind for each in model.mesh.solid_blocks)
-    return replace(
-        model,
-        contacts=tuple(robust_contact(each) for each in model.contacts),
-        drives=(*others, Drive(PROBE, "z", "displacement", -1.0, TRAVEL)),
-        curves={TRAVEL: plan.curve()},
-        steps=(robust_step(plan, element),),
-        records=(
-            LogRecord("rigid_body", RIGID_FIELDS, "rigid_body.csv", PROBE),
-            LogRecord("node", NODE_FIELDS, "nodes.csv", tissue_nodes(model)),
-            LogRecord("element", ELEMENT_FIELDS, "elements.csv", window_cells(model, plan.depths[-1])),
-        ),
-    )
-
-
-def start_at(model: LimbModel, depth: float) -> LimbModel:
-    """The model with its probe moved along z so that the face starts `depth` mm inside."""
-    body = next(each for each in model.bodies if each.name == PROBE)
-    x, y, z = body.center_of_mass
-    points = model.mesh.points.copy()
-    nodes = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
-    points[nodes, 2] += -depth - z
-    moved = replace(body, center_of_mass=(x, y, -depth))
-    bodies = tuple(moved if each.name == PROBE else each for each in model.bodies)
-    return replace(model, mesh=replace(model.mesh, points=points), bodies=bodies)
-
-
-def tissue_nodes(model: LimbModel) -> IntArray:
-    """Numbers of all nodes of solid cells, sorted."""
-    return np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
-
-
-def window_cells(model: LimbModel, deepest: float) -> IntArray:
-    """Solid cells (numbered over all blocks) that may come into the shear-wave window; all if none does."""
-    found, every, first = [], [], 0
-    for block in model.mesh.blocks:
-        if block.is_solid:
-            x, y, z = np.abs(model.mesh.points[block.cells].mean(axis=1)).T
-            near = (x <= _SWE_HALF_WIDTH) & (y <= _SWE_HALF_THICKNESS) & (z <= _SWE_DEPTH + deepest)
-            found.append(first + np.flatnonzero(near))
-            every.append(first + np.arange(len(block.cells)))
-        first += len(block.cells)
-    near_cells = np.concatenate(found)
-    return near_cells if len(near_cells) else np.concatenate(every)
-
-
 def _report(
     writer: StageWriter, model: LimbModel, plan: Schedule, levels: Levels, site: Site, c_source: str
 ) -> None:
@@ -227,6 +158,7 @@ def _report(
         n_nodes=len(tissue_nodes(model)),
         n_elements=n_cells,
         start_depth_mm=plan.start,
+        contact_points_touching_at_start=touching_points(model),
         level_times_s=list(plan.times),
         level_depths_mm=list(plan.depths),
         model_sha256=sha256(writer.work / MODEL_FILE),

@@ -17,6 +17,7 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
+from limbcli.stages.indentation_model import start_at, starting_depth, touching_points
 from tests.stages.block_case import make_case
 
 DEPTHS = np.array([0.8, 1.7, 3.25])
@@ -50,20 +51,36 @@ def test_the_load_goes_exactly_through_the_measured_depths(case: Case, tmp_path:
     travel = probe_travel(model)
     assert [t for t, _ in travel[1:]] == list(step.must_points)
     assert np.allclose([d for _, d in travel[1:]], DEPTHS, rtol=0, atol=1e-12)
-    assert travel[0][1] == pytest.approx(0.05)
+    assert travel[0] == (0, -model.bodies[0].center_of_mass[2])
     assert step.n_steps * step.step_size == step.must_points[-1]
     first = np.interp(step.step_size, *np.array(travel).T)
     assert first - travel[0][1] < 0.5, "the first step is short"
 
 
-def test_the_probe_starts_a_little_inside(case: Case, tmp_path: Path) -> None:
+def test_the_probe_starts_a_little_inside_and_touches(case: Case, tmp_path: Path) -> None:
     model = built(case, tmp_path / "out")
-    face = model.mesh.block("probe").cells
-    assert model.mesh.points[face][..., 2].min() == pytest.approx(-0.05)
+    start = -model.mesh.points[model.mesh.block("probe").cells][..., 2].min()
+    assert start == pytest.approx(0.05)
+    assert model.bodies[0].center_of_mass[2] == pytest.approx(-start)
+    assert touching_points(model) >= 12
     edit_levels(case, "0,0,1.6,load\n0.02,0.06,,load\n0.9,2.0,,load\n")
     shallow = built(case, tmp_path / "out")
-    assert shallow.mesh.points[face][..., 2].min() == pytest.approx(-0.03)
+    assert shallow.bodies[0].center_of_mass[2] == -0.02, "above a level of 0.06 mm"
     assert probe_travel(shallow)[1][1] == pytest.approx(0.06)
+
+
+def test_on_curved_skin_the_probe_starts_deeper(case: Case, tmp_path: Path) -> None:
+    model = load_model(tmp_path / "out" / "mesh" / "p1" / "model.npz")
+    points = model.mesh.points.copy()
+    tissue = np.unique(model.mesh.block("tissue").cells)
+    points[tissue, 2] -= (points[tissue, :2] ** 2).sum(axis=1) / 2 / 25
+    curved = model.with_mesh(replace(model.mesh, points=points))
+    assert starting_depth(model, 2.0) == 0.05
+    assert starting_depth(curved, 2.0) > 0.05
+    assert touching_points(start_at(curved, starting_depth(curved, 2.0))) > touching_points(
+        start_at(curved, 0.05)
+    )
+    assert starting_depth(curved, 0.11) == 0.05, "never beyond half of the first level"
 
 
 def test_settings_are_those_that_febio_is_known_to_converge_with(

@@ -1,0 +1,125 @@
+"""A site's mesh turned into the indentation that is simulated: tissue, load, settings, records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.feb.settings import LEAST_START, START_DEPTHS, Schedule, robust_contact, robust_step
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, Drive, IntArray, LimbModel, LogRecord
+
+PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
+RIGID_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
+NODE_FIELDS = ("ux", "uy", "uz")
+ELEMENT_FIELDS = (
+    "J", "sx", "sy", "sz", "sxy", "syz", "sxz",
+    "Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz",
+)  # fmt: skip
+
+# Elements whose stretch the shear-wave prediction may look at: the scanner's window (12 mm to
+# either side, 25 mm deep, a slice 3 mm thick each way) with room for its smoothing and for
+# tissue that moves into it.
+_SWE_HALF_WIDTH, _SWE_HALF_THICKNESS, _SWE_DEPTH = 20.0, 12.0, 32.0
+_FEWEST_TOUCHING = 12
+_FLAT = 1e-6
+_CONTACT_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6
+
+
+def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:
+    """The mesh's model with tissue, load through the plan's depths, settings and records.
+
+    Raises
+    ------
+    CaseError
+        If the model has no body `probe`, no contact, or no material `tissue`.
+    """
+    _check(model)
+    model = start_at(model, plan.start).with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+    others = tuple(each for each in model.drives if (each.body, each.dof) != (PROBE, "z"))
+    element = next(each.kind for each in model.mesh.solid_blocks)
+    return replace(
+        model,
+        contacts=tuple(robust_contact(each) for each in model.contacts),
+        drives=(*others, Drive(PROBE, "z", "displacement", -1.0, TRAVEL)),
+        curves={TRAVEL: plan.curve()},
+        steps=(robust_step(plan, element),),
+        records=(
+            LogRecord("rigid_body", RIGID_FIELDS, "rigid_body.csv", PROBE),
+            LogRecord("node", NODE_FIELDS, "nodes.csv", tissue_nodes(model)),
+            LogRecord("element", ELEMENT_FIELDS, "elements.csv", window_cells(model, plan.depths[-1])),
+        ),
+    )
+
+
+def _check(model: LimbModel) -> None:
+    bodies = {body.name for body in model.bodies}
+    if TISSUE not in model.materials or PROBE not in bodies or not model.contacts:
+        raise CaseError(
+            f"the meshed model lacks {TISSUE!r}, {PROBE!r} or their contact",
+            where="model.npz",
+            fix="mesh again",
+        )
+
+
+def starting_depth(model: LimbModel, first_level: float) -> float:
+    """How far inside the probe should start (mm) so that at least a dozen contact points touch.
+
+    With none, FEBio's first iteration has no force to measure its convergence by. Looked
+    at are the three-point contact points of the skin's facets under the flat of the
+    probe; where even the deepest start touches too few, it is taken all the same.
+    """
+    _check(model)
+    allowed = [each for each in START_DEPTHS if each <= first_level / 2] or [LEAST_START]
+    for depth in allowed:
+        if touching_points(start_at(model, depth)) >= _FEWEST_TOUCHING:
+            return depth
+    return allowed[-1]
+
+
+def touching_points(model: LimbModel) -> int:
+    """Contact points of the skin that lie above the flat of the probe's face, within its outline."""
+    body = next(each for each in model.bodies if each.name == PROBE)
+    probe = model.mesh.points[_body_nodes(model, body.blocks)]
+    flat = probe[probe[:, 2] < probe[:, 2].min() + _FLAT]
+    facets = model.mesh.surfaces[model.contacts[0].primary].facets.values()
+    corners = model.mesh.points[np.concatenate([each[:, :3] for each in facets])]
+    points = np.einsum("qi,nij->nqj", _CONTACT_POINTS, corners).reshape(-1, 3)
+    under = (points[:, :2] >= flat[:, :2].min(axis=0)) & (points[:, :2] <= flat[:, :2].max(axis=0))
+    return int((under.all(axis=1) & (points[:, 2] > flat[:, 2].min())).sum())
+
+
+def _body_nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
+    return np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in blocks]))
+
+
+def start_at(model: LimbModel, depth: float) -> LimbModel:
+    """The model with its probe moved along z so that the face starts `depth` mm inside."""
+    body = next(each for each in model.bodies if each.name == PROBE)
+    x, y, z = body.center_of_mass
+    points: Array = model.mesh.points.copy()
+    points[_body_nodes(model, body.blocks), 2] += -depth - z
+    moved = replace(body, center_of_mass=(x, y, -depth))
+    bodies = tuple(moved if each.name == PROBE else each for each in model.bodies)
+    return replace(model, mesh=replace(model.mesh, points=points), bodies=bodies)
+
+
+def tissue_nodes(model: LimbModel) -> IntArray:
+    """Numbers of all nodes of solid cells, sorted."""
+    return np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+
+
+def window_cells(model: LimbModel, deepest: float) -> IntArray:
+    """Solid cells (numbered over all blocks) that may come into the shear-wave window; all if none does."""
+    found, every, first = [], [], 0
+    for block in model.mesh.blocks:
+        if block.is_solid:
+            x, y, z = np.abs(model.mesh.points[block.cells].mean(axis=1)).T
+            near = (x <= _SWE_HALF_WIDTH) & (y <= _SWE_HALF_THICKNESS) & (z <= _SWE_DEPTH + deepest)
+            found.append(first + np.flatnonzero(near))
+            every.append(first + np.arange(len(block.cells)))
+        first += len(block.cells)
+    near_cells = np.concatenate(found)
+    return near_cells if len(near_cells) else np.concatenate(every)
