@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.fields import box_around, evened, opened
+from limbcli.imaging.fields import box_around, closed, evened, opened
 from limbcli.imaging.intensity import Levels
 from limbcli.model import Array
 
 _THICKEST = 14.0  # mm, the tibial crest
 _LINE = 1.3  # mm: dark lines (fascia, membranes) thinner than twice this are no bone
+_NOTCH = 2.0  # mm: notches narrower than twice this are filled
 _CAP = 8.0  # mm: cortex beyond the last slice with marrow
-_EDGE = (0.8, 1.6)  # bounds of the tissue level beside the bone, muscle = 1
-_HALF = 0.55  # half way up from cortex (an eighth of muscle) to the tissue beside it
+_EDGE = (0.8, 1.4)  # bounds of the tissue level beside the bone, muscle = 1
+_HALF = 0.5  # of the tissue beside the bone
 
 
 def with_cortex(
@@ -63,7 +64,7 @@ def _shell(
     parts, _ = ndimage.label(whole)
     kept = np.bincount(parts[marrow], minlength=2)
     kept[0] = 0
-    return ndimage.binary_fill_holes(parts == kept.argmax())
+    return closed(parts == kept.argmax(), _NOTCH, spacing)
 
 
 def _add_caps(

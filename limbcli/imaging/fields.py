@@ -69,6 +69,15 @@ def opened(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
     return (ndimage.distance_transform_edt(~core, sampling=spacing) <= radius) & mask
 
 
+def closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
+    """Closing with a disc of `radius` mm, holes filled."""
+    pad = int(np.ceil(radius / spacing.min())) + 1
+    wide = np.pad(mask, pad)
+    grown = ndimage.distance_transform_edt(~wide, sampling=spacing) <= radius
+    shrunk = ndimage.distance_transform_edt(grown, sampling=spacing) > radius
+    return ndimage.binary_fill_holes(shrunk | wide)[pad:-pad, pad:-pad]
+
+
 def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest connected part."""
     parts, n_parts = ndimage.label(mask)

@@ -11,7 +11,7 @@ from scipy import ndimage
 from skimage.morphology import disk
 from skimage.segmentation import watershed
 
-from limbcli.imaging.fields import box_around, opened
+from limbcli.imaging.fields import box_around, closed, opened
 from limbcli.imaging.intensity import Levels
 from limbcli.model import Array
 
@@ -19,6 +19,7 @@ _DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker
 _RING = 3.0  # mm: the ring is looked for this far out
 _SURE, _LIKELY = 0.75, 0.5  # share of the ring that is dark
 _LEAST_AREA = 8.0  # mm^2 of marrow in a slice
+_LARGEST = 0.5  # share of the limb's section that marrow can fill
 _LEAST_LENGTH = 12.0  # mm along the limb
 _FLARE = 1.0  # mm outward per mm along the limb that a bone may widen ...
 _SLACK = 1.0  # ... plus this, mm
@@ -89,7 +90,7 @@ def _candidates(
             wide = tuple(slice(max(0, s.start - pad), s.stop + pad) for s in box)
             part = parts[wide] == number
             filled = ndimage.binary_fill_holes(part)
-            if filled.sum() > 1.4 * part.sum():
+            if filled.sum() > 1.4 * part.sum() or filled.sum() > _LARGEST * limb[:, :, k].sum():
                 continue
             enclosed = _dark_share(filled, ring_values[wide], in_plane)
             if enclosed >= _LIKELY:
@@ -188,17 +189,8 @@ def _next_slice(
     part = parts == np.bincount(parts[parts > 0]).argmax()
     if part.sum() * np.prod(in_plane) < 0.5 * _LEAST_AREA:
         return found
-    found[window] = _closed(part, 2.0, in_plane)
+    found[window] = closed(part, 2.0, in_plane)
     return found
-
-
-def _closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
-    """Closing with a disc of `radius` mm, holes filled."""
-    pad = int(np.ceil(radius / spacing.min())) + 1
-    wide = np.pad(mask, pad)
-    grown = ndimage.distance_transform_edt(~wide, sampling=spacing) <= radius
-    shrunk = ndimage.distance_transform_edt(grown, sampling=spacing) > radius
-    return ndimage.binary_fill_holes(shrunk | wide)[pad:-pad, pad:-pad]
 
 
 def _apart(bones: list[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:

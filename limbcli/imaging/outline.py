@@ -12,7 +12,7 @@ from limbcli.imaging.intensity import Levels, otsu
 from limbcli.imaging.volume import Volume
 
 _ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) still exceeds
-_SKIN = (0.25, 0.6)  # bounds of the skin edge's threshold, muscle = 1
+_SKIN = (0.35, 0.45)  # bounds of the skin edge's threshold, muscle = 1
 _NOISE = 0.8  # share of the air's threshold that the skin edge's is at least
 _GHOST = 4.0  # mm: thinner things outside the limb are ghosts of vessels
 _LEAST_VOLUME = 5e4  # mm^3
