@@ -35,6 +35,11 @@ class Grid:
         axes = [o + self.spacing * np.arange(n) for o, n in zip(self.origin, self.shape, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Low and high corner (3,)."""
+        return self.origin, self.origin + self.spacing * (np.array(self.shape) - 1)
+
     def axis(self, k: int) -> Array:
         return self.origin[k] + self.spacing * np.arange(self.shape[k])
 
@@ -102,16 +107,12 @@ def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
     return total / 3
 
 
-def union(*fields: Field) -> Field:
-    return fields[0].with_values(np.minimum.reduce([each.values for each in fields]))
-
-
 def rounded(field: Field, radius: float) -> Field:
     """Clefts narrower than twice `radius` filled (a closing): the field of the filled body."""
     if radius <= 0:
         return field
     grown = distance_again(field.with_values(field.values - radius))
-    return distance_again(field.with_values(np.minimum(grown.values + radius, field.values)))
+    return field.with_values(np.minimum(grown.values + radius, field.values))
 
 
 def distance_again(field: Field) -> Field:
@@ -236,18 +237,18 @@ def _redistance(phi: Any) -> Any:
                 if inverse > 0:
                     d[i, j, k] = 1.0 / np.sqrt(inverse)
     anchored = d < big
-    for _ in range(2):
-        for corner in range(8):
-            i0, i1, di = (0, nx, 1) if corner & 1 else (nx - 1, -1, -1)
-            j0, j1, dj = (0, ny, 1) if corner & 2 else (ny - 1, -1, -1)
-            k0, k1, dk = (0, nz, 1) if corner & 4 else (nz - 1, -1, -1)
-            for i in range(i0, i1, di):
-                for j in range(j0, j1, dj):
-                    for k in range(k0, k1, dk):
-                        if not anchored[i, j, k]:
-                            x = min(d[i - 1, j, k] if i else big, d[i + 1, j, k] if i < nx - 1 else big)
-                            y = min(d[i, j - 1, k] if j else big, d[i, j + 1, k] if j < ny - 1 else big)
-                            z = min(d[i, j, k - 1] if k else big, d[i, j, k + 1] if k < nz - 1 else big)
+    for corner in range(8):
+        i0, i1, di = (0, nx, 1) if corner & 1 else (nx - 1, -1, -1)
+        j0, j1, dj = (0, ny, 1) if corner & 2 else (ny - 1, -1, -1)
+        k0, k1, dk = (0, nz, 1) if corner & 4 else (nz - 1, -1, -1)
+        for i in range(i0, i1, di):
+            for j in range(j0, j1, dj):
+                for k in range(k0, k1, dk):
+                    if not anchored[i, j, k]:
+                        x = min(d[i - 1, j, k] if i else big, d[i + 1, j, k] if i < nx - 1 else big)
+                        y = min(d[i, j - 1, k] if j else big, d[i, j + 1, k] if j < ny - 1 else big)
+                        z = min(d[i, j, k - 1] if k else big, d[i, j, k + 1] if k < nz - 1 else big)
+                        if min(x, y, z) < d[i, j, k]:
                             d[i, j, k] = min(d[i, j, k], _eikonal(x, y, z))
     for i in range(nx):
         for j in range(ny):

@@ -17,14 +17,14 @@ from limbcli.errors import MeshError
 from limbcli.meshing.crop import within
 from limbcli.meshing.distance import (
     Field,
+    Grid,
     distance_again,
     grid_over,
     rounded,
     signed_distance,
-    union,
 )
 from limbcli.meshing.mending import Limb, Plane
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array, IntArray
 
 SKIN, BONE, CUT = 1, 2, 3  # labels of boundary faces; the cut of plane k is CUT + k
@@ -74,14 +74,10 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
     grid = grid_over(*_reach(limb.skin, planes, 4.0 * spacing), spacing)
     notes: list[str] = []
     skin = signed_distance(limb.skin, grid)
-    bones = [
-        signed_distance(each, grid)
-        for each in limb.bones
-        if _meets(each, grid.points().reshape(-1, 3)[[0, -1]])
-    ]
+    bones = [each for each in limb.bones if _meets(each, grid)]
     bone = None
     if bones:
-        bone = _clear_of_skin(rounded(union(*bones), CLEFT), skin, planes, notes)
+        bone = _clear_of_skin(rounded(signed_distance(join(bones), grid), CLEFT), skin, planes, notes)
         bone = _one_tissue(bone, skin, planes, notes)
     return Domain(skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes))
 
@@ -99,8 +95,9 @@ def _reach(skin: Triangles, planes: tuple[Plane, ...], slack: float) -> tuple[Ar
     return near.min(0) - slack, near.max(0) + slack
 
 
-def _meets(surface: Triangles, box: Array) -> bool:
-    return bool((surface.points.max(0) > box[0]).all() and (surface.points.min(0) < box[1]).all())
+def _meets(surface: Triangles, grid: Grid) -> bool:
+    low, high = grid.box
+    return bool((surface.points.max(0) > low).all() and (surface.points.min(0) < high).all())
 
 
 def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:

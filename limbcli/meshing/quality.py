@@ -112,8 +112,8 @@ def tet10_gradient(at: Array) -> Array:
     return np.vstack([corner, middle])
 
 
-def quality(points: Array, cells: IntArray, under_probe: Array) -> Quality:
-    """All figures; `under_probe` (n_cells,) marks the cells of the fine zone."""
+def quality(points: Array, cells: IntArray, under_probe: Array, at_face: Array | None = None) -> Quality:
+    """All figures; `under_probe` (n_cells,) marks the cells of the fine zone, `at_face` those touching the face."""
     angles = dihedral_angles_deg(points, cells)
     volume = volumes(points, cells)
     edges = edge_lengths(points, cells)
@@ -133,6 +133,8 @@ def quality(points: Array, cells: IntArray, under_probe: Array) -> Quality:
         volume_mm3=float(volume.sum()),
         min_scaled_jacobian=float(jacobian.min()),
         inverted_cells=int((jacobian <= 0).sum()),
-        edge_under_probe_mm=float(np.median(edges[near])),
+        edge_under_probe_mm=float(
+            np.median(edges[near if at_face is None or not at_face.any() else at_face])
+        ),
         edge_far_mm=float(np.quantile(edges[far], 0.75)),
     )

@@ -1,8 +1,9 @@
 """A boundary retriangulated with facets of the sizes asked for, and its faces named.
 
-pymeshlab's isotropic remeshing works with one edge length at a time; a graded
-surface is made from the finest length to the coarsest, each time only where the
-size field allows the next coarser one.
+pymeshlab's isotropic remeshing was tried first: it works with one edge length at
+a time and knows features only by their angle, so that it rounded the edges where
+a cut meets a bone at less than its threshold. The operations in `facets` take a
+size field and keep every edge between two labels.
 """
 
 from __future__ import annotations
@@ -15,13 +16,12 @@ from scipy.spatial import cKDTree
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, Domain
-from limbcli.meshing.improve import Ties, put_back
+from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
+from limbcli.meshing.improve import FIXED, Ties, put_back
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 
-_STEP = 1.45  # ratio between the edge lengths of successive passes
-_CREASE_DEG = 40.0
 _MIN_SIZE = 1.5  # mm
 
 
@@ -176,45 +176,46 @@ class Boundary:
     labels: IntArray
 
 
-def remesh(fine: Triangles, domain: Domain, field: SizeField, *, iterations: int = 4) -> Boundary:
-    """Graded facets for a finely triangulated boundary.
+def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 10) -> Boundary:
+    """Graded facets for a finely triangulated boundary; its features (cuts' edges) stay sharp.
 
     Raises
     ------
     MeshError
-        If the remeshed surface is not closed.
+        If the surface is not closed.
     """
-    import pymeshlab
-
-    points, faces = fine.points, fine.faces
-    least = float(field.at(fine.points).min())
-    lengths = [least]
-    while lengths[-1] * _STEP < field.sizes.far:
-        lengths.append(lengths[-1] * _STEP)
-    lengths.append(field.sizes.far)
-    for number, length in enumerate(lengths):
-        chosen = (
-            field.at(points[faces].mean(axis=1)) >= 0.97 * length if number else np.ones(len(faces), bool)
-        )
-        if not chosen.any():
-            continue
-        meshes = pymeshlab.MeshSet(verbose=False)
-        meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32), f_scalar_array=chosen.astype(float)))
-        meshes.compute_selection_by_condition_per_face(condselect="fq > 0.5")
-        meshes.meshing_isotropic_explicit_remeshing(
-            iterations=iterations,
-            targetlen=pymeshlab.PureValue(length),
-            selectedonly=number > 0,
-            featuredeg=_CREASE_DEG,
-            checksurfdist=False,
-        )
-        mesh = meshes.current_mesh()
-        points, faces = mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64)
-    surface = Triangles(points, faces).part(np.arange(len(faces)))
+    _check_closed(fine)
+    points, faces, labels = fine.points, fine.faces, face_labels(fine, domain)
+    for _ in range(40):
+        ranks, _ = _ranks(points, faces, labels)
+        points, faces, labels, n = collapse_short(points, faces, labels, ranks, field.at(points))
+        if n < 0.02 * len(faces):
+            break
+        faces, _ = flip(points, faces, labels)
+    for _ in range(rounds):
+        points, faces, labels = split_long(points, faces, labels, field.at(points))
+        for _ in range(3):
+            ranks, _ = _ranks(points, faces, labels)
+            points, faces, labels, n = collapse_short(points, faces, labels, ranks, field.at(points))
+        for _ in range(3):
+            faces, n = flip(points, faces, labels)
+        for _ in range(2):
+            ranks, ties = _ranks(points, faces, labels)
+            moved = put_back(relax(points, faces, labels, ranks, field.at(points)), ties, domain)
+            points = keep_unfolded(points, moved, faces)
+    surface = Triangles(points, faces)
     _check_closed(surface)
-    labels = face_labels(surface, domain)
-    ties = Ties.of_faces(len(surface.points), surface.faces, labels)
-    return Boundary(Triangles(put_back(surface.points, ties, domain), surface.faces), labels)
+    return Boundary(surface, labels)
+
+
+def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, Ties]:
+    """How many labels meet at each node (at most 3 counted; forks of features too), and what ties it."""
+    ties = Ties.of_faces(len(points), faces, labels)
+    ranks = np.where(ties.codes[:, 0] == FIXED, 3, np.where(ties.codes[:, 1] > 0, 2, 1))
+    edges, sides = edges_of(faces)
+    feature = edges[labels[sides[:, 0]] != labels[sides[:, 1]]]
+    at = np.bincount(feature.ravel(), minlength=len(points))
+    return np.where((ranks == 2) & (at != 2), 3, ranks), ties
 
 
 def face_labels(surface: Triangles, domain: Domain) -> IntArray:

@@ -121,7 +121,8 @@ def site_model(
 
 def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])
-    return quality(mesh.points, cells, under_probe(mesh.points, cells, probe))
+    face = under_probe(mesh.points, cells, probe, beside=0.0, depth=3.0)
+    return quality(mesh.points, cells, under_probe(mesh.points, cells, probe), face)
 
 
 def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:
