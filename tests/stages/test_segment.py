@@ -1,0 +1,148 @@
+"""The segment stage: same files whatever the case brings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+import pytest
+
+from limbcli.case import Case, Imaging, ModelOptions, Probe
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.phantom.dicom_series import write_series
+from limbcli.phantom.mri import acquire, tissue_fractions
+from limbcli.phantom.subject import make_subject
+from limbcli.progress import Progress
+from limbcli.results import read_result
+from limbcli.stages.segment import segment
+
+
+def case_with(folder, **imaging):
+    return Case(
+        folder=folder,
+        subject="S1",
+        limb="left",
+        imaging=Imaging(**imaging),
+        probe=Probe(name="GE 9L", length=53.0, width=14.0, edge_radius=3.0),
+        model=ModelOptions(),
+        sites=(),
+        raw={},
+    )
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory) -> Path:
+    """A coarse phantom as a DICOM series."""
+    rng = np.random.default_rng(7)
+    subject = make_subject(rng, voxel=(2.0, 2.0, 4.0))
+    fractions = tissue_fractions(
+        subject.anatomy, subject.grid, subject.limb_from_patient, supersampling=(2, 2, 2)
+    )
+    image = acquire(fractions, subject.grid, rng=rng)
+    folder = tmp_path_factory.mktemp("mri")
+    write_series(folder, image.signal, subject.grid, subject="Doe^Jane")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def segmented(series, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    events = []
+    progress = Progress(lambda kind, facts: events.append((kind, facts)))
+    result = segment(case_with(series, mri=series), out=out, progress=progress)
+    return out, result, events
+
+
+def test_a_series_leaves_labels_surfaces_markers_and_a_sheet(segmented):
+    _, result, _ = segmented
+    names = {"labels.nii.gz", "skin.ply", "bone_tibia.ply", "bone_fibula.ply", "contact-sheet.png"}
+    assert names <= {path.name for path in result.folder.iterdir()}
+    assert [each["number"] for each in result.data["markers"]] == [1, 2]
+    assert set(result.provenance["inputs_sha256"]) == {"mri"}
+    assert result.path("contact_sheet").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_surface_is_closed_and_turned_outward(segmented):
+    _, result, _ = segmented
+    for name in ("skin", "bone_tibia", "bone_fibula"):
+        surface = read_surface(result.path(name))
+        assert surface.is_closed, name
+        assert surface.volume > 0, name
+        assert surface.volume / 1e3 == pytest.approx(result.data["volume_cm3"][name], rel=1e-3)
+
+
+def test_labels_and_surfaces_agree_in_place(segmented):
+    _, result, _ = segmented
+    image = nib.load(result.path("labels"))
+    skin = read_surface(result.path("skin")).points * [-1, -1, 1]
+    index = (skin - image.affine[:3, 3]) @ np.linalg.inv(image.affine[:3, :3]).T
+    filled = np.argwhere(np.isin(np.asarray(image.dataobj), (1, 2)))
+    np.testing.assert_allclose(index.min(axis=0), filled.min(axis=0) - 0.5, atol=0.8)
+    np.testing.assert_allclose(index.max(axis=0), filled.max(axis=0) + 0.5, atol=0.8)
+
+
+def test_progress_is_told_as_tasks(segmented):
+    _, _, events = segmented
+    assert {"reading DICOM", "segmenting", "surfaces"} <= {f["name"] for kind, f in events if kind == "task"}
+
+
+def test_nothing_identifying_is_written(segmented):
+    _, result, _ = segmented
+    for path in result.folder.iterdir():
+        content = path.read_bytes()
+        assert b"Doe" not in content
+        assert b"Jane" not in content, path.name
+
+
+def test_a_label_map_replaces_the_automatic_segmentation(segmented, series, tmp_path):
+    _, first, _ = segmented
+    case = case_with(tmp_path, mri=series, labels=first.path("labels"))
+    result = segment(case, out=tmp_path)
+    assert result.data["source"] == "labels"
+    assert any("label map" in line for line in result.summary)
+    for name, volume in first.data["volume_cm3"].items():
+        assert result.data["volume_cm3"][name] == pytest.approx(volume, rel=0.06)
+    first_markers, markers = ([each["position_mm"] for each in r.data["markers"]] for r in (first, result))
+    np.testing.assert_allclose(markers, first_markers, atol=1.5)
+
+
+def test_surfaces_of_the_case_reach_the_same_files(segmented, tmp_path):
+    _, first, _ = segmented
+    case = case_with(
+        tmp_path,
+        skin=first.path("skin"),
+        bones=(first.path("bone_fibula"), first.path("bone_tibia")),
+    )
+    result = segment(case, out=tmp_path)
+    assert {"skin", "bone_tibia", "bone_fibula"} <= set(result.files)
+    assert read_surface(result.path("bone_tibia")).volume == pytest.approx(
+        read_surface(first.path("bone_tibia")).volume, rel=1e-4
+    )
+
+
+def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
+    _, first, _ = segmented
+    skin = read_surface(first.path("skin"))
+    write_surface(tmp_path / "skin.ply", ClosedSurface(skin.points, skin.triangles[:, ::-1].copy()))
+    result = segment(case_with(tmp_path, skin=tmp_path / "skin.ply"), out=tmp_path)
+    assert read_surface(result.path("skin")).volume > 0
+    assert any("inward" in line for line in result.warnings)
+
+
+def test_surfaces_in_metres_are_refused(segmented, tmp_path):
+    _, first, _ = segmented
+    skin = read_surface(first.path("skin"))
+    write_surface(tmp_path / "skin.ply", ClosedSurface(skin.points / 1e3, skin.triangles))
+    with pytest.raises(CaseError, match="mm across"):
+        segment(case_with(tmp_path, skin=tmp_path / "skin.ply"), out=tmp_path)
+
+
+def test_a_failed_run_leaves_the_result_before_it(segmented, tmp_path):
+    out, first, _ = segmented
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(CaseError):
+        segment(case_with(tmp_path, mri=tmp_path / "empty"), out=out)
+    assert read_result(out, "segment").data == json.loads(json.dumps(first.data))
