@@ -168,10 +168,11 @@ class FebioSolver:
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
     """End the process, if it still runs, and whatever it started: first politely, then not."""
+    if process.poll() is not None:
+        return
     for wish in (signal.SIGTERM, signal.SIGKILL):
-        if process.poll() is not None:
-            return
-        os.killpg(process.pid, wish)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, wish)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=_GRACE_S)
 

@@ -41,12 +41,16 @@ def feb(tmp_path: Path) -> Path:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process runs (one that ended but was not yet collected does not)."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
+    """Whether a process still runs after some time to die (one that is only not yet collected does not)."""
+    for _ in range(200):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        except OSError:
+            return False
+        if state == "Z":
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def test_a_complete_run_is_read(binary: Path, feb: Path) -> None:
@@ -141,9 +145,10 @@ def test_an_interruption_stops_febio_and_what_it_started(
             raise KeyboardInterrupt
         sleep(seconds)
 
-    monkeypatch.setattr("limbcli.solvers.febio.time.sleep", sleep_then_interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        FebioSolver(binary).run(feb, progress=SILENT)
+    with monkeypatch.context() as patched:
+        patched.setattr("limbcli.solvers.febio.time.sleep", sleep_then_interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            FebioSolver(binary).run(feb, progress=SILENT)
     child = started_child(feb)
     assert child is not None
     assert not is_alive(child)
