@@ -1,0 +1,118 @@
+"""The confidence set of explanations: every one that fits by itself and is not beaten beyond chance."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.diagnostics.bench import Explanation, Fitted
+from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.score import Direction, Trial, cone_projection, score, statistics, visible_columns
+from limbcli.model import Array
+
+LEVEL = 0.025  # of each of the two tests, so that the truth is in the set in 95 % of cases
+_SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
+_N_DRAWS = 4000
+_PAIRS_KEPT = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """An explanation after its full refit.
+
+    chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
+    the largest gap that chance allows it (None before the comparison)
+    """
+
+    fitted: Fitted
+    state: Linearised
+    family: Family
+    gap: float | None = None
+    gap_allowed: float | None = None
+
+    @property
+    def explanation(self) -> Explanation:
+        return self.fitted.explanation
+
+    @property
+    def is_adequate(self) -> bool:
+        return self.family.smallest >= LEVEL
+
+    @property
+    def in_set(self) -> bool:
+        if self.fitted.at_bound or not self.is_adequate:
+            return False
+        return self.gap is None or self.gap_allowed is None or self.gap <= self.gap_allowed + _SLACK
+
+
+def compare(
+    refits: Sequence[Refit], base: Fitted, state: Linearised, trials: Mapping[Explanation, Trial],
+    whiten: Whitener, *, rng: np.random.Generator, relative: bool,
+) -> list[Refit]:  # fmt: skip
+    """Give each refit its deviance gap and the quantile of that gap were it the truth.
+
+    Under explanation k the whitened data are P(mu_k + e), mu_k the finite change that k
+    makes to the prediction; the gap is (best score over all - score of k), to first order.
+    """
+    eligible = [each for each in refits if not each.fitted.at_bound]
+    if not eligible:
+        return list(refits)
+    best = min(each.state.chi2 for each in eligible)
+    scale = best / max(min(each.state.nu for each in eligible), 1) if relative else 1.0
+    done = []
+    for each in refits:
+        allowed = _allowed(each, eligible, base, state, trials, whiten, rng, scale)
+        done.append(Refit(each.fitted, each.state, each.family, each.state.chi2 - best, allowed))
+    return done
+
+
+def _allowed(
+    truth: Refit, rivals: Sequence[Refit], base: Fitted, state: Linearised,
+    trials: Mapping[Explanation, Trial], whiten: Whitener, rng: np.random.Generator, scale: float,
+) -> float:  # fmt: skip
+    shift = state.project(whiten(truth.fitted.prediction - base.prediction))
+    draws = rng.standard_normal((_N_DRAWS, len(shift))) * np.sqrt(scale)
+    draws = state.project((draws + shift).T).T
+    own = _own_score(truth, state, whiten, draws)
+    top = own.copy()
+    for rival in rivals:
+        if rival.explanation != truth.explanation and rival.explanation in trials:
+            top = np.maximum(top, statistics(state, trials[rival.explanation], draws))
+    return float(np.quantile(top - own, 1 - LEVEL))
+
+
+def _own_score(truth: Refit, state: Linearised, whiten: Whitener, draws: Array) -> Array:
+    """Score of an explanation along its own tangent at its fit (its size is not small there)."""
+    n_base = len(truth.fitted.base_names)
+    columns = whiten(truth.fitted.jacobian[:, n_base:])
+    change = whiten(truth.fitted.prediction)[:, None] * 0.0 if columns.shape[1] == 0 else columns
+    direction = Direction(change, (0,) * change.shape[1])
+    return cone_projection(visible_columns(state, direction), direction.signs, draws)[0]
+
+
+def joint_trial(trials: Sequence[Trial]) -> Trial:
+    """Several effects at once: every combination of their grid points."""
+    directions = []
+    for several in itertools.product(*(trial.directions for trial in trials)):
+        directions.append(
+            Direction(
+                np.hstack([each.columns for each in several]),
+                tuple(sign for each in several for sign in each.signs),
+                ", ".join(each.point for each in several if each.point),
+                tuple(name for each in several for name in each.names),
+            )
+        )
+    return Trial(" + ".join(trial.name for trial in trials), tuple(directions))
+
+
+def best_pairs(state: Linearised, trials: Sequence[Trial]) -> list[tuple[str, str]]:
+    """Pairs of effects in the order of what they explain together, to first order; the best few."""
+    found = []
+    for a, b in itertools.combinations(trials, 2):
+        found.append((score(state, joint_trial([a, b])).statistic, (a.name, b.name)))
+    found.sort(key=lambda item: -item[0])
+    return [pair for _, pair in found[:_PAIRS_KEPT]]

@@ -1,0 +1,46 @@
+"""Does an explanation predict what it has not seen?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from limbcli.diagnostics.bench import Data, Fitted, Mask
+from limbcli.model import Array
+
+
+def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
+    """Root mean square of (held-out data - prediction) / deviation, block by block, and over all.
+
+    Each block is left out in turn, the parameters (the effects' too) are refitted to the rest
+    to first order about the full fit, and the block is predicted. A block that holds all
+    that tells a parameter is skipped.
+    """
+    residual = data.y - fitted.prediction
+    covariance, J = data.noise.covariance, fitted.jacobian
+    found: dict[str, float] = {}
+    squares: list[Array] = []
+    for name, mask in _usable(data.blocks, J).items():
+        keep = ~mask
+        inverse = np.linalg.inv(covariance[np.ix_(keep, keep)])
+        normal = J[keep].T @ inverse @ J[keep]
+        step = np.linalg.lstsq(normal, J[keep].T @ inverse @ residual[keep], rcond=1e-10)[0]
+        error = (residual[mask] - J[mask] @ step) / data.deviation[mask]
+        found[name] = float(np.sqrt(np.mean(error**2)))
+        squares.append(error**2)
+    if squares:
+        found["all"] = float(np.sqrt(np.mean(np.concatenate(squares))))
+    return found
+
+
+def _usable(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
+    scale = np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
+    usable = {}
+    for name, mask in blocks.items():
+        if not 0 < mask.sum() < len(mask):
+            continue
+        s = np.linalg.svd(J[~mask] / scale, compute_uv=False)
+        if len(s) == J.shape[1] and (not len(s) or s[-1] > 1e-6 * s[0]):
+            usable[name] = mask
+    return usable

@@ -1,0 +1,93 @@
+"""Whitened residual and sensitivities of a fitted model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from limbcli.errors import FitError
+from limbcli.model import Array
+
+_RANK = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """L of Sigma = L L': `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
+
+    factor: Array
+
+    @staticmethod
+    def of(covariance: Array) -> Whitener:
+        """
+        Raises
+        ------
+        FitError
+            If the covariance is not positive definite.
+        """
+        try:
+            return Whitener(cholesky(covariance, lower=True))
+        except np.linalg.LinAlgError as error:
+            raise FitError(
+                "the noise of the data is not a positive definite covariance",
+                where="noise model",
+                fix="give every channel a standard deviation above zero in [site.noise]",
+            ) from error
+
+    def __call__(self, x: Array) -> Array:
+        return np.asarray(solve_triangular(self.factor, x, lower=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the span J cannot reach.
+
+    basis : (n, rank) orthonormal, spans J; P = I - basis basis'
+    """
+
+    residual: Array
+    jacobian: Array
+    basis: Array
+
+    @staticmethod
+    def of(residual: Array, jacobian: Array) -> Linearised:
+        if jacobian.shape[1] == 0:
+            return Linearised(residual, jacobian, np.zeros((len(residual), 0)))
+        scale = np.linalg.norm(jacobian, axis=0)
+        u, s, _ = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1.0), full_matrices=False)
+        return Linearised(residual, jacobian, u[:, s > _RANK * max(float(s[0]), 1e-300)])
+
+    @property
+    def nu(self) -> int:
+        """Degrees of freedom: rank of P."""
+        return len(self.residual) - self.basis.shape[1]
+
+    @property
+    def is_deficient(self) -> bool:
+        """Some combination of the fitted parameters moves nothing."""
+        return self.basis.shape[1] < self.jacobian.shape[1]
+
+    def project(self, x: Array) -> Array:
+        """P x: what no change of the fitted parameters can imitate; x (n,) or (n, k).
+
+        >>> state = Linearised.of(np.zeros(2), np.array([[1.0], [0.0]]))
+        >>> state.project(np.array([3.0, 4.0]))
+        array([0., 4.])
+        """
+        return x - self.basis @ (self.basis.T @ x)
+
+    @property
+    def left(self) -> Array:
+        """P r (n,)."""
+        return self.project(self.residual)
+
+    @property
+    def chi2(self) -> float:
+        left = self.left
+        return float(left @ left)
+
+    def estimator(self) -> Array:
+        """J^+ (p, n): how data move the fitted parameters."""
+        return np.asarray(np.linalg.pinv(self.jacobian))

@@ -1,0 +1,80 @@
+"""What the diagnosis concludes, and everything behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from limbcli.diagnostics.bench import Explanation, Facts, Fitted
+from limbcli.diagnostics.blindspots import BlindSpot
+from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.nextstep import NextStep
+from limbcli.diagnostics.roughness import Roughness
+
+Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shrink:
+    """One stage of the model, from the base to the last addition.
+
+    chi2_per_nu; rms : by channel, of residual / deviation; held_out : by block and "all";
+    placebo_percentile : of what the last addition explains
+    """
+
+    explanation: Explanation
+    chi2: float
+    nu: int
+    rms: Mapping[str, float]
+    held_out: Mapping[str, float]
+    values: Mapping[str, float]
+    deviations: Mapping[str, float]
+    placebo_percentile: float | None = None
+
+    @property
+    def chi2_per_nu(self) -> float:
+        return self.chi2 / max(self.nu, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The verdict and its grounds.
+
+    relative : the noise's level is not known (assumed, or contradicted by the scatter)
+    chosen : the explanation that was added to the model (empty where none)
+    confidence_set : explanations that cannot be told apart with these data
+    closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
+    not_evaluated : candidate -> why
+    left_out : refits dropped -> why
+    angles : cosines between members of the set and their look-alikes
+    """
+
+    verdict: Word
+    reason: str
+    relative: bool
+    base: Fitted
+    family: Family
+    flagged: tuple[str, ...]
+    refits: tuple[Refit, ...]
+    confidence_set: tuple[Explanation, ...]
+    chosen: Explanation
+    closed: bool
+    shrink: tuple[Shrink, ...]
+    blind_spots: tuple[BlindSpot, ...]
+    next_steps: tuple[NextStep, ...]
+    angles: Mapping[str, float] = field(default_factory=dict)
+    not_evaluated: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    roughness: Roughness | None = None
+    facts: Mapping[str, Facts] = field(default_factory=dict)
+    seed: int = 0
+    held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def final(self) -> Fitted:
+        for refit in self.refits:
+            if refit.explanation == self.chosen:
+                return refit.fitted
+        return self.base
