@@ -102,7 +102,7 @@ def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
     total = np.zeros(shape, np.float32)
     for k in range(3):
         order = [k, (k + 1) % 3, (k + 2) % 3]
-        rays = _crossings(np.ascontiguousarray(corners[:, :, order]), *(shape[i] for i in order), _JITTER)
+        rays = _crossings(np.ascontiguousarray(corners[:, :, order]), *(shape[i] for i in order), _JITTER)  # type: ignore[call-arg]
         total += np.moveaxis(np.cumsum(rays, axis=0, dtype=np.int32), [0, 1, 2], order)
     return total / 3
 

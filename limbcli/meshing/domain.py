@@ -134,7 +134,7 @@ def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list
 
 
 def boundary(domain: Domain) -> Triangles:
-    """The closed boundary of the tissue piece under the site, finely triangulated (about the grid's spacing)."""
+    """The closed boundary of the tissue under the site, in triangles of about the grid's spacing."""
     solid = manifold_of(_level_set(domain.skin), "skin")
     assert solid is not None
     if domain.bone is not None:

@@ -110,7 +110,7 @@ def flip(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, in
 
 
 def relax(points: Array, faces: IntArray, labels: IntArray, ranks: IntArray, wanted: Array) -> Array:
-    """Nodes moved towards the middle of their faces (weighted to even out area over wanted area); on features along them."""
+    """Nodes moved to even out area over wanted area; on features along them."""
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / wanted[faces].mean(axis=1) ** 2
     total, weight = np.zeros_like(points), np.zeros(len(points))

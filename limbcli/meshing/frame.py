@@ -33,7 +33,7 @@ class SiteFrame:
 
     @property
     def to_patient(self) -> Array:
-        return np.linalg.inv(self.to_model)
+        return np.asarray(np.linalg.inv(self.to_model), np.float64)
 
 
 def proximal_direction(limb: Limb) -> Array:
@@ -85,7 +85,7 @@ def site_frame(
 def probe_axis(
     long_axis: str | tuple[float, float, float], proximal: Array, normal: Array, *, where: str = "site"
 ) -> Array:
-    """Unit x of the frame: "axial" towards proximal, "transverse" proximal x normal, or a vector; in the skin.
+    """Unit x of the frame, in the skin: "axial" proximal, "transverse" proximal x normal, or a vector.
 
     >>> probe_axis("transverse", np.array([0.0, 0, 1]), np.array([1.0, 0, 0]))
     array([0., 1., 0.])
@@ -185,3 +185,57 @@ def skin_height(skin: Triangles, x: Array, y: Array, *, lowest: float = -60.0) -
         z = a[2] + s * (b[2] - a[2]) + t * (c[2] - a[2])
         out[hit] = np.fmax(out[hit], z[hit])
     return out
+
+
+def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "site") -> Array:
+    """The skin point (3,) at an angle round the limb and a height above its distal end (mm, along the limb).
+
+    0 degrees is anterior (-y of LPS), 90 the patient's left; seen from the middle of
+    the cross-section at that height.
+
+    Raises
+    ------
+    CaseError
+        If the limb has no skin at that height.
+    """
+    axis = proximal_direction(limb)
+    skin = limb.skin
+    along = skin.points @ axis
+    level = along.min() + height
+    anterior = np.array([0.0, -1.0, 0.0])
+    anterior -= (anterior @ axis) * axis
+    anterior /= np.linalg.norm(anterior)
+    left = np.cross(axis, anterior)
+    of_face = along[skin.faces]
+    crossing = (of_face.min(axis=1) <= level) & (of_face.max(axis=1) >= level)
+    if not crossing.any():
+        raise CaseError(
+            f"there is no skin {height:g} mm above the limb's distal end",
+            where=where,
+            fix=f"give a height of 0 to {np.ptp(along):.0f} mm",
+        )
+    corners = skin.corners[crossing]
+    weights = skin.areas[crossing]
+    middle = np.average(corners.mean(axis=1), axis=0, weights=weights)
+    middle += (level - middle @ axis) * axis
+    angle = np.radians(angle_deg)
+    direction = np.cos(angle) * anterior + np.sin(angle) * left
+    hits = ray_hits(middle, direction, corners)
+    if not len(hits):
+        raise CaseError(f"no skin at {angle_deg:g} degrees", where=where, fix="choose another angle")
+    return middle + hits.max() * direction
+
+
+def ray_hits(start: Array, direction: Array, corners: Array) -> Array:
+    """Distances (n,) >= 0 along a ray at which it meets triangles (m, 3, 3) (Moeller and Trumbore)."""
+    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p = np.cross(direction, v)
+    det = np.einsum("ij,ij->i", u, p)
+    safe = np.where(np.abs(det) > 1e-14, det, np.inf)
+    t = start - a
+    s = np.einsum("ij,ij->i", t, p) / safe
+    q = np.cross(t, u)
+    r = q @ direction / safe
+    distance = np.einsum("ij,ij->i", v, q) / safe
+    hit = (s >= -1e-9) & (r >= -1e-9) & (s + r <= 1 + 1e-9) & (distance >= 0) & np.isfinite(safe)
+    return distance[hit]

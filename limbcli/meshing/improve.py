@@ -26,14 +26,15 @@ _DIRECTIONS = 14
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """What each node must stay on: two columns of SKIN, BONE, CUT + k, or FREE; FIXED in the first holds it."""
+    """What each node stays on: two columns of SKIN, BONE, CUT + k or FREE; FIXED holds it."""
 
     codes: IntArray  # (n_points, 2)
 
     @staticmethod
     def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> Ties:
         """From labelled boundary faces (m, 3): a node on three surfaces or more is fixed."""
-        pairs = np.unique(np.stack([faces.ravel(), np.repeat(labels, 3)], axis=1), axis=0)
+        many = int(labels.max()) + 1 if len(labels) else 1
+        pairs = np.stack(np.divmod(np.unique(faces.ravel() * many + np.repeat(labels, 3)), many), axis=1)
         codes = np.zeros((n_points, 2), np.int64)
         count = np.bincount(pairs[:, 0], minlength=n_points)
         first = np.searchsorted(pairs[:, 0], np.arange(n_points))
@@ -48,7 +49,7 @@ def put_back(points: Array, ties: Ties, domain: Domain, *, rounds: int = 3) -> A
     """Boundary points moved onto the surfaces they belong to."""
     x = np.array(points, float)
     arrays = _arrays(domain)
-    _put_all_back(x, ties.codes, *arrays, rounds)
+    _put_all_back(x, ties.codes, *arrays, rounds)  # type: ignore[call-arg]
     return x
 
 
@@ -62,7 +63,7 @@ def smooth(
     start = np.searchsorted(corners.ravel()[order], np.arange(len(points) + 1))
     x = np.array(points, float)
     goal = float(np.sin(np.radians(goal_deg)))
-    _smooth(x, corners, star, start, ties.codes, *_arrays(domain), goal, passes)
+    _smooth(x, corners, star, start, ties.codes, *_arrays(domain), goal, passes)  # type: ignore[call-arg]
     return x
 
 
@@ -142,7 +143,7 @@ def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float
         at = min(max(at, 0.0), values.shape[k] - 1.000001)
         n[k] = int(at)
         f[k] = at - n[k]
-    i, j, k = n
+    i, j, m = n
     value = 0.0
     out[:] = 0.0
     for a in range(2):
@@ -151,7 +152,7 @@ def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float
             fb = f[1] if b else 1 - f[1]
             for c in range(2):
                 fc = f[2] if c else 1 - f[2]
-                v = values[i + a, j + b, k + c]
+                v = values[i + a, j + b, m + c]
                 value += fa * fb * fc * v
                 out[0] += (v if a else -v) * fb * fc
                 out[1] += (v if b else -v) * fa * fc
@@ -216,7 +217,7 @@ def _smooth(
     goal: float,
     passes: int,
 ) -> None:
-    np.random.seed(7)
+    np.random.seed(7)  # noqa: NPY002 (numba knows no Generator here)
     g = np.empty(3)
     for step in range(passes):
         moved = 0
@@ -242,7 +243,7 @@ def _smooth(
                 found = here.copy()
                 for _trial in range(_DIRECTIONS):
                     for k in range(3):
-                        x[v, k] = here[k] + size * reach * np.random.normal() * 0.6
+                        x[v, k] = here[k] + size * reach * np.random.normal() * 0.6  # noqa: NPY002
                     if codes[v, 0] > 0:
                         _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, 2, g)
                     q = _star_quality(x, cells, star, first, last)

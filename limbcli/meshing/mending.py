@@ -94,8 +94,8 @@ def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") ->
         )
     inner = _bones_in_reach(outer, inner, notes)
     ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer)
-    for each in ends:
-        notes.append(f"skin: {each.name} end taken as a cut, {_INSIDE:g} mm inside it")
+    for end in ends:
+        notes.append(f"skin: {end.name} end taken as a cut, {_INSIDE:g} mm inside it")
     return Limb(outer, tuple(inner), tuple(ends), tuple(notes))
 
 

@@ -85,14 +85,14 @@ def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Ar
         opt_iterations=5,
         **options,
     )
-    return out[0], out[1]
+    return np.array(out[0], float), np.array(out[1], np.int64)
 
 
 def _pytetwild(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
     import pytetwild
 
     nodes, cells = pytetwild.tetrahedralize(points, faces.astype(np.int32), **options)[:2]
-    return nodes, cells
+    return np.array(nodes, float), np.array(cells, np.int64)
 
 
 MESHERS = {"tetgen": _tetgen, "pytetwild": _pytetwild}

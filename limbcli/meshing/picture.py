@@ -20,7 +20,7 @@ _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 def mesh_picture(
     mesh: Mesh, probe: ProbeShape, figures: Quality, path: Path, *, title: str, start_depth: float
 ) -> None:
-    """Write a PNG: what to look for is small cells under the probe, bones where they should be, no thin spikes."""
+    """Write a PNG. Look for small cells under the probe and bones in their places; bad are thin spikes."""
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
@@ -106,6 +106,6 @@ def _histogram(axes: Any, mesh: Mesh, figures: Quality) -> None:
     axes.set_ylabel("tetrahedra")
     axes.legend(frameon=False)
     axes.set_title(
-        f"{figures.n_cells} tetrahedra, {figures.n_nodes} nodes; smallest angle {figures.min_angle_deg:.1f}°, "
+        f"{figures.n_cells} tetrahedra; smallest angle {figures.min_angle_deg:.1f}°, "
         f"under the probe {figures.min_angle_under_probe_deg:.1f}°"
     )

@@ -7,6 +7,7 @@ sphere at its corners, then vertical walls.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,7 +158,7 @@ class _Builder:
             for out, z in heights
         ]
         n = len(rim)
-        for lower, upper in zip(numbers[:-1], numbers[1:], strict=True):
+        for lower, upper in itertools.pairwise(numbers):
             for j in range(n):
                 k = (j + 1) % n
                 self._facet([lower[j], lower[k], upper[k], upper[j]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
 
@@ -72,7 +73,7 @@ def edge_lengths(points: Array, cells: IntArray) -> Array:
 
 
 def scaled_jacobians(points: Array, cells: IntArray) -> Array:
-    """Smallest det(dx/dxi) of each cell over its nodes and Gauss points, over that of a cube of its mean edge.
+    """Smallest det(dx/dxi) over a cell's nodes and Gauss points; 1 for a regular one of its mean edge.
 
     1 for a regular tetrahedron, 0 flat, negative inverted. For tet10 the mapping is
     evaluated at all ten nodes and the four Gauss points; for tet4 it is constant.
@@ -112,8 +113,10 @@ def tet10_gradient(at: Array) -> Array:
     return np.vstack([corner, middle])
 
 
-def quality(points: Array, cells: IntArray, under_probe: Array, at_face: Array | None = None) -> Quality:
-    """All figures; `under_probe` (n_cells,) marks the cells of the fine zone, `at_face` those touching the face."""
+def quality(
+    points: Array, cells: IntArray, under_probe: NDArray[np.bool_], at_face: NDArray[np.bool_] | None = None
+) -> Quality:
+    """All figures; `under_probe` (n_cells,) marks the fine zone, `at_face` the cells at the face."""
     angles = dihedral_angles_deg(points, cells)
     volume = volumes(points, cells)
     edges = edge_lengths(points, cells)

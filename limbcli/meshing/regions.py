@@ -73,7 +73,9 @@ def assemble(
     surfaces = {
         name: Surface(name, facets(faces[keep], middle)) for name, keep in chosen.items() if keep.any()
     }
-    sets = {name: _nodes(surfaces[name]) for name in ("bone", "cut", "skin") if name in surfaces}
+    sets: dict[str, IntArray] = {
+        name: _nodes(surfaces[name]) for name in ("bone", "cut", "skin") if name in surfaces
+    }
     held = [sets[name] for name in ("bone", "cut") if name in sets]
     sets["fixed"] = np.unique(np.concatenate(held)) if held else np.zeros(0, np.int64)
     first = len(points)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from limbcli.errors import MeshError
@@ -40,7 +41,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Edge length wanted anywhere: fine under the probe, coarse far, finer in thin tissue and round tight bends."""
+    """Edge length wanted anywhere: fine under the probe, coarse far, finer in thin tissue and bends."""
 
     sizes: Sizes
     probe: ProbeShape
@@ -64,22 +65,28 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
         thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
+    sag = _chord_error(domain, probe)
     for field in (domain.skin, domain.bone):
         if field is not None:
-            limit = np.minimum(limit, _bend_limit(field, sizes.far))
+            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far))
     return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
 
 
-def _bend_limit(field: Field, far: float, *, share: float = 1.8, least: float = 4.0) -> Array:
-    """Edge length allowed by curvature: `share` of the radius of the tighter bend, near the surface."""
-    from scipy import ndimage
+def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.015) -> Array:
+    """How far (mm) facets may leave the true surface: little under the probe, more far from it."""
+    points = domain.skin.grid.points()
+    beside = probe.distance_in_plan(points[..., 0], points[..., 1])
+    return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))
 
+
+def _bend_limit(field: Field, sag: Array, far: float, *, least: float = 2.5) -> Array:
+    """Edge length that keeps chords within `sag` of a bent surface: sqrt(8 sag / curvature)."""
     h = field.grid.spacing
     phi = ndimage.gaussian_filter(field.values, 1.5)
     gradient = np.gradient(phi, h)
     size = np.sqrt(sum(each**2 for each in gradient)) + 1e-6
-    mean = np.abs(sum(np.gradient(g / size, h, axis=k) for k, g in enumerate(gradient)))
-    limit = np.where(np.abs(field.values) < 1.5 * h, share / np.maximum(mean, 1e-6), far)
+    bend = np.abs(sum(np.gradient(g / size, h, axis=k) for k, g in enumerate(gradient)))
+    limit = np.where(np.abs(field.values) < 1.5 * h, np.sqrt(8 * sag / np.maximum(bend, 1e-6)), far)
     return np.clip(limit, min(least, far), far)
 
 
@@ -117,7 +124,7 @@ def bad_places(boundary: Boundary) -> Array:
 
 
 def unfold(boundary: Boundary, domain: Domain, *, rounds: int = 8) -> Boundary:
-    """Faces folded over their own surface spread out again: their nodes go to the middle of their neighbours."""
+    """Faces folded over their own surface spread out: their nodes go amid their neighbours."""
     surface, labels = boundary.surface, boundary.labels
     ties = Ties.of_faces(len(surface.points), surface.faces, labels)
     edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -159,8 +166,6 @@ def outward_normals(boundary: Boundary, domain: Domain) -> Array:
 
 def _graded(limit: Array, spacing: float, *, growth: float = 0.3) -> Array:
     """The limit made to grow by at most `growth` mm per mm away from where it binds."""
-    from scipy import ndimage
-
     out = limit
     for reach in (1, 2, 4, 8):
         shape = 2 * reach + 1

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -57,7 +59,7 @@ class Triangles:
     def flipped(self) -> Triangles:
         return Triangles(self.points, self.faces[:, ::-1].copy())
 
-    def part(self, keep: Array) -> Triangles:
+    def part(self, keep: NDArray[Any]) -> Triangles:
         """Only the faces marked or numbered by `keep`, with unused points left out."""
         faces = self.faces[keep]
         used, inverse = np.unique(faces, return_inverse=True)

@@ -90,7 +90,7 @@ def tetgen_mesh(
         If TetGen refuses the surface, crashes, or runs out of time.
     """
     points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
-    faces = np.ascontiguousarray(boundary.surface.faces, np.int32)
+    faces = np.ascontiguousarray(boundary.surface.faces)
     options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg}
     nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=time_limit_s)
     return checked(nodes, cells, boundary.surface.volume, "TetGen")

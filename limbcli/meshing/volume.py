@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.meshing.domain import Domain, boundary
@@ -35,7 +36,7 @@ _TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
 
 @dataclass(frozen=True, eq=False)
 class VolumeMesh:
-    """Tetrahedra (positive volume), the faces of their boundary with labels, who made them, and the way there."""
+    """Tetrahedra (positive volume), labelled faces of their boundary, who made them, the way there."""
 
     points: Array
     cells: IntArray
@@ -47,11 +48,11 @@ class VolumeMesh:
 
 def under_probe(
     points: Array, cells: IntArray, probe: ProbeShape, *, beside: float = 2.0, depth: float = 15.0
-) -> Array:
+) -> NDArray[np.bool_]:
     """Which cells (n_cells,) lie under the probe face: their middle at most `depth` mm below it."""
     middle = points[cells[:, :4]].mean(axis=1)
     near = probe.distance_in_plan(middle[:, 0], middle[:, 1]) <= beside
-    return near & (middle[:, 2] > -depth)
+    return np.asarray(near & (middle[:, 2] > -depth), bool)
 
 
 def mesh_volume(domain: Domain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:

@@ -34,7 +34,7 @@ def mesh(
 ) -> list[StageResult]:
     """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
 
-    element, margin : instead of the case's; size, far_size : edge lengths (mm) under the probe and far from it
+    element, margin : instead of the case's; size, far_size : edges (mm) under the probe, far from it
 
     Raises
     ------
@@ -171,7 +171,7 @@ def _report(
     writer.warnings.extend(segmented.warnings)
     if checks.over_tissue_share < _OVER_TISSUE:
         writer.warnings.append(
-            f"only {100 * checks.over_tissue_share:.0f} % of the probe face lies over tissue: is the site right?"
+            f"only {100 * checks.over_tissue_share:.0f} % of the probe face lies over tissue"
         )
     if frame.moved > _OFF_SKIN:
         writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")

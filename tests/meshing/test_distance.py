@@ -1,0 +1,60 @@
+"""The signed distance grid against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.meshing.distance import Field, distance_again, grid_over, rounded, signed_distance
+from limbcli.meshing.surfaces import join
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return grid_over(np.full(3, -20.0), np.full(3, 20.0), 1.0)
+
+
+def test_distance_to_a_sphere(make_ball, grid):
+    field = signed_distance(make_ball((0.2, -0.3, 0.1), 12.0, n=60), grid)
+    exact = np.linalg.norm(grid.points() - [0.2, -0.3, 0.1], axis=-1) - 12.0
+    near = np.abs(exact) < 3.5
+    # Chords of 60 rows lie 12 (1 - cos(pi / 120)) = 0.004 mm inside the sphere.
+    assert np.abs(field.values - exact)[near].max() < 0.02
+    assert (np.sign(field.values) == np.sign(exact))[np.abs(exact) > 0.05].all()
+    assert np.abs(field.values - exact).max() < 1.2
+
+
+def test_overlapping_bodies_are_one(make_ball, grid):
+    field = signed_distance(join([make_ball((-4, 0, 0), 8.0), make_ball((4, 0, 0), 8.0)]), grid)
+    places = np.array([[0.0, 0, 0], [10, 0, 0], [-10, 0, 0], [0, 10, 0]])
+    assert (field.at(places) < 0).tolist() == [True, True, True, False]
+
+
+def test_a_hole_does_not_turn_inside_out(make_ball, grid):
+    ball = make_ball((0, 0, 0), 12.0)
+    torn = ball.part(np.arange(len(ball.faces)) % 97 != 5)
+    field = signed_distance(torn, grid)
+    exact = np.linalg.norm(grid.points(), axis=-1) - 12.0
+    wrong = np.sign(field.values) != np.sign(exact)
+    assert wrong[np.abs(exact) > 2].mean() < 1e-3
+
+
+def test_redistancing_keeps_the_surface_and_restores_unit_slope(grid):
+    exact = np.linalg.norm(grid.points(), axis=-1) - 9.0
+    again = distance_again(Field(grid, exact * (2 + np.sin(grid.points()[..., 0] / 5))))
+    assert np.abs(again.values - exact)[np.abs(exact) < 6].max() < 0.6
+
+
+def test_closing_fills_a_cleft_but_keeps_a_wide_gap(make_ball, grid):
+    # Two balls 2 mm apart: a cleft narrower than 2 x 1.5 mm is filled, one wider is not.
+    for gap, filled in ((2.0, True), (6.0, False)):
+        balls = join([make_ball((-9 - gap / 2, 0, 0), 9.0), make_ball((9 + gap / 2, 0, 0), 9.0)])
+        closed = rounded(signed_distance(balls, grid), 1.5)
+        assert (closed.at(np.zeros((1, 3)))[0] < 0) == filled
+
+
+def test_projection_lands_on_the_surface(make_ball, grid, rng):
+    field = signed_distance(make_ball((0, 0, 0), 12.0, n=60), grid)
+    points = rng.normal(size=(50, 3))
+    points *= (12 + rng.uniform(-2, 2, 50))[:, None] / np.linalg.norm(points, axis=1)[:, None]
+    assert np.linalg.norm(field.project(points), axis=1) == pytest.approx(np.full(50, 12.0), abs=0.05)

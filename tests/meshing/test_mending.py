@@ -1,0 +1,55 @@
+"""Surfaces from anywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeshError
+from limbcli.meshing.mending import mend
+from limbcli.meshing.surfaces import Triangles, boundary_loops, join
+
+
+def test_open_proximal_end_is_closed_and_becomes_a_cut(make_tube):
+    open_top = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
+    open_top = open_top.part(open_top.centroids[:, 2] < 149.9)
+    limb = mend(open_top, [make_tube((5, 5, 10), (5, 5, 148), (9, 9))])
+    assert boundary_loops(limb.skin) == []
+    assert [each.name for each in limb.ends][:1] == ["open"]
+    assert limb.ends[0].normal == pytest.approx([0, 0, 1], abs=1e-6)
+    assert limb.ends[0].offset == pytest.approx(150 - 1.5)
+    assert any("rim closed" in note for note in limb.notes)
+
+
+def test_flat_ends_of_a_scan_become_cuts_and_round_ends_do_not(leg, make_ball):
+    assert sorted(round(float(each.normal[2])) for each in leg.ends) == [-1, 1]
+    assert mend(make_ball((0, 0, 0), 40.0), []).ends == ()
+
+
+def test_bodies_in_one_file_are_told_apart(make_tube):
+    skin = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
+    bones = [make_tube((x, 0, 10), (x, 0, 140), (8, 8)) for x in (-15, 15)]
+    limb = mend(join([skin, *bones]), [])
+    assert len(limb.bones) == 2
+    assert limb.skin.volume == pytest.approx(skin.volume, rel=1e-6)
+
+
+def test_stray_triangles_are_dropped_and_told(make_tube):
+    skin = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
+    stray = Triangles(np.array([[60.0, 0, 0], [61, 0, 0], [60, 1, 0]]), np.array([[0, 1, 2]]))
+    limb = mend(join([skin, stray]), [])
+    assert len(limb.skin.faces) == len(skin.faces)
+    assert any("stray" in note for note in limb.notes)
+
+
+def test_faces_turned_inward_are_turned_back(make_tube):
+    skin = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
+    mixed = Triangles(skin.points, skin.faces.copy())
+    mixed.faces[::7] = mixed.faces[::7, ::-1]
+    for wrong in (skin.flipped(), mixed):
+        assert mend(wrong, []).skin.volume == pytest.approx(skin.volume, rel=1e-6)
+
+
+def test_a_surface_in_metres_is_refused(make_tube):
+    with pytest.raises(MeshError, match="check the unit"):
+        mend(make_tube((0, 0, 0), (0, 0, 0.15), (0.04, 0.045)), [])

@@ -1,0 +1,61 @@
+"""Facets of the sizes asked for, features kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.meshing.crop import crop_planes
+from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
+from limbcli.meshing.facets import edges_of
+from limbcli.meshing.frame import site_frame
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.remesh import Sizes, bad_places, remesh, size_field
+
+PROBE = ProbeShape(40.0, 14.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def made(leg):
+    frame = site_frame(leg, np.array([0.0, 42.0, 0.0]), "transverse", PROBE)
+    local = leg.moved(frame.to_model)
+    domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
+    fine = boundary(domain)
+    field = size_field(domain, PROBE, Sizes(3.0, 9.0))
+    return domain, fine, field, remesh(fine, domain, field)
+
+
+def test_volume_is_kept(made):
+    _, fine, _, graded = made
+    assert graded.surface.volume == pytest.approx(fine.volume, rel=0.01)
+
+
+def test_surface_is_closed_and_does_not_cross_itself(made):
+    graded = made[3]
+    edges, _ = edges_of(graded.surface.faces)
+    assert len(edges) * 2 == len(graded.surface.faces) * 3
+    assert len(bad_places(graded)) == 0
+
+
+def test_edges_have_the_length_asked_for(made):
+    _, _, field, graded = made
+    points = graded.surface.points
+    edges, _ = edges_of(graded.surface.faces)
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    ratio = length / field.at(points[edges].mean(axis=1))
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.12)
+    assert np.quantile(ratio, 0.99) < 1.7
+    near = PROBE.distance_in_plan(*points[edges].mean(axis=1)[:, :2].T) == 0
+    near &= points[edges].mean(axis=1)[:, 2] > -3
+    assert np.median(length[near]) == pytest.approx(3.0, rel=0.15)
+
+
+def test_labels_lie_on_their_surfaces(made):
+    domain, _, _, graded = made
+    points = graded.surface.points
+    for label, field in ((SKIN, domain.skin), (BONE, domain.bone)):
+        assert np.abs(field.at(points[np.unique(graded.surface.faces[graded.labels == label])])).max() < 0.2
+    for k, plane in enumerate(domain.planes):
+        nodes = np.unique(graded.surface.faces[graded.labels == CUT + k])
+        assert len(nodes) > 3
+        assert np.abs(plane.height(points[nodes])).max() < 1e-3

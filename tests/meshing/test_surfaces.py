@@ -1,0 +1,52 @@
+"""Reading and sorting triangle surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeshError
+from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, join, read_surface
+
+
+def test_volume_of_a_cylinder(make_tube):
+    tube = make_tube((0, 0, 0), (0, 0, 10), (5, 5), around=200)
+    assert tube.volume == pytest.approx(np.pi * 25 * 10, rel=1e-3)
+    assert tube.flipped().volume == pytest.approx(-tube.volume)
+
+
+def test_bodies_come_apart_largest_first(make_ball):
+    small, large = make_ball((50, 0, 0), 5.0), make_ball((0, 0, 0), 20.0)
+    found = bodies(join([small, large]))
+    assert [len(each.points) for each in found] == [len(large.points), len(small.points)]
+    assert np.ptp(found[0].points, axis=0) == pytest.approx([40, 40, 40], rel=0.01)
+
+
+def test_open_tube_has_two_rims(make_tube):
+    rims = boundary_loops(make_tube((0, 0, 0), (0, 0, 10), (5, 5), around=30, closed=False))
+    assert sorted(len(each) for each in rims) == [30, 30]
+    assert boundary_loops(make_tube((0, 0, 0), (0, 0, 10), (5, 5))) == []
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj"])
+def test_surface_survives_writing_and_reading(make_ball, tmp_path, suffix):
+    import meshio
+
+    ball, path = make_ball((1, 2, 3), 10.0), tmp_path / f"ball.{suffix}"
+    meshio.Mesh(ball.points, [("triangle", ball.faces)]).write(path)
+    back = read_surface(path)
+    assert len(back.points) == len(ball.points)
+    assert back.volume == pytest.approx(ball.volume, rel=1e-5)
+
+
+def test_absent_and_unreadable_files_say_what_to_do(tmp_path):
+    with pytest.raises(MeshError, match="does not exist"):
+        read_surface(tmp_path / "no.stl")
+    (tmp_path / "bad.ply").write_text("nonsense")
+    with pytest.raises(MeshError, match="cannot be read"):
+        read_surface(tmp_path / "bad.ply")
+
+
+def test_part_leaves_out_unused_points():
+    square = Triangles(np.eye(4, 3), np.array([[0, 1, 2], [0, 2, 3]]))
+    assert len(square.part(np.array([True, False])).points) == 3
