@@ -1,8 +1,8 @@
 """Contact of the soft skin with the rigid probe: FEBio's frictionless `sliding-elastic` law.
 
 The penalty of a facet is eps = penalty x E x A / V (auto_penalty), taken at the
-reference state and kept: E the uniaxial stiffness of the law along the facet's
-normal, A the facet's area, V the volume of the cell behind it.
+reference state and kept: E the stiffness of the law along the facet's normal (see
+`materials.stress.penalty_modulus`), A the facet's area, V the volume of the cell behind it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from limbcli.fem.groups import Group
 from limbcli.fem.quadrature import rule
 from limbcli.fem.rigid import Body
 from limbcli.materials.program import CurveAt, Program
-from limbcli.materials.stress import _evaluate, young_modulus
+from limbcli.materials.stress import _evaluate, penalty_modulus
 from limbcli.model import Array, Contact, IntArray, LimbModel, Surface
 
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
@@ -240,7 +240,7 @@ def _moduli(program: Program, cells: IntArray, normals: Array) -> Array:
     F = np.repeat(np.eye(3)[None], len(cells), axis=0)
     S, CC = np.zeros((len(cells), 6)), np.zeros((len(cells), 6, 6))
     _evaluate(F, program.ops, par, S, CC, True)
-    return young_modulus(CC, normals)
+    return penalty_modulus(CC, normals)
 
 
 def penalty_derivative(
@@ -265,14 +265,14 @@ def penalty_derivative(
     h = 1e-4
     total = np.zeros(int(mine.sum()))
     C0 = _identity_tangent(base, cells)
-    E = young_modulus(C0, n)
+    E = penalty_modulus(C0, n)
     for program in programs:
         if program.ops[0, 0] > 100:
             continue
         C1 = _identity_tangent(program, cells)
         size = h * np.abs(C0).max() / max(np.abs(C1).max(), 1e-300)
         # E is smooth in C: a five-point difference is exact to round-off
-        e = [young_modulus(C0 + k * size * C1, n) for k in (-2, -1, 1, 2)]
+        e = [penalty_modulus(C0 + k * size * C1, n) for k in (-2, -1, 1, 2)]
         total += (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * size)
     del E
     out[mine] = contact.penalty * patch.ratio[mine] * total

@@ -27,9 +27,9 @@ def _cross(a, b, c):
 
 
 @njit(cache=True)
-def _hit_triangle(x2, nodes, r, nu, tolerance, out):
+def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
     """Where the line r - g nu meets a flat facet: out = g, m (3), q (3). False: it does not."""
-    a, b, c = x2[nodes[0]], x2[nodes[1]], x2[nodes[2]]
+    a, b, c = x2[first], x2[second], x2[third]
     e1, e2, m, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
         e1[i] = b[i] - a[i]
@@ -37,8 +37,8 @@ def _hit_triangle(x2, nodes, r, nu, tolerance, out):
     _cross(e1, e2, m)
     mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
     mnu = m[0] * nu[0] + m[1] * nu[1] + m[2] * nu[2]
-    if mnu * mnu < 1e-20 * mm:
-        return False
+    if mnu >= 0.0 or mnu * mnu < 1e-20 * mm:
+        return False  # the facets must face each other
     g = (m[0] * (r[0] - a[0]) + m[1] * (r[1] - a[1]) + m[2] * (r[2] - a[2])) / mnu
     for i in range(3):
         p[i] = r[i] - g * nu[i] - a[i]
@@ -63,8 +63,12 @@ def _hit_triangle(x2, nodes, r, nu, tolerance, out):
 
 @njit(cache=True)
 def _hit_quad(x2, nodes, r, nu, tolerance, out):
-    """The same for a bilinear facet, by Newton's method in its coordinates."""
-    s, t, g = 0.0, 0.0, 0.0
+    """The same for a bilinear facet: its two triangles first, then Newton's method in its coordinates."""
+    if not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out) and not _hit_triangle(
+        x2, nodes[2], nodes[3], nodes[1], r, nu, tolerance, out
+    ):
+        return False
+    s, t, g = 0.0, 0.0, out[0]
     xs, xt, m, res = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     ok = False
     for _ in range(12):
@@ -107,7 +111,7 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
 @njit(cache=True)
 def _hit(x2, nodes, r, nu, tolerance, out):
     if nodes[3] < 0:
-        return _hit_triangle(x2, nodes, r, nu, tolerance, out)
+        return _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, tolerance, out)
     return _hit_quad(x2, nodes, r, nu, tolerance, out)
 
 
@@ -132,6 +136,10 @@ def search(
 ):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
+    A point stays with the rigid facet that it touched when it was searched last, as long as its
+    line meets that facet. Any other point takes, of the facing facets that its line meets within
+    the radius, the nearest. So does FEBio.
+
     spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -154,7 +162,7 @@ def search(
             for i in range(3):
                 nu[i] = n[i] / length
             found = False
-            if hint >= 0 and _hit(x2, facets2[hint], r, nu, tolerance, out) and out[0] > 0.0:
+            if hint >= 0 and _hit(x2, facets2[hint], r, nu, tolerance, out):
                 best[:] = out
                 found = True
                 place = hint
@@ -168,9 +176,9 @@ def search(
                     reach = spheres[j, 3]
                     if d2 - along * along > reach * reach or abs(along) > radius + reach:
                         continue
-                    if _hit(x2, facets2[j], r, nu, tolerance, out) and (
-                        not found or abs(out[0]) < abs(best[0])
-                    ):
+                    if not _hit(x2, facets2[j], r, nu, tolerance, out):
+                        continue
+                    if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
                         best[:] = out
                         found = True
                         place = j

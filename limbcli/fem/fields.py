@@ -15,7 +15,7 @@ from limbcli.fem import kernels
 from limbcli.fem.rigid import rotation_vector
 from limbcli.fem.system import Forces, State, System
 from limbcli.materials.energy import energy_density
-from limbcli.materials.tensors import VOIGT
+from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 from limbcli.model import Array, LogRecord
 
 _TENSOR = {"x": 0, "y": 1, "z": 2, "xy": 3, "yz": 4, "xz": 5}
@@ -23,7 +23,13 @@ _F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz
 _STRESS = {f"s{name}": k for name, k in _TENSOR.items()}
 _STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
 _CENTER = ("x", "y", "z")
-CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F)
+# FEBio 4.11 hands out the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz
+# xy yz xz) under these names, whatever they say; the same is done here, to give the same file.
+TANGENT_FIELDS = tuple(
+    f"c{a}" for a in
+    "xxxx xxyy yyyy xxzz yyzz zzzz xxxy yyxy zzxy xyxy xxyz yyyz zzyz xyyz yzyz xxxz yyxz zzxz xyxz yzxz xzxz".split()
+)  # fmt: skip
+CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F, *TANGENT_FIELDS)
 NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
 BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
 _KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS}
@@ -111,8 +117,13 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
     strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
     columns = []
+    spatial = spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
     for name in fields:
-        if name in getters:
+        if name in TANGENT_FIELDS:
+            assert spatial is not None
+            row, column = divmod(TANGENT_FIELDS.index(name), 6)
+            columns.append(spatial[:, row, column])
+        elif name in getters:
             columns.append(getters[name]())
         elif name in _F:
             columns.append(F[:, :, _F[name][0], _F[name][1]].mean(axis=1))
@@ -126,6 +137,26 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
             assert principal is not None
             columns.append(principal[:, 3 - int(name[1])])
     return np.stack(columns, axis=1)
+
+
+def spatial_tangent(system: System, state: State, number: int) -> Array:
+    """Spatial tangent c_ijkl = F_iI F_jJ F_kK F_lL CC_IJKL / J as (n_cells, n_gauss, 6, 6), Voigt order."""
+    o = system.operands[number]
+    shape = o.weight.shape
+    F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
+    args = o.arguments()
+    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, CC), len(o.cells))
+    first, second = FIRST, SECOND
+    # push-forward of one symmetric pair: (ij) from (IJ)
+    push = np.zeros((*shape, 6, 6))
+    for p in range(6):
+        for q in range(6):
+            i, j, k, l = first[p], second[p], first[q], second[q]
+            push[..., p, q] = F[..., i, k] * F[..., j, l]
+            if k != l:
+                push[..., p, q] += F[..., i, l] * F[..., j, k]
+    out = push @ CC @ np.swapaxes(push, -1, -2)
+    return np.asarray(out / np.linalg.det(F)[..., None, None])
 
 
 def _component(tensor: Array, k: int) -> Array:

@@ -49,15 +49,25 @@ def cauchy_stress(material: Material, F: Array) -> Array:
     return F @ S @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
 
 
-def young_modulus(C: Array, normals: Array) -> Array:
-    """1 / (nn : C^-1 : nn): uniaxial stiffness along `normals` (n, 3) of tangents C (n, 6, 6), Voigt.
+def penalty_modulus(C: Array, normals: Array) -> Array:
+    """Stiffness along `normals` (n, 3) that FEBio's automatic contact penalty is built on.
 
-    FEBio's automatic contact penalty is built on it, with C taken at F = 1.
+    1 / (nn : S : nn) with S the inverse of the tangents C (n, 6, 6), Voigt, at F = 1. FEBio takes the
+    6x6 inverse, whose shears are engineering compliances, for the components of a tensor;
+    hence the factor 2 on the shear products. For normals along an axis this is Young's
+    modulus; for others it is lower, by 0.4 % at 2 degrees in nearly incompressible tissue. Found by
+    comparing nodal forces with FEBio 4.11's.
     """
-    engineering = np.linalg.inv(C)
     n = normals
-    stress = np.stack(
-        [n[:, 0] ** 2, n[:, 1] ** 2, n[:, 2] ** 2, n[:, 0] * n[:, 1], n[:, 1] * n[:, 2], n[:, 0] * n[:, 2]],
+    products = np.stack(
+        [
+            n[:, 0] ** 2,
+            n[:, 1] ** 2,
+            n[:, 2] ** 2,
+            2 * n[:, 0] * n[:, 1],
+            2 * n[:, 1] * n[:, 2],
+            2 * n[:, 0] * n[:, 2],
+        ],
         axis=1,
     )
-    return 1.0 / np.einsum("np,npq,nq->n", stress, engineering, stress)
+    return 1.0 / np.einsum("np,npq,nq->n", products, np.linalg.inv(C), products)

@@ -1,0 +1,37 @@
+"""Compiled kernels on disk: dropped when a law's source has changed.
+
+numba looks only at the file of a kernel itself, not at the laws that it calls, so a
+changed law would go on being served from an old cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+
+_STAMP = "kernels.stamp"
+
+
+def drop_stale_kernels() -> bool:
+    """Delete cached kernels of laws and element loops if a law's file changed since they were made.
+
+    Returns whether anything was deleted. A folder that cannot be written is left alone.
+    """
+    here = Path(__file__).parent
+    sources = sorted(here.glob("*.py"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    stamp = here / "__pycache__" / _STAMP
+    with suppress(OSError):
+        if stamp.is_file() and stamp.read_text() == digest:
+            return False
+    dropped = False
+    with suppress(OSError):
+        for folder in (here, here.parent / "fem"):
+            for pattern in ("*.nbi", "*.nbc"):
+                for path in (folder / "__pycache__").glob(pattern):
+                    path.unlink(missing_ok=True)
+                    dropped = True
+        stamp.parent.mkdir(exist_ok=True)
+        stamp.write_text(digest)
+    return dropped
