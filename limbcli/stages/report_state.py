@@ -52,6 +52,7 @@ def read_deformed(result: StageResult) -> DeformedState | None:
         probe_shift=places[-1] - start,
         depth=-float(places[-1, 2]),
         stretch=_shortest(tables.elements, numbers),
+        cut=_facets(model, "cut"),
     )
 
 

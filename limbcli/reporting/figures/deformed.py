@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
@@ -23,6 +23,7 @@ from limbcli.reporting.figures.section import (
 from limbcli.reporting.figures.style import INK, QUIET, bare, new_figure, style
 
 DISPLACEMENT_MAP, STRAIN_MAP = "YlGnBu", "YlOrRd"
+_UNKNOWN = "#dfe4e8"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class DeformedState:
 
     points, displacement : (n_points, 3) mm, model frame; NaN where nothing was recorded
     kind, cells : the tissue's cells
-    skin, bone, probe : facets by kind
+    skin, bone, probe, cut : facets by kind
     probe_shift : (3,) mm, how far the rigid probe has moved
     stretch : (n_cells,) smallest principal stretch, NaN where not recorded; or None
     """
@@ -46,14 +47,16 @@ class DeformedState:
     probe_shift: Array
     depth: float
     stretch: Array | None = None
-    half_length: float = field(default=40.0)
+    cut: dict[str, IntArray] = field(default_factory=dict)
 
 
 def section_figure(state: DeformedState) -> Figure:
     """x-z section at y = 0: displacement magnitude, and shortening where the run recorded it."""
     with_stretch = state.stretch is not None and bool(np.isfinite(state.stretch).any())
     with style():
-        figure = new_figure(7.6 if with_stretch else 5.6, 4.9 if with_stretch else 5.4)
+        span = np.ptp(state.points[np.unique(state.cells)], axis=0)
+        width = 3.3 if with_stretch else 5.0
+        figure = new_figure(7.6 if with_stretch else 5.8, min(width * span[2] / span[0], 6.0) + 2.1)
         panels = figure.subplots(1, 2 if with_stretch else 1, sharey=True, squeeze=False)[0]
         _displacement_panel(panels[0], state)
         if with_stretch:
@@ -70,17 +73,17 @@ def section_figure(state: DeformedState) -> Figure:
 
 def skin_figure(state: DeformedState) -> Figure:
     """The deformed skin in a slanted view, coloured by how far it moved along z."""
-    facets = np.concatenate([linear_triangles(kind, each) for kind, each in state.skin.items()])
     moved = state.points + state.displacement
-    facets = facets[np.isfinite(moved[facets]).all(axis=(1, 2))]
+    skin, cut = _triangles(state.skin, moved), _triangles(state.cut, moved)
+    facets = np.concatenate([skin, cut])
     seen, depth_order, shade = _view(moved, facets)
-    colour = -state.displacement[facets, 2].mean(axis=1)
+    colour = -state.displacement[skin, 2].mean(axis=1)
     with style():
         figure = new_figure(7.4, 4.6)
         axes = figure.subplots()
         norm = Normalize(min(0.0, float(colour.min())), max(float(colour.max()), 1e-6))
         palette = ScalarMappable(norm, DISPLACEMENT_MAP)
-        rgba = palette.to_rgba(colour)
+        rgba = np.concatenate([palette.to_rgba(colour), np.tile(to_rgba(_UNKNOWN), (len(cut), 1))])
         rgba[:, :3] *= shade[:, None]
         drawn = PolyCollection(
             seen[facets][depth_order], facecolors=rgba[depth_order], edgecolors="face", linewidths=0.2
@@ -93,6 +96,13 @@ def skin_figure(state: DeformedState) -> Figure:
         _scale_bar(axes, 20.0)
         figure.colorbar(palette, ax=axes, label="skin moved inwards [mm]", shrink=0.75)
     return figure
+
+
+def _triangles(facets: dict[str, IntArray], points: Array) -> IntArray:
+    """Linear facets whose corners are all known."""
+    parts = [linear_triangles(kind, each) for kind, each in facets.items()]
+    every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
+    return every[np.isfinite(points[every]).all(axis=(1, 2))]
 
 
 def _displacement_panel(axes: Axes, state: DeformedState) -> None:
@@ -119,7 +129,9 @@ def _shortening_panel(axes: Axes, state: DeformedState) -> None:
     known = np.isfinite(percent) & np.isfinite(moved[cut.triangles]).all(axis=(1, 2))
     top = max(float(np.percentile(percent[known], 99.5)), 1e-6) if known.any() else 1.0
     corners = moved[:, [0, 2]][cut.triangles]
-    axes.add_collection(PolyCollection(list(corners[~known]), facecolors="#dfe4e8", edgecolors="none"))
+    axes.add_collection(
+        PolyCollection(list(corners[~known]), facecolors=_UNKNOWN, edgecolors="face", linewidths=0.2)
+    )
     drawn = PolyCollection(
         list(corners[known]),
         array=percent[known],

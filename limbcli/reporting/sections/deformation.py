@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from limbcli.reporting.figures.deformed import section_figure, skin_figure
+import numpy as np
+
+from limbcli.reporting.figures.deformed import DeformedState, section_figure, skin_figure
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
@@ -47,5 +49,14 @@ def deformation(page: Page, site: SiteMaterial) -> Reportlet:
         bad="skin that passes through the probe, a checkerboard or spikes in the lower picture (locking, "
         "or an "
         "element near collapse), or displacement that is still large at a cut face (the model is too small)",
-        notes=(f"Drawn from {site.deformed_source}.",),
+        notes=tuple(_notes(site, state)),
     )
+
+
+def _notes(site: SiteMaterial, state: DeformedState) -> list[str]:
+    notes = [f"Drawn from {site.deformed_source}, at {state.depth:.1f} mm depth."]
+    if state.stretch is None:
+        notes.append("The run recorded no deformation gradients, so the squeeze is not shown.")
+    elif not np.isfinite(state.stretch).all():
+        notes.append("The squeeze is recorded around the scanner's window only; grey is not recorded.")
+    return notes
