@@ -95,8 +95,9 @@ def read_surface(path: Path) -> Triangles:
     if not path.is_file():
         raise MeshError("the surface file does not exist", where=str(path), fix=fix)
     try:
-        mesh = meshio.read(path)
-    except (SystemExit, Exception) as error:
+        with np.errstate(over="ignore"):  # meshio guesses at a size that may not fit
+            mesh = meshio.read(path)
+    except (meshio.ReadError, OSError, ValueError, LookupError, SystemExit) as error:
         raise MeshError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     faces = [_triangles_of(block.type, block.data) for block in mesh.cells]
     faces = [each for each in faces if len(each)]

@@ -1,0 +1,147 @@
+"""The mesh stage and its command on a small case made of surfaces."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.cli.app import main
+from limbcli.errors import CaseError
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model_io import load_model
+from limbcli.results import read_result
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
+
+CASE = """format = 1
+[subject]
+id = "S1"
+limb = "left"
+[imaging]
+skin = "skin.stl"
+bones = ["tibia.stl"]
+[probe]
+name = "small"
+length_mm = 30.0
+width_mm = 12.0
+edge_radius_mm = 2.0
+[model]
+margin_mm = 20.0
+element = "tet4"
+[[site]]
+name = "p1"
+position_mm = [0.0, 29.5, 0.0]
+long_axis = "transverse"
+levels = "levels.csv"
+[[site]]
+name = "p2"
+marker = 3
+long_axis = "axial"
+levels = "levels.csv"
+"""
+
+
+def prism(
+    radius: float, low: float, high: float, *, x: float = 0.0, n: int = 36, along: int = 24
+) -> Triangles:
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    z = np.linspace(low, high, along)
+    rings = [np.c_[x + radius * np.cos(t), radius * np.sin(t), np.full(n, h)] for h in z]
+    points = np.vstack([*rings, [[x, 0, low]], [[x, 0, high]]])
+    faces = []
+    for k in range(along - 1):
+        for i in range(n):
+            a, b = k * n + i, k * n + (i + 1) % n
+            faces += [(a, b, b + n), (a, b + n, a + n)]
+    m, top = along * n, (along - 1) * n
+    faces += [(m, (i + 1) % n, i) for i in range(n)] + [(m + 1, top + i, top + (i + 1) % n) for i in range(n)]
+    return Triangles(points, np.array(faces, np.int64))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("case")
+    for name, body in (("skin", prism(30.0, -60, 60)), ("tibia", prism(9.0, -70, 70, x=4.0))):
+        meshio.Mesh(body.points, [("triangle", body.faces)]).write(folder / f"{name}.stl")
+    (folder / "levels.csv").write_text("force_n,depth_mm\n0.5,0\n2,2\n")
+    (folder / "case.toml").write_text(CASE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(folder, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    segment(Case.open(folder), out=out)
+    mesh(Case.open(folder), out=out, sites=["p1"], size=4.0, far_size=10.0)
+    return out
+
+
+def test_stage_leaves_model_picture_and_figures(out):
+    result = read_result(out, "mesh", site="p1")
+    assert set(result.files) == {"model", "mesh", "picture"}
+    assert all(result.path(name).stat().st_size > 1000 for name in result.files)
+    assert result.data["quality"]["min_angle_deg"] > 4
+    assert result.data["checks"]["skin_bone_mm"] == pytest.approx(30 - 9 * np.sqrt(1 - (4 / 9) ** 2), abs=0.6)
+    assert result.provenance["inputs_sha256"]["skin.ply"]
+
+
+def test_model_comes_back_from_its_file(out):
+    model = load_model(read_result(out, "mesh", site="p1").path("model"))
+    assert model.mesh.block("tissue").kind == "tet4"
+    patient = np.array(model.info["patient_from_model"]).reshape(4, 4)
+    skin = model.mesh.points[model.mesh.node_sets["skin"]] @ patient[:3, :3].T + patient[:3, 3]
+    assert np.hypot(skin[:, 0], skin[:, 1]) == pytest.approx(np.full(len(skin), 30.0), abs=0.4)
+
+
+def test_vtu_carries_every_set(out):
+    result = read_result(out, "mesh", site="p1")
+    model, back = load_model(result.path("model")), meshio.read(result.path("mesh"))
+    for name, nodes in model.mesh.node_sets.items():
+        assert (np.flatnonzero(back.point_data[f"set_{name}"]) == np.sort(nodes)).all()
+    assert {f"surface_{name}" for name in model.mesh.surfaces} <= set(back.point_data)
+    assert {"block", "min_dihedral_deg", "block_tissue", "block_probe"} <= set(back.cell_data)
+
+
+def test_marker_that_was_not_found_is_an_error(folder, out):
+    with pytest.raises(CaseError, match="marker 3 was not found") as caught:
+        mesh(Case.open(folder), out=out, sites=["p2"])
+    assert "position_mm" in caught.value.fix
+
+
+def test_sizes_out_of_range_are_refused(folder, out):
+    with pytest.raises(CaseError, match="--size-mm"):
+        mesh(Case.open(folder), out=out, sites=["p1"], size=0.1)
+
+
+def test_without_segment_it_says_what_to_run(folder, tmp_path):
+    with pytest.raises(CaseError, match="no result of `segment`"):
+        mesh(Case.open(folder), out=tmp_path)
+
+
+def test_command_prints_json(folder, out, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(
+            [
+                "mesh",
+                str(folder),
+                "--out",
+                str(out),
+                "--site",
+                "p1",
+                "--size-mm",
+                "5",
+                "--far-size-mm",
+                "12",
+                "--json",
+                "-q",
+            ]
+        )
+    assert not done.value.code
+    printed = json.loads(capsys.readouterr().out)
+    assert printed[0]["stage"] == "mesh"
+    assert printed[0]["data"]["size_under_probe_mm"] == 5.0
