@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 Mask = NDArray[np.bool_]
+Guide = Callable[[Array], Array]
 _MOST_TRIALS = 40
 _LEAST_GAIN = 1e-4
 _SMALLEST_DAMPING = 1e-14
@@ -59,6 +60,7 @@ def levenberg_marquardt(
     tolerance: float = 1e-3,
     max_iterations: int = 50,
     must_settle: bool = True,
+    guide: Guide | None = None,
     progress: Progress = SILENT,
 ) -> Fit:
     """Least squares between bounds.
@@ -67,6 +69,10 @@ def levenberg_marquardt(
     trust radius in More's scaling. A parameter that sits on a bound and would be pushed out is held
     there for that step; a step that crosses a bound is cut at it and solved again for
     the others. A trial where the model has no answer (SolveError) counts as worse.
+
+    guide : theta -> a better guess, from whatever is known of the model so far (costless); it is
+        tried before the step, and counts only where the cost there does fall. Which point
+        is the end is decided by the same tests with the model's own derivatives.
 
     Ends when the actual and the predicted relative fall of the cost are both at most
     `tolerance`, or no parameter moves by more than `tolerance` of itself, or no direction leads down.
@@ -80,7 +86,7 @@ def levenberg_marquardt(
 
     Source: Marquardt 1963; More 1978, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630:105.
     """
-    search = _Search(objective, tuple(parameters), progress)
+    search = _Search(objective, tuple(parameters), progress, guide)
     for iteration in range(1, max_iterations + 1):
         reason = search.iterate(tolerance)
         progress.event(
@@ -102,8 +108,11 @@ def levenberg_marquardt(
 class _Search:
     """State of one search: the current point, its linearisation, trust radius and scaling."""
 
-    def __init__(self, objective: Objective, parameters: tuple[Parameter, ...], progress: Progress):
+    def __init__(
+        self, objective: Objective, parameters: tuple[Parameter, ...], progress: Progress, guide: Guide | None
+    ):
         self.objective, self.parameters, self.progress = objective, parameters, progress
+        self.guide = guide
         self.low = np.array([p.low for p in parameters])
         self.high = np.array([p.high for p in parameters])
         self.stride = np.array([p.stride for p in parameters])
@@ -128,13 +137,18 @@ class _Search:
             return "no direction leads down"
         if not np.isfinite(self.radius):
             self.radius = max(float(np.linalg.norm(self.scale)), 1e-300)
-        for _ in range(_MOST_TRIALS):
+        for trials in range(_MOST_TRIALS):
             step = self._step(line)
             theta = natural(self.parameters, line.x + step)
             predicted = line.fall(step)
             small = bool(np.all(np.abs(theta - self.theta) <= tolerance * self.theta))
             if predicted <= 0.0 or (small and predicted <= tolerance**2 * self.now.cost):
                 return "the next step is within tolerance"
+            if self.guide is not None and trials == 0:
+                if len(self.history) > 1 and predicted <= tolerance * self.now.cost:
+                    return "the next step would not lower the cost by more than the tolerance"
+                if self._guided(line):
+                    return ""
             trial = self._try(theta)
             actual = self.now.cost - trial.cost if trial is not None else -np.inf
             cost = self.now.cost
@@ -183,6 +197,19 @@ class _Search:
             else:
                 high = middle
         return line.step(float(np.exp(high)), scale)
+
+    def _guided(self, line: _Line) -> bool:
+        """Whether the guide's guess, drawn into the box of steps, was better."""
+        assert self.guide is not None
+        wished = normalised(self.parameters, np.clip(self.guide(self.theta), self.low, self.high))
+        theta = natural(self.parameters, line.x + np.clip(wished - line.x, line.low, line.high))
+        if np.array_equal(theta, self.theta):
+            return False
+        trial = self._try(theta)
+        if trial is None or not trial.cost < self.now.cost:
+            return False
+        self._accept(theta, trial)
+        return True
 
     def _resize(self, step: Array, line: _Line, gain: float, actual: float) -> None:
         """More's rule: shrink along the parabola through the trial, grow after a good step."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError
-from limbcli.inference.fit import Fit, levenberg_marquardt
+from limbcli.inference.emulator import Emulator
+from limbcli.inference.fit import Fit, Guide, levenberg_marquardt
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
 from limbcli.inference.prediction import Memory, Prediction, sampled
 from limbcli.inference.residual import force_residual
@@ -75,6 +77,7 @@ def two_step(
     start_f_kappa: float = START_F_KAPPA,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
+    guided: bool = True,
     progress: Progress = SILENT,
 ) -> tuple[FittedStep, FittedStep]:
     """Identify (f_kappa, m) from a force-depth curve, c held fixed.
@@ -82,6 +85,9 @@ def two_step(
     Minimises the sum of squared F_exp - F_sim at the measured depths, the simulated curve
     sampled by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over
     both from that result (Ogden type), each parameter normalised by its start value.
+
+    guided : every iteration first tries the minimum on a stand-in of the solved points, which
+        saves simulations; the end point meets the same tests either way
 
     curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
 
@@ -97,15 +103,17 @@ def two_step(
             fix="measure more force levels, or mark loading rows `load` in the column phase",
         )
     start = np.array([start_f_kappa, M_MOONEY_RIVLIN])
-    first = _step(MOONEY_RIVLIN, (F_KAPPA,), start, curve, knots, data, tolerance, max_iterations, progress)
+    first = _step(
+        MOONEY_RIVLIN, (F_KAPPA,), start, curve, knots, data, tolerance, max_iterations, guided, progress
+    )
     both = (F_KAPPA, M)
-    second = _step(OGDEN, both, first.theta, curve, knots, data, tolerance, max_iterations, progress)
+    second = _step(OGDEN, both, first.theta, curve, knots, data, tolerance, max_iterations, guided, progress)
     return first, second
 
 
 def _step(
     name: str, free: tuple[int, ...], start: Array, curve: Memory, knots: Array, data: ForceDepth,
-    tolerance: float, max_iterations: int, progress: Progress,
+    tolerance: float, max_iterations: int, guided: bool, progress: Progress,
 ) -> FittedStep:  # fmt: skip
     parameters = [search_parameters(*start)[k] for k in free]
     predict = sampled(curve, knots, data.depth, free=free, fixed=start)
@@ -113,6 +121,7 @@ def _step(
     fit = levenberg_marquardt(
         force_residual(predict, data.force), parameters,
         tolerance=tolerance, max_iterations=max_iterations, progress=progress,
+        guide=_guide(parameters, free, start, curve, knots, data) if guided else None,
     )  # fmt: skip
     theta = start.copy()
     theta[list(free)] = fit.theta
@@ -122,6 +131,21 @@ def _step(
         coefficient_of_determination(data.force, simulated), root_mean_square(fit.residual),
         curve.n_solves - before, time.perf_counter() - clock,
     )  # fmt: skip
+
+
+def _guide(
+    parameters: Sequence[Parameter], free: tuple[int, ...], start: Array, curve: Memory, knots: Array,
+    data: ForceDepth,
+) -> Guide:  # fmt: skip
+    """The minimum of the same objective on a stand-in made of everything solved so far."""
+
+    def guess(theta: Array) -> Array:
+        predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)
+        near = [p.in_logs().started_at(float(t)) for p, t in zip(parameters, theta, strict=True)]
+        objective = force_residual(predict, data.force)
+        return levenberg_marquardt(objective, near, tolerance=1e-5, must_settle=False).theta
+
+    return guess
 
 
 def sensitivities(curve: Memory, knots: Array, data: ForceDepth, theta: Array) -> Prediction:

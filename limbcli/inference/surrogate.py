@@ -92,7 +92,8 @@ class Surrogate:
             return None
         basis = self._basis()
         solved_basis = cho_solve(factor, basis)
-        information = basis.T @ solved_basis + 1e-12 * np.eye(basis.shape[1])
+        information = basis.T @ solved_basis
+        information += 1e-9 * np.trace(information) * np.eye(len(information))
         trend = np.linalg.solve(information, solved_basis.T @ self._targets)
         residual = self._targets - basis @ trend
         weights = cho_solve(factor, residual)
@@ -108,17 +109,18 @@ class Surrogate:
         kernel = np.exp(-0.5 * np.sum(difference**2, axis=2))
         scaled = difference / lengths
         with_slope = kernel[:, :, None] * scaled  # cov(f(a), d f(b) / d b_j)
-        to_slopes = with_slope[:, self._graded].reshape(len(a), -1)
+        n_slopes = int(self._graded.sum()) * a.shape[1]
+        to_slopes = with_slope[:, self._graded].reshape(len(a), n_slopes)
         top = np.hstack([kernel, to_slopes])
         if graded_a is None:
             return top
         p = a.shape[1]
-        from_slopes = -np.swapaxes(with_slope, 1, 2)[graded_a].reshape(-1, len(b))
+        from_slopes = -np.swapaxes(with_slope, 1, 2)[graded_a].reshape(int(graded_a.sum()) * p, len(b))
         hessian = kernel[:, :, None, None] * (
             np.diag(1.0 / lengths**2) - scaled[..., :, None] * scaled[..., None, :]
         )
         block = hessian[graded_a][:, self._graded].transpose(0, 2, 1, 3)
-        bottom = np.hstack([from_slopes, block.reshape(int(graded_a.sum()) * p, -1)])
+        bottom = np.hstack([from_slopes, block.reshape(int(graded_a.sum()) * p, n_slopes)])
         return np.vstack([top, bottom])
 
 
