@@ -14,8 +14,10 @@ _THICKEST = 14.0  # mm, the tibial crest
 _LINE = 1.3  # mm: dark lines (fascia, membranes) thinner than twice this are no bone
 _NOTCH = 2.0  # mm: notches narrower than twice this are filled
 _CAP = 8.0  # mm: cortex beyond the last slice with marrow
-_EDGE = (0.8, 1.4)  # bounds of the tissue level beside the bone, muscle = 1
-_HALF = 0.5  # of the tissue beside the bone
+_EDGE = (0.8, 1.2)  # bounds of the tissue level beside the bone, muscle = 1
+_NEARBY = 1.5  # mm
+_THIN = 2.5  # mm: a dip further from the marrow is no cortex
+_WALL = 0.75  # of muscle: where nothing is darker there is no wall
 
 
 def with_cortex(
@@ -28,37 +30,46 @@ def with_cortex(
     """
     in_plane = spacing[:2]
     values = ndimage.gaussian_filter(levels.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
-    dark = _dark(values, limb, spacing)
+    dark, dip = _dark(values, limb, spacing)
     bone = np.zeros_like(marrow)
     slices = np.flatnonzero(marrow.any(axis=(0, 1)))
     for k in slices.tolist():
         here = marrow[:, :, k]
         window = box_around(here, np.ceil((_THICKEST + 2.0) / in_plane))
-        section, wall = values[:, :, k][window], dark[:, :, k][window]
-        bone[:, :, k][window] = _shell(here[window], section, wall, levels, in_plane)
+        walls = dark[:, :, k][window], dip[:, :, k][window]
+        bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, levels, in_plane)
     _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
     return evened(bone, spacing)
 
 
-def _dark(values: NDArray[np.float32], limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
-    reach = [max(1, round(1.5 / each)) for each in spacing[:2]]
+def _dark(
+    values: NDArray[np.float32], limb: NDArray[np.bool_], spacing: Array
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(darker than half of the tissue nearby, within a dip): the second also sees a wall thinner
+    than a voxel, whose edge is half way up from its own darkest value.
+    """
+    reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
     x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
     footprint = ((x / reach[0]) ** 2 + (y / reach[1]) ** 2 <= 1)[:, :, None]
-    beside = ndimage.grey_dilation(values, footprint=footprint)
-    return (values < _HALF * np.clip(beside, *_EDGE)) & limb
+    beside = np.clip(ndimage.grey_dilation(values, footprint=footprint), *_EDGE)
+    darkest = np.clip(ndimage.grey_erosion(values, footprint=footprint), 0.0, None)
+    dark = (values < 0.5 * beside) & limb
+    dip = (values < 0.5 * (beside + darkest)) & (darkest < _WALL) & limb
+    return dark, dip
 
 
 def _shell(
     marrow: NDArray[np.bool_],
     values: NDArray[np.float32],
-    dark: NDArray[np.bool_],
+    walls: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     levels: Levels,
     spacing: Array,
 ) -> NDArray[np.bool_]:
     """Marrow and cortex in one slice."""
     radius = np.sqrt(marrow.sum() * np.prod(spacing) / np.pi)
     outside = ndimage.distance_transform_edt(~marrow, sampling=spacing)
-    wall = dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))
+    dark, dip = walls
+    wall = (dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip & (outside < _THIN))
     rim = (outside < 0.6) & (values < levels.between)
     whole = opened(ndimage.binary_fill_holes(marrow | wall | rim), _LINE, spacing) | marrow
     parts, _ = ndimage.label(whole)

@@ -15,6 +15,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
 _BALL = 12.0  # mm: an opening with this ball leaves the limb and takes markers off
+_BLUR = 3.0  # mm round a marker
 _PROUD = 2.0  # mm a marker must rise above the skin
 _SIZE = (30.0, 4000.0)  # mm^3
 _AWAY = 15.0  # mm: nothing further from the limb is a marker on it
@@ -33,8 +34,11 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class FoundMarkers:
+    """markers; `mask` of their voxels; `around`: what is theirs or their blur, not the limb's."""
+
     markers: tuple[Marker, ...]
     mask: NDArray[np.bool_]
+    around: NDArray[np.bool_]
 
 
 def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> FoundMarkers:
@@ -75,7 +79,10 @@ def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> Fou
             centres.append(ndimage.center_of_mass(weight))
             sizes.append(float(volumes[number]))
     positions = volume.to_patient(np.array(centres).reshape(-1, 3))
-    return FoundMarkers(markers=number_markers(positions, np.array(sizes), volume, body), mask=kept)
+    around = kept
+    if kept.any():
+        around = (ndimage.distance_transform_edt(~kept, sampling=spacing) <= _BLUR) & ~body
+    return FoundMarkers(number_markers(positions, np.array(sizes), volume, body), kept, around)
 
 
 def number_markers(

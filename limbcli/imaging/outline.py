@@ -49,12 +49,14 @@ def background_threshold(values: NDArray) -> float:
     return float(max(_ROUGH * split, np.median(air) + 4 * noise if len(air) else 0.0))
 
 
-def skin_outline(volume: Volume, levels: Levels, rough: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def skin_outline(
+    volume: Volume, levels: Levels, rough: NDArray[np.bool_], *, without: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """The limb with its edge where the signal is half of the outermost tissue's.
 
     Skin is a grey band of 1 to 2 mm on T1, darker than muscle; its outer edge is taken.
-    Ghosts of pulsating vessels beside the limb are cut off, and the edge is evened out in
-    its distance field.
+    `without` is left out (skin markers). Ghosts of pulsating vessels beside the limb are cut
+    off, and the edge is evened out in its distance field.
     """
     raw = _blurred(volume)
     values = _blurred(volume.with_values(levels.values))
@@ -63,6 +65,8 @@ def skin_outline(volume: Volume, levels: Levels, rough: NDArray[np.bool_]) -> ND
     threshold = np.clip(0.5 * beside, *_SKIN)
     near = ndimage.binary_dilation(rough, _ellipse(*(3 * n for n in reach))[:, :, None])
     above = (values > threshold) & (raw > _NOISE * background_threshold(raw)) & near
+    if without is not None:
+        above &= ~without
     mask = filled_by_slice(largest(above))
     for k in range(mask.shape[2]):
         mask[:, :, k] = opened(mask[:, :, k], _GHOST, volume.spacing[:2])

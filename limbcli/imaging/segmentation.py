@@ -78,7 +78,7 @@ def segment_limb(
     tell(2)
     found = find_markers(work, levels, rough)
     tell(3)
-    limb = skin_outline(work, levels, rough & ~_grown(found.mask, work.spacing))
+    limb = skin_outline(work, levels, rough, without=found.around)
     tell(4)
     points = None if seeds is None else work.to_voxel(seeds)
     marrow = find_marrow(levels, limb, work.spacing, seeds=points)
@@ -126,10 +126,3 @@ def _coarse(labels: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     blocks = labels.reshape(a // factor, factor, b // factor, factor, c)
     shares = [(blocks == value).mean(axis=(1, 3)) for value in (0, SOFT_TISSUE, BONE, MARKER)]
     return np.argmax(shares, axis=0).astype(np.uint8)
-
-
-def _grown(mask: NDArray[np.bool_], spacing: Array, by: float = 1.0) -> NDArray[np.bool_]:
-    """The mask and what lies within `by` mm of it."""
-    if not mask.any():
-        return mask
-    return ndimage.distance_transform_edt(~mask, sampling=spacing) <= by
