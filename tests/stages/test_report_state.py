@@ -100,10 +100,9 @@ def write_run(folder: Path, model: LimbModel) -> StageResult:
     if "nodes.csv" in names:
         write_record(folder / "nodes.csv", [(t, t * u) for t in shares])
     if "elements.csv" in names:
-        row = [0.84, *gradient.ravel()]
-        write_record(
-            folder / "elements.csv", [(t, np.tile(row, (len(tissue), 1))) for t in shares], first_id=2
-        )
+        rows = [np.r_[1.0, (np.eye(3) + t * (gradient - np.eye(3))).ravel()] for t in shares]
+        blocks = [(t, np.tile(row, (len(tissue), 1))) for t, row in zip(shares, rows, strict=True)]
+        write_record(folder / "elements.csv", blocks, first_id=2)
     return StageResult("run", "S1", folder, "p1")
 
 
