@@ -32,8 +32,7 @@ def convergence(page: Page, site: SiteMaterial) -> Reportlet:
         pictures=tuple(pictures),
         look_for="a misfit that falls and then stays flat, and parameters that settle",
         bad="a parameter that is still moving at the last iteration or runs to the edge of its panel, or "
-        "a solver "
-        "residual that stays above its target",
+        "a solver residual that stays above its target",
         notes=() if pictures else ("The result holds no record of the iterations.",),
     )
 
@@ -59,6 +58,5 @@ def profiles(page: Page, site: SiteMaterial) -> Reportlet | None:
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
         "shaded range",
         bad="a curve that stays below the 95 % line to one side of its panel: in that direction the data "
-        "exclude "
-        "nothing, and the fitted value is where the search happened to stop",
+        "exclude nothing, and the fitted value is where the search happened to stop",
     )

@@ -25,8 +25,8 @@ def deformation(page: Page, site: SiteMaterial) -> Reportlet:
         Picture(
             f"section-{site.name}",
             f"Section through the model at site {site.name} in the probe's long plane at {most:.1f} mm "
-            f"depth: "
-            "displacement is largest under the probe and fades towards the bones and the cut faces.",
+            f"depth: displacement is largest under the probe and fades towards the bones and the cut "
+            f"faces.",
             figure=section_figure(state),
             vector=False,
         ),
@@ -44,11 +44,10 @@ def deformation(page: Page, site: SiteMaterial) -> Reportlet:
         site.name,
         pictures=pictures,
         look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "
-        "follows the "
-        "probe's face, and the strongest squeeze between probe and bone",
+        "follows the probe's face, and the strongest squeeze between probe and bone",
         bad="skin that passes through the probe, a checkerboard or spikes in the lower picture (locking, "
-        "or an "
-        "element near collapse), or displacement that is still large at a cut face (the model is too small)",
+        "or an element near collapse), or displacement that is still large at a cut face (the model is "
+        "too small)",
         notes=tuple(_notes(site, state)),
     )
 

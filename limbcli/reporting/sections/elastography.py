@@ -31,11 +31,9 @@ def elastography(page: Page, site: SiteMaterial) -> Reportlet:
         pictures=(Picture(f"wave-speed-{site.name}", alt + "".join(words), figure=figure),),
         tables=(Table(f"Straight lines through the speeds at site {site.name}", (names,), rows),),
         look_for="speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
-        "c. Against "
-        "depth the picture hardly depends on the force zero, on skin or on the mesh",
+        "c. Against depth the picture hardly depends on the force zero, on skin or on the mesh",
         bad="a step or scatter larger than the bars, a speed that falls under load, or bars so tall that "
-        "the first "
-        "level could mean half or double the stiffness (c goes with the square of the speed)",
+        "the first level could mean half or double the stiffness (c goes with the square of the speed)",
         warned=(site.why_no_line,) if site.why_no_line else (),
     )
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from limbcli.errors import FitError
+from limbcli.errors import CaseError
+from limbcli.reporting.curves import read_curves, read_run_curve
 from limbcli.reporting.figures.force_depth import SimulatedCurve, force_depth
-from limbcli.reporting.fit_curves import read_curves
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Does the model follow the measured force?"
+_NO_FIT = (
+    "There is no fit to draw: these are the measured levels, and the simulation with start values "
+    "if it was run."
+)
 _R2_CAVEAT = (
     "R² is near 1 for any curve that rises as the data do; judge by the differences in the lower panel, in N."
 )
@@ -22,15 +26,10 @@ def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
     outcome = page.outcomes.of("fit", site.name)
     if site.measured is None:
         return Reportlet(key, TITLE, "failed", site.name, warned=(site.why_no_levels,))
-    curves: tuple[SimulatedCurve, ...] = ()
+    curves, warned = _curves(page, site)
     notes: list[str] = []
-    warned: tuple[str, ...] = ()
     if outcome.result is not None:
         notes = [*_step_notes(read_fit_view(outcome.result)), _R2_CAVEAT]
-        try:
-            curves = read_curves(outcome.result, site.measured.depth)
-        except FitError as error:
-            warned = (f"{error.what}; {error.fix}.",)
     gap = placeholder(key, TITLE, outcome) if outcome.status != "done" else None
     name = f"force-depth-{site.name}"
     picture = Picture(name, _alt(site, curves), figure=force_depth(site.measured, curves))
@@ -41,18 +40,28 @@ def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
         site.name,
         pictures=(picture,),
         look_for="the solid curve runs through the points and the differences scatter around zero, inside "
-        "the grey "
-        "band of the force's standard deviation",
+        "the grey band of the force's standard deviation",
         bad="differences that swing slowly from one side to the other (the model lacks something), a "
-        "curve that "
-        "is right at one end only, or a start curve that already fits (the data do not decide)",
-        notes=tuple(notes)
-        if not gap
-        else ("The measured levels alone: there is no fit to draw.", *gap.notes),
+        "curve that is right at one end only, or a start curve that already fits (the data do not decide)",
+        notes=tuple(notes) if not gap else (_NO_FIT, *gap.notes),
         warned=warned,
         failure=gap.failure if gap else None,
         command=gap.command if gap else "",
     )
+
+
+def _curves(page: Page, site: SiteMaterial) -> tuple[tuple[SimulatedCurve, ...], tuple[str, ...]]:
+    """The fit's curves, else the run's, and what could not be read."""
+    assert site.measured is not None
+    fit, run = page.outcomes.of("fit", site.name), page.outcomes.of("run", site.name)
+    try:
+        if fit.result is not None:
+            return read_curves(fit.result, site.measured.depth), ()
+        if run.result is not None:
+            return (read_run_curve(run.result),), ()
+    except CaseError as error:
+        return (), (f"{error.what}; {error.fix}.",)
+    return (), ()
 
 
 def _step_notes(view: FitView) -> list[str]:

@@ -31,11 +31,9 @@ def mesh(page: Page, site: SiteMaterial) -> Reportlet:
         pictures=pictures,
         more=(table,) if rows else (),
         look_for="small elements under the probe that grow smoothly outwards, bones as clean holes, and "
-        "the probe "
-        "flat on the skin",
+        "the probe flat on the skin",
         bad="slivers, sudden jumps in element size, a bone that touches the skin or the cut faces oddly, "
-        "or a "
-        "probe that hangs over an edge of the model",
+        "or a probe that hangs over an edge of the model",
         notes=result.summary,
         warned=result.warnings,
     )

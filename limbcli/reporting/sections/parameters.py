@@ -13,12 +13,11 @@ _NOTABLE = 1.5  # times the stated noise
 TET4_WORDS = (
     "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
     "incompressible tissue. The f_κ (and κ′) found with them compensates for the mesh. It is a property "
-    "of this mesh, "
-    "not of the tissue; do not carry it over to another model."
+    "of this mesh, not of the tissue; do not carry it over to another model."
 )
 TET10_WORDS = (
-    "With ten-node tetrahedra the force hardly changes once f_κ is above about 50: an interval that is open "
-    "upwards means “nearly incompressible”, and no more than that."
+    "With ten-node tetrahedra the force hardly changes once f_κ is above about 50: an interval that is "
+    "open upwards means “nearly incompressible”, and no more than that."
 )
 
 
@@ -34,11 +33,9 @@ def parameters(page: Page) -> Reportlet:
         _mood(outcomes, views),
         tables=(_paper_table(outcomes, views), *details),
         look_for="a narrow interval and the word “identified”. c comes from shear waves at zero load and "
-        "is held "
-        "fixed; m says how fast the tissue stiffens; κ′ = f_κ c how it resists a change of volume",
+        "is held fixed; m says how fast the tissue stiffens; κ′ = f_κ c how it resists a change of volume",
         bad="“at bound”, “no influence”, “trades off” or an interval open to one side: such a value is "
-        "where the "
-        "search stopped, not a property of the tissue",
+        "where the search stopped, not a property of the tissue",
         notes=tuple(notes),
         warned=tuple(warned),
     )
@@ -148,8 +145,7 @@ def _noise_words(view: FitView) -> list[str]:
     if view.noise_scale is not None and view.noise_scale > _NOTABLE:
         words.append(
             f"the differences are {significant(view.noise_scale, 2)} times as large as the stated noise "
-            f"explains. "
-            "The intervals were widened accordingly; the model may lack something."
+            f"explains. The intervals were widened accordingly; the model may lack something."
         )
     return words
 

@@ -37,9 +37,8 @@ def segmentation(page: Page) -> Reportlet:
         look_for="each outline follows the edge it belongs to in every slice, and the dark bone cortex "
         "lies inside the bone outline",
         bad="an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or "
-        "rings a "
-        "vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and name it as "
-        "“labels” in case.toml",
+        "rings a vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and name "
+        "it as “labels” in case.toml",
         notes=result.summary,
         warned=result.warnings,
     )

@@ -1,4 +1,4 @@
-"""The simulated curves that `fit` left in curves.csv."""
+"""The simulated curves that `fit` left in curves.csv, or `run` in force-depth.csv."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import csv
 
 import numpy as np
 
-from limbcli.errors import FitError
+from limbcli.errors import CaseError
 from limbcli.model import Array
 from limbcli.reporting.figures.force_depth import SimulatedCurve
 from limbcli.results import StageResult
 
-CURVES_FILE = "curves.csv"
+CURVES_FILE, RUN_CURVE_FILE = "curves.csv", "force-depth.csv"
 _LABELS = {
     "start": "start (f_κ = 100, m = 2)",
     "mooney-rivlin": "Mooney-Rivlin type (m = 2)",
@@ -27,27 +27,41 @@ def read_curves(result: StageResult, measured_depth: Array | None = None) -> tup
 
     Raises
     ------
-    FitError
+    CaseError
         If the file is missing or a value is not a number.
     """
-    path = result.folder / result.files.get("curves", CURVES_FILE)
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-        columns = {name: _numbers(rows, name) for name in (rows[0] if rows else {})}
-        depth = columns.pop(_DEPTH)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FitError(
-            f"the fit's curves cannot be read ({type(error).__name__}: {error})",
-            where=str(path),
-            fix="run `limbcli fit` again",
-        ) from error
+    columns = _columns(result, result.files.get("curves", CURVES_FILE))
+    depth = columns.pop(_DEPTH)
     columns.pop(_MEASURED, None)
     return tuple(
         _curve(name.removesuffix(_FORCE_UNIT), depth, force, measured_depth)
         for name, force in columns.items()
         if name.endswith(_FORCE_UNIT)
     )
+
+
+def read_run_curve(result: StageResult) -> SimulatedCurve:
+    """The simulation with start values, for a site that has not been fitted. Raises as `read_curves`."""
+    columns = _columns(result, result.files.get("force_depth", RUN_CURVE_FILE))
+    depth, force = (np.r_[0.0, columns[name]] for name in (_DEPTH, "force_n"))
+    return SimulatedCurve("start", "simulation with start values", depth, force)
+
+
+def _columns(result: StageResult, name: str) -> dict[str, Array]:
+    path = result.folder / name
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        columns = {column: _numbers(rows, column) for column in (rows[0] if rows else {})}
+        if _DEPTH not in columns:
+            raise KeyError(_DEPTH)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaseError(
+            f"the curves of “{result.stage}” cannot be read ({type(error).__name__}: {error})",
+            where=str(path),
+            fix=f"run `limbcli {result.stage}` again",
+        ) from error
+    return columns
 
 
 def _numbers(rows: list[dict[str, str]], name: str) -> Array:
