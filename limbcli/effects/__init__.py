@@ -1,0 +1,87 @@
+"""Candidate missing effects, one a file; this list is their index.
+
+An effect is a physical sentence, its parameters, and a pure change of the model (`apply`) or of
+the reading (`observe`). Numerical ones come first: what the mesh explains needs no new tissue.
+A further effect is one file with `EFFECT` in it: listed here, or named with
+`limbcli diagnose --effect-file`.
+"""
+
+from __future__ import annotations
+
+from limbcli.effects import (
+    adipose_layer,
+    anisotropy,
+    contact,
+    contraction,
+    crop,
+    depth_gain,
+    depth_zero,
+    force_gain,
+    force_zero,
+    friction,
+    inclusion,
+    locking,
+    nonlinearity,
+    poroelasticity,
+    preload,
+    skin_layer,
+    support_motion,
+    swe_depth_bias,
+    swe_guided_wave,
+    swe_time_scale,
+    thickness,
+    tilt,
+    viscoelasticity,
+)
+from limbcli.effects.base import Effect, Parameter
+from limbcli.errors import CaseError
+from limbcli.problems import suggestion
+
+EFFECTS: tuple[Effect, ...] = (
+    locking.EFFECT,
+    crop.EFFECT,
+    contact.EFFECT,
+    force_zero.EFFECT,
+    force_gain.EFFECT,
+    depth_zero.EFFECT,
+    depth_gain.EFFECT,
+    tilt.EFFECT,
+    support_motion.EFFECT,
+    thickness.EFFECT,
+    anisotropy.EFFECT,
+    skin_layer.EFFECT,
+    adipose_layer.EFFECT,
+    inclusion.EFFECT,
+    viscoelasticity.EFFECT,
+    poroelasticity.EFFECT,
+    nonlinearity.EFFECT,
+    preload.EFFECT,
+    contraction.EFFECT,
+    friction.EFFECT,
+    swe_time_scale.EFFECT,
+    swe_guided_wave.EFFECT,
+    swe_depth_bias.EFFECT,
+)
+
+__all__ = ["EFFECTS", "Effect", "Parameter", "effect"]
+
+
+def effect(name: str, effects: tuple[Effect, ...] = EFFECTS) -> Effect:
+    """An effect by its name.
+
+    Raises
+    ------
+    CaseError
+        If there is none of that name.
+
+    >>> effect("skin-layer").kind
+    'tissue'
+    """
+    for each in effects:
+        if each.name == name:
+            return each
+    raise CaseError(
+        f"there is no effect {name!r}",
+        where="--effects",
+        fix=suggestion(name, [each.name for each in effects]),
+    )

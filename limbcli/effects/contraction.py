@@ -1,0 +1,37 @@
+"""Muscle that tenses: an active stress along the fibres.
+
+sigma += (T0/J) (F a0)(F a0)', T0 0 to 30 kPa (0 to 10 % of the maximal stress); along the fibre
+rho v^2 grows by T0 l^2, across it at first not at all.
+FEBio: `prescribed fiber active contraction` in a `solid mixture`.
+Tell-tale: the force jumps or fluctuates within a hold, and repeats differ; rotated speeds jump more.
+Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physiol 108:1389.
+"""
+
+from __future__ import annotations
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
+from limbcli.model import LimbModel, Material
+
+TENSION = Parameter("active_stress_per_c", null=0.0, start=0.3, low=0.0, high=4.0, typical=0.6,
+                    prior="0 to 30 kPa; guarding, a few kPa")  # fmt: skip
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    tension = theta[TENSION.name]
+    if tension == 0.0:
+        return model
+    active = {"T0": tension * ground_modulus(model), "fiber": limb_axis(model)}
+    return with_part(model, Material("active_contraction", active))
+
+
+EFFECT = Effect(
+    name="contraction",
+    sentence="the muscle was tensed",
+    kind="tissue",
+    source="Zajac 1989, Crit Rev Biomed Eng 17:359",
+    parameters=(TENSION,),
+    apply=apply,
+    solves=True,
+    tell_tale="erratic levels; force fluctuates in holds",
+)

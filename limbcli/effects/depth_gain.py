@@ -1,0 +1,39 @@
+"""Depth reads too large or too small by a factor: d_true = g d_shown.
+
+The scanner assumes 1540 m/s; fat has about 1450, muscle 1580: g 0.94 to 1.03.
+Tell-tale: stretches force and speed over depth alike.
+Source: Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+GAIN = Parameter(
+    "depth_gain",
+    null=1.0,
+    start=1.02,
+    low=0.93,
+    high=1.05,
+    typical=1.03,
+    prior="sound speed 1450 to 1580 m/s",
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, depth_gain=reading.depth_gain * theta[GAIN.name])
+
+
+EFFECT = Effect(
+    name="depth-gain",
+    sentence="depth reads too large or too small by a factor (speed of sound)",
+    kind="measurement",
+    source="Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue)",
+    parameters=(GAIN,),
+    needs=("force",),
+    observe=observe,
+    tell_tale="stretches force and speed over depth alike",
+)

@@ -1,0 +1,34 @@
+"""The force reads too large or too small by a factor: F_shown = g F.
+
+Load cells of this kind are good to 5 %. Not separable from the scale of c unless the
+shear-wave speeds tie c.
+Tell-tale: the force scale differs from what the wave speeds say.
+Source: calibration of load cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+GAIN = Parameter(
+    "force_gain", null=1.0, start=1.03, low=0.9, high=1.1, typical=1.05, prior="calibration within 5 %"
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, force_gain=reading.force_gain * theta[GAIN.name])
+
+
+EFFECT = Effect(
+    name="force-gain",
+    sentence="the force reads too large or too small by a factor",
+    kind="measurement",
+    source="calibration of load cells",
+    parameters=(GAIN,),
+    needs=("force",),
+    observe=observe,
+    tell_tale="the force scale differs from what the wave speeds say",
+)

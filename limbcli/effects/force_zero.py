@@ -1,0 +1,40 @@
+"""The force reads off by a constant: F_shown = F + F0.
+
+F0 = m g (cos theta - cos theta_tare) for a probe of 0.2 to 0.4 kg whose load cell was tared
+in another position; at most 4 N.
+Tell-tale: a vertical shift of the whole force-depth curve; speed over depth stays.
+Source: statics of a tilted load cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+ZERO = Parameter(
+    "force_zero_n",
+    null=0.0,
+    start=0.5,
+    low=-4.0,
+    high=4.0,
+    typical=1.0,
+    prior="probe of 0.2 to 0.4 kg, tilted",
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, force_zero=reading.force_zero + theta[ZERO.name])
+
+
+EFFECT = Effect(
+    name="force-zero",
+    sentence="the force reads off by a constant (tare, weight of the probe)",
+    kind="measurement",
+    source="statics of a tilted load cell",
+    parameters=(ZERO,),
+    needs=("force",),
+    observe=observe,
+    tell_tale="a vertical shift of the whole force-depth curve; speed over depth stays",
+)

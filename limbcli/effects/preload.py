@@ -1,0 +1,41 @@
+"""The probe already pressed when force and depth were set to zero.
+
+F_shown(d) = F(d + d0) - F0, with F(d0) = F0, 0 to 2 N. The tissue is stretched at level 0, so that the speed
+there is not that of the tissue at rest, and c = 2 rho v0^2 is too high. In a model file
+the load begins at d0; resident stretch of the tissue itself would be a `prestrain elastic`.
+Tell-tale: the toe is missing; the speed at level 0 is that of squeezed tissue.
+Source: Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+PRELOAD = Parameter(
+    "preload_n",
+    null=0.0,
+    start=0.5,
+    low=0.0,
+    high=3.0,
+    typical=0.7,
+    prior="0 to 2 N: weight of the probe, contact through gel",
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, preload=reading.preload + theta[PRELOAD.name])
+
+
+EFFECT = Effect(
+    name="preload",
+    sentence="the probe already pressed when force and depth were set to zero",
+    kind="tissue",
+    source="Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster)",
+    parameters=(PRELOAD,),
+    needs=("force",),
+    observe=observe,
+    tell_tale="the toe is missing; the speed at level 0 is that of squeezed tissue",
+)

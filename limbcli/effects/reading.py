@@ -1,0 +1,191 @@
+"""From what happens in the tissue to what is written down: the measurement's own side of a model.
+
+`Curves` is what a simulation says of a site; a `Reading` is how instruments and
+operator distort it; `read` gives what levels.csv should then hold. Measurement
+effects are pure changes of the `Reading`, as tissue effects are of the `LimbModel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """A simulated indentation over the probe's depth.
+
+    depth (n,) mm from 0; force (n,) N; log_speed (n, n_windows) ln of m/s, NaN where no
+    wave runs, or (n, 0); window_depth (n_windows,) mm below the face; thickness: skin to bone
+    along the beam, mm, NaN where the beam meets no bone
+    """
+
+    depth: Array
+    force: Array
+    log_speed: Array
+    window_depth: Array
+    thickness: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Protocol:
+    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s)."""
+
+    force: Array
+    depth: Array
+    hold: Array
+    ramp: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """What the instruments would show at the levels: force, travel (n,), log_speed (n, n_windows), thickness."""
+
+    force: Array
+    log_speed: Array
+    travel: Array
+    thickness: float
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How the truth is read. The defaults are a faithful reading.
+
+    force_zero N, force_gain : shown = gain * true + zero
+    depth_zero mm, depth_gain : true = gain * (shown + zero)
+    preload N : force already on the probe when force and depth were set to zero
+    compliance mm/N : of limb and bone support, seen in the probe's travel only
+    log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
+    guided : 1e4 Hz^2 / f^2 of the shear waves, guided by probe and bone
+    prony : (share, time constant s) of relaxing stress beside the lasting one
+    after : further changes of the readout, by effects of a user's own
+    """
+
+    force_zero: float = 0.0
+    force_gain: float = 1.0
+    depth_zero: float = 0.0
+    depth_gain: float = 1.0
+    preload: float = 0.0
+    compliance: float = 0.0
+    log_speed_shift: float = 0.0
+    speed_slope: float = 0.0
+    guided: float = 0.0
+    prony: tuple[tuple[float, float], ...] = ()
+    after: tuple[Callable[[Readout, Curves, Protocol], Readout], ...] = field(default=())
+
+
+def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Readout:
+    """What would be written down at the levels' depths.
+
+    >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
+    >>> p = Protocol(np.array([0.0, 8.0]), np.array([0.0, 4.0]), np.zeros(2))
+    >>> read(c, p, Reading(force_zero=1.0)).force
+    array([1., 9.])
+    """
+    depth = true_depth(curves, protocol.depth, reading)
+    elastic = force_at(curves, depth)
+    force = elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
+    if reading.preload:
+        force = force - reading.preload
+    speed = _speeds(curves, depth, reading)
+    shown = Readout(
+        force=reading.force_gain * force + reading.force_zero,
+        log_speed=speed,
+        travel=protocol.depth + reading.compliance * protocol.force,
+        thickness=curves.thickness,
+    )
+    for change in reading.after:
+        shown = change(shown, curves, protocol)
+    return shown
+
+
+def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
+    """Depth of the probe since first touch (mm) where the record shows `shown`."""
+    depth = reading.depth_gain * (shown + reading.depth_zero)
+    if reading.preload:
+        depth = depth + depth_of_force(curves, reading.preload)
+    return depth
+
+
+def force_at(curves: Curves, depth: Array) -> Array:
+    """N at any depth: 0 before touch, PCHIP within the simulation, its last slope beyond."""
+    curve = PchipInterpolator(curves.depth, curves.force)
+    end = curves.depth[-1]
+    inside = curve(np.clip(depth, 0.0, end))
+    return np.asarray(inside + np.maximum(depth - end, 0.0) * curve(end, 1))
+
+
+def depth_of_force(curves: Curves, force: float) -> float:
+    """mm at which the simulated curve reaches a force.
+
+    >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
+    >>> round(depth_of_force(c, 4.0), 6)
+    2.0
+    """
+    low, high = 0.0, 2.0 * float(curves.depth[-1])
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if float(force_at(curves, np.array([middle]))[0]) < force:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
+    if not curves.log_speed.shape[1]:
+        return np.zeros((len(depth), 0))
+    columns = []
+    for column in curves.log_speed.T:
+        there = np.isfinite(column)
+        if there.sum() < 2:
+            columns.append(np.full(len(depth), np.nan))
+            continue
+        knots, values = curves.depth[there], column[there]
+        curve = PchipInterpolator(knots, values)
+        inside = np.clip(depth, knots[0], knots[-1])
+        beyond = depth - inside
+        columns.append(curve(inside) + beyond * np.where(beyond > 0, curve(knots[-1], 1), 0.0))
+    speed = np.stack(columns, axis=1) + reading.log_speed_shift
+    if reading.prony:
+        speed = speed + 0.5 * np.log1p(sum(share for share, _ in reading.prony))
+    if reading.guided:
+        speed = speed + _guided(speed, curves.thickness - depth, reading.guided)
+    if reading.speed_slope:
+        beyond_middle = curves.window_depth - curves.window_depth.mean()
+        speed = speed + np.log(np.maximum(1.0 - reading.speed_slope * beyond_middle, 0.05))
+    return np.asarray(speed)
+
+
+def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
+    """ln of 1/sqrt(1 - (lambda/2h)^2), lambda = v/f: (v/2h)^2/f^2 with v in mm/s."""
+    v_mm_per_s = 1e3 * np.exp(log_speed)
+    ratio = (v_mm_per_s / (2.0 * height[:, None])) ** 2 * per_f2 * 1e-4
+    return -0.5 * np.log1p(-np.minimum(ratio, 0.9))
+
+
+def _relaxed(elastic: Array, protocol: Protocol, prony: tuple[tuple[float, float], ...]) -> Array:
+    """Force at the end of each hold: the lasting one and what has not relaxed yet.
+
+    Each step is a ramp of `ramp` seconds, linear in the elastic force, then its hold.
+    F(t) = F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1).
+    """
+    held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
+    total = elastic.copy()
+    for share, tau in prony:
+        ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)
+        state, before = 0.0, 0.0
+        for k, now in enumerate(elastic):
+            state = state * np.exp(-protocol.ramp / tau) + (now - before) * ramp_kept
+            state *= np.exp(-held[k] / tau)
+            before = float(now)
+            total[k] += share * state
+    return total

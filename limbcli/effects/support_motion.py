@@ -1,0 +1,60 @@
+"""The limb gives way: the bone moves under the load.
+
+Depth is the loss of skin-bone distance, so that a rigid shift along the beam does not show in it; the
+probe's absolute travel is longer by F/k, k 5 to 100 N/mm.
+FEBio: the bone as a rigid body on a spring to ground.
+Tell-tale: probe travel minus depth grows with the force. Invisible without the travel.
+Source: series compliance (Hooke); Pathak et al. 1998, IEEE Trans Rehabil Eng 6:12 (indentor and limb motion).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+from limbcli.model import Drive, LimbModel, RigidBody, Spring
+
+COMPLIANCE = Parameter("support_compliance_mm_per_n", null=0.0, start=0.03, low=0.0, high=0.35, typical=0.05,
+                       prior="5 to 100 N/mm")  # fmt: skip
+_LENGTH = 50.0
+_DOFS = ("x", "y", "u", "v", "w")
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    """All held nodes ride on a rigid bone that a spring holds along z."""
+    compliance = theta[COMPLIANCE.name]
+    if compliance == 0.0:
+        return model
+    low = float(model.mesh.points[model.mesh.node_sets["fixed"], 2].min())
+    bone = RigidBody("bone", (0.0, 0.0, low), node_sets=("fixed",))
+    ground = RigidBody("ground", (0.0, 0.0, low - _LENGTH))
+    spring = Spring(
+        "support", "ground", "bone", 1.0 / compliance, (0.0, 0.0, low - _LENGTH), (0.0, 0.0, low), _LENGTH
+    )
+    drives = [Drive("bone", dof, "fixed") for dof in _DOFS]  # type: ignore[arg-type]
+    drives += [Drive("ground", dof, "fixed") for dof in (*_DOFS, "z")]  # type: ignore[arg-type]
+    return replace(
+        model,
+        supports=tuple(each for each in model.supports if each.node_set != "fixed"),
+        bodies=(*model.bodies, bone, ground),
+        springs=(*model.springs, spring),
+        drives=(*model.drives, *drives),
+    )
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, compliance=reading.compliance + theta[COMPLIANCE.name])
+
+
+EFFECT = Effect(
+    name="support-motion",
+    sentence="limb and bone give way under the load",
+    kind="measurement",
+    source="Pathak et al. 1998, IEEE Trans Rehabil Eng 6:12",
+    parameters=(COMPLIANCE,),
+    needs=("travel",),
+    apply=apply,
+    observe=observe,
+    tell_tale="probe travel minus depth grows with force",
+)

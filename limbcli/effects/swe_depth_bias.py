@@ -1,0 +1,34 @@
+"""The machine reads deep speeds differently from shallow ones: v_shown = v (1 - b (z - z_mid)).
+
+Push strength, depth of focus and attenuation: in a phantom-like muscle one scanner and probe gave
+4.6 m/s shallow and 1.8 deep.
+Tell-tale: a gradient with depth below the face that is the same at all loads.
+Source: PMC6148312 (depth dependence of one scanner and probe in muscle).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+SLOPE = Parameter(
+    "swe_loss_per_mm", null=0.0, start=0.005, low=-0.03, high=0.03, typical=0.01, prior="0 to 3 % per mm"
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, speed_slope=reading.speed_slope + theta[SLOPE.name])
+
+
+EFFECT = Effect(
+    name="swe-depth-bias",
+    sentence="the scanner reads deep tissue differently from shallow tissue",
+    kind="swe",
+    source="PMC6148312 (depth dependence of one scanner and probe in muscle)",
+    parameters=(SLOPE,),
+    needs=("map",),
+    observe=observe,
+    tell_tale="a gradient with depth below the face that is the same at all loads",
+)

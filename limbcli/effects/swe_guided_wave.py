@@ -1,0 +1,41 @@
+"""Between probe and bone shear waves are guided: they run faster than in free tissue.
+
+Motion along the beam is held at both: v_shown = v / sqrt(1 - (v / (2 h f))^2), h the thickness
+left, f the frequency (80 to 500 Hz). Thin sites and large loads read too high, which looks like a
+larger m.
+Tell-tale: extra rise of the speed at large load, more at thin sites.
+Source: Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+
+GUIDED = Parameter(
+    "guided_1e4_per_hz2",
+    null=0.0,
+    start=0.1,
+    low=0.0,
+    high=1.6,
+    typical=0.25,
+    prior="f 80 to 500 Hz: 1.6 to 0.04",
+)
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    return replace(reading, guided=reading.guided + theta[GUIDED.name])
+
+
+EFFECT = Effect(
+    name="swe-guided-wave",
+    sentence="shear waves are guided between probe and bone and read too fast",
+    kind="swe",
+    source="Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces)",
+    parameters=(GUIDED,),
+    needs=("swe",),
+    observe=observe,
+    tell_tale="extra rise of the speed at large load, more at thin sites",
+)

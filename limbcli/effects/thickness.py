@@ -1,0 +1,44 @@
+"""The tissue between skin and bone is thicker or thinner than the model's.
+
+z -> (1 + e) z of the tissue below first touch: e within 20 % (posture, swelling since the MRI, voxel
+size). Stiffness and speed over depth go as 1/H.
+FEBio: the mesh's nodes are moved.
+Tell-tale: the skin-bone distance of the first B-mode frame: it is measured, so look there.
+Source: Hayes et al. 1972, J Biomech 5:541 (stiffness of a layer over its thickness).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.model import LimbModel
+
+SCALE = Parameter("thickness_change", null=0.0, start=0.05, low=-0.2, high=0.2, typical=0.1,
+                  prior="posture and volume: within 10 %")  # fmt: skip
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    """Heights of the tissue's nodes scaled about first touch; the probe stays."""
+    change = theta[SCALE.name]
+    if change == 0.0:
+        return model
+    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+    points = model.mesh.points.copy()
+    points[nodes, 2] *= 1.0 + change
+    return replace(model, mesh=replace(model.mesh, points=points))
+
+
+EFFECT = Effect(
+    name="thickness",
+    sentence="the tissue is thicker or thinner than in the model",
+    kind="measurement",
+    source="Hayes et al. 1972, J Biomech 5:541",
+    parameters=(SCALE,),
+    apply=apply,
+    solves=True,
+    new_mesh=True,
+    tell_tale="the skin-bone distance on the first B-mode frame differs from the model's",
+)

@@ -1,0 +1,61 @@
+"""The probe was held at an angle, not along the skin's normal.
+
+A rotation of the rigid probe about its own axes, up to 10 degrees. It touches with one edge first: the
+force starts low and catches up; a moment appears.
+FEBio: the probe's shell is turned before it is written.
+Tell-tale: a left-right difference of the speeds; bone and face not parallel on the B-mode frame.
+Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (effect of misalignment on indentation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.model import LimbModel
+
+DIRECTION = "tilt_direction_deg"
+ANGLE = Parameter(
+    "tilt_deg", null=0.0, start=5.0, low=0.0, high=15.0, typical=5.0, prior="by hand, within 10 deg"
+)
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    """Turn the probe about an axis in its face, then lift it so that its lowest point is as deep as before.
+
+    The direction is the side that comes lower: 0 deg +x, 90 deg +y.
+    """
+    angle = np.deg2rad(theta[ANGLE.name])
+    if angle == 0.0:
+        return model
+    toward = np.deg2rad(theta.get(DIRECTION, 0.0))
+    axis = np.array([-np.sin(toward), np.cos(toward), 0.0])
+    body = model.bodies[0]
+    nodes = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
+    center = np.array(body.center_of_mass)
+    points = model.mesh.points.copy()
+    arms = points[nodes] - center
+    c, s = np.cos(angle), np.sin(angle)
+    turned = arms * c + np.cross(axis, arms) * s + np.outer(arms @ axis, axis) * (1 - c)
+    lift = arms[:, 2].min() - turned[:, 2].min()
+    points[nodes] = center + turned + [0.0, 0.0, lift]
+    moved = replace(body, center_of_mass=(float(center[0]), float(center[1]), float(center[2] + lift)))
+    bodies = (moved, *model.bodies[1:])
+    info = {**model.info, "depth_offset_mm": float(model.info.get("depth_offset_mm", 0.0)) + float(lift)}
+    return replace(model, mesh=replace(model.mesh, points=points), bodies=bodies, info=info)
+
+
+EFFECT = Effect(
+    name="tilt",
+    sentence="the probe was held at an angle",
+    kind="measurement",
+    source="Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71",
+    parameters=(ANGLE,),
+    apply=apply,
+    grid=tuple({DIRECTION: float(d)} for d in (0, 90, 180, 270)),
+    solves=True,
+    new_mesh=True,
+    tell_tale="soft at first touch; speeds differ left and right",
+)

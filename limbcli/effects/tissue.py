@@ -1,0 +1,175 @@
+"""Pure changes of a model's tissue that several effects share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.effects.base import TISSUE
+from limbcli.errors import SolveError
+from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
+
+# Parameters that are stiffnesses or stresses: scaling all of them scales the law.
+_STIFFNESSES = ("c1", "c2", "c3", "c4", "c5", "c6", "kappa", "ksi", "mu", "lambda", "T0")
+
+
+def tissue_block(model: LimbModel) -> Block:
+    """The block made of the tissue.
+
+    Raises
+    ------
+    SolveError
+        If there is none, or more than one.
+    """
+    names = [each.block for each in model.domains if each.material == TISSUE]
+    if len(names) != 1:
+        raise SolveError(
+            f"{len(names)} blocks are made of {TISSUE!r}",
+            where="effect",
+            fix="give the model one tissue block",
+        )
+    return model.mesh.block(names[0])
+
+
+def core(material: Material) -> Material:
+    """The elastic law at the heart of a material: itself, or the first solid of a mixture, unwrapped."""
+    while material.parts:
+        material = material.parts[0]
+    return material
+
+
+def ground_modulus(model: LimbModel) -> float:
+    """c = 2 mu of the tissue's elastic law (MPa): sum of its c_k; the mean where it is a map."""
+    parameters = core(model.materials[TISSUE]).parameters
+    total = 0.0
+    for k in range(1, 7):
+        value = parameters.get(f"c{k}", 0.0)
+        total += float(np.mean(value.values)) if isinstance(value, ElementMap) else float(value)  # type: ignore[arg-type]
+    return total
+
+
+def with_core(model: LimbModel, changed: Material) -> LimbModel:
+    """The model with the elastic law at the heart of its tissue replaced."""
+
+    def swap(material: Material) -> Material:
+        if not material.parts:
+            return changed
+        return replace(material, parts=(swap(material.parts[0]), *material.parts[1:]))
+
+    return model.with_material(TISSUE, swap(model.materials[TISSUE]))
+
+
+def with_part(model: LimbModel, part: Material) -> LimbModel:
+    """One more solid beside the tissue's: a mixture."""
+    tissue = model.materials[TISSUE]
+    solids = tissue.parts if tissue.law == "mixture" else (tissue,)
+    return model.with_material(TISSUE, Material("mixture", {}, (*solids, part), tissue.density))
+
+
+def scaled(model: LimbModel, factor: Array) -> LimbModel:
+    """The tissue's stiffness times `factor` (n_cells,), cell by cell; all of its solids alike."""
+    block = tissue_block(model)
+
+    def scale(material: Material, path: str) -> Material:
+        parts = tuple(scale(each, f"{path}{k}") for k, each in enumerate(material.parts))
+        changes: dict[str, Value] = {}
+        for name, value in material.parameters.items():
+            if name in _STIFFNESSES and isinstance(value, int | float | ElementMap):
+                base = value.values if isinstance(value, ElementMap) else float(value)
+                changes[name] = ElementMap(f"{TISSUE}{path}_{name}", block.name, base * factor)
+        return replace(material, parts=parts, parameters={**material.parameters, **changes})
+
+    return model.with_material(TISSUE, scale(model.materials[TISSUE], ""))
+
+
+def below_skin(model: LimbModel, places: Array) -> Array:
+    """Depth below the skin (mm) of places (n, 3): distance to the nearest point of the skin's surface."""
+    from scipy.spatial import cKDTree
+
+    corners = _skin_points(model)
+    distance, _ = cKDTree(corners).query(places)
+    return np.asarray(distance)
+
+
+def _skin_points(model: LimbModel) -> Array:
+    """Points spread over the skin's facets, dense enough that the nearest one tells the distance."""
+    surface = model.mesh.surfaces.get("skin")
+    if surface is None:
+        raise SolveError("the model has no surface `skin`", where="effect", fix="mesh again")
+    points = []
+    weights = [np.array(w) / 6 for w in ((6, 0, 0), (0, 6, 0), (0, 0, 6), (2, 2, 2), (3, 3, 0), (0, 3, 3), (3, 0, 3),
+                                         (4, 1, 1), (1, 4, 1), (1, 1, 4))]  # fmt: skip
+    for facets in surface.facets.values():
+        corners = model.mesh.points[facets[:, :3]]
+        points += [np.einsum("k,nkd->nd", w, corners) for w in weights]
+        if facets.shape[1] == 4:
+            points.append(model.mesh.points[facets].mean(axis=1))
+    return np.concatenate(points)
+
+
+def layer_share(model: LimbModel, low: float, high: float) -> Array:
+    """Part of each tissue cell (n_cells,) that lies between two depths below the skin (mm).
+
+    By sampling each tetrahedron's volume at 35 points, so that a layer thinner than an
+    element keeps its volume, hence its stiffness along the skin.
+    """
+    corners = model.mesh.points[tissue_block(model).cells[:, :4]]
+    n = 4
+    steps = [
+        (i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)
+    ]
+    weights = (np.array(steps) + 0.25) / (n + 1)
+    inside = np.zeros(len(corners))
+    for weight in weights:
+        depth = below_skin(model, np.einsum("k,nkd->nd", weight, corners))
+        inside += (depth >= low) & (depth < high)
+    return inside / len(weights)
+
+
+def limb_axis(model: LimbModel) -> tuple[float, float, float]:
+    """Direction of the limb's long axis in the site's frame, within the skin's plane (unit vector).
+
+    From the patient's head-foot axis; where the model does not know its place in the
+    patient, across the probe's long side.
+    """
+    entries = model.info.get("patient_from_model")
+    axis = np.array([0.0, 1.0, 0.0])
+    if entries is not None:
+        rotation = np.array(entries, dtype=float).reshape(4, 4)[:3, :3]
+        axis = rotation.T @ np.array([0.0, 0.0, 1.0])
+        axis[2] = 0.0
+        length = float(np.linalg.norm(axis))
+        axis = axis / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+    return float(axis[0]), float(axis[1]), float(axis[2])
+
+
+def centroids(model: LimbModel) -> Array:
+    """(n_cells, 3) of the tissue's cells, by their corners."""
+    block = tissue_block(model)
+    corners = {"tet10": 4, "tet4": 4}.get(block.kind, block.cells.shape[1])
+    return np.asarray(model.mesh.points[block.cells[:, :corners]].mean(axis=1))
+
+
+def thickness(model: LimbModel) -> float:
+    """Skin to bone along the beam (mm): depth of the nearest bone facet below the origin; NaN if none."""
+    surface = model.mesh.surfaces.get("bone")
+    if surface is None:
+        nodes = model.mesh.node_sets.get("fixed")
+        return float("nan") if nodes is None or not len(nodes) else float(-model.mesh.points[nodes, 2].min())
+    best = float("nan")
+    for facets in surface.facets.values():
+        a, b, c = (model.mesh.points[facets[:, k]] for k in range(3))
+        e1, e2 = (b - a)[:, :2], (c - a)[:, :2]
+        det = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
+        ok = np.abs(det) > 1e-12
+        safe = np.where(ok, det, 1.0)
+        p = -a[:, :2]
+        s = (p[:, 0] * e2[:, 1] - p[:, 1] * e2[:, 0]) / safe
+        t = (e1[:, 0] * p[:, 1] - e1[:, 1] * p[:, 0]) / safe
+        z = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
+        hit = ok & (s >= 0) & (t >= 0) & (s + t <= 1) & (z < 0)
+        if hit.any():
+            nearest = float(-z[hit].max())
+            best = nearest if np.isnan(best) else min(best, nearest)
+    return best

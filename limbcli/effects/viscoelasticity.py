@@ -1,0 +1,50 @@
+"""Stress relaxes: the tissue remembers how fast it was loaded.
+
+S(t) = int G(t - s) dS_e/ds ds, G = 1 + sum g_i exp(-t/tau_i): c is the lasting stiffness. Under a prescribed
+depth and one relaxation function for the whole stress, the force is the same convolution of the
+elastic force (exactly at small strain; a few per cent at large), which is how it is predicted
+here; shear waves see 1 + sum g_i.
+FEBio: `viscoelastic` around the tissue's law.
+Tell-tale: decay at constant depth, or creep at constant force, in every hold; hysteresis.
+Source: Fung 1993, Biomechanics, section 7.6; Zheng & Mak 1999, J Biomech Eng 121:330 (limb tissue).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from limbcli.effects.base import TISSUE, Effect, Parameter, Theta
+from limbcli.effects.reading import Reading
+from limbcli.model import LimbModel, Material
+
+TAU = "relaxation_time_s"
+SHARE = Parameter("relaxing_share", null=0.0, start=0.2, low=0.0, high=3.0, typical=0.3,
+                  prior="limb tissue, quasi-linear: 0.03 to 0.3")  # fmt: skip
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    """The wrapper that FEBio needs; load and time stay as they are."""
+    if theta[SHARE.name] == 0.0:
+        return model
+    tissue = model.materials[TISSUE]
+    prony = {"g0": 1.0, "g1": theta[SHARE.name], "t1": theta.get(TAU, 10.0)}
+    return model.with_material(TISSUE, Material("viscoelastic", prony, (tissue,), tissue.density))
+
+
+def observe(reading: Reading, theta: Theta) -> Reading:
+    if theta[SHARE.name] == 0.0:
+        return reading
+    return replace(reading, prony=(*reading.prony, (theta[SHARE.name], theta.get(TAU, 10.0))))
+
+
+EFFECT = Effect(
+    name="viscoelasticity",
+    sentence="stress relaxes while a level is held",
+    kind="tissue",
+    source="Fung 1993, Biomechanics, section 7.6",
+    parameters=(SHARE,),
+    apply=apply,
+    observe=observe,
+    grid=({TAU: 1.0}, {TAU: 10.0}, {TAU: 60.0}),
+    tell_tale="decay in every hold; loading and unloading differ",
+)
