@@ -18,7 +18,8 @@ from scipy import ndimage
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-_BAND = 4.0  # voxels on either side of the surface in which distances are exact
+_BAND = 3.0  # voxels on either side of the surface in which distances are exact
+_FAR = 1e6
 _JITTER = 1.2345e-5  # of a voxel: rays must not run through edges of tidy meshes
 
 
@@ -84,16 +85,13 @@ class Field:
 def signed_distance(surface: Triangles, grid: Grid) -> Field:
     """Distance (mm) to a closed surface at every sample, negative inside.
 
-    Exact within four spacings of the surface, to about half a spacing beyond.
+    Exact within three spacings of the surface, by first-order sweeps beyond.
     """
     corners = np.ascontiguousarray((surface.corners - grid.origin) / grid.spacing)
     near = _near_distance(corners, grid.shape, _BAND)
     inside = winding(corners, grid.shape) > 0.5
-    far = (
-        np.where(inside, ndimage.distance_transform_edt(inside), ndimage.distance_transform_edt(~inside))
-        - 0.5
-    )
-    distance = np.where(near < _BAND, near, np.maximum(far, _BAND))
+    distance = np.where(near < _BAND, near, _FAR)
+    _sweep(distance, near < _BAND)
     return Field(grid, np.where(inside, -distance, distance) * grid.spacing)
 
 
@@ -213,17 +211,24 @@ def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
 
 @njit(cache=True)
 def _redistance(phi: Any) -> Any:
-    """First-order fast sweeping of |grad d| = 1 in grid units, anchored beside the zero level."""
+    """Distance in grid units, anchored beside the zero level, with the sign of phi."""
+    d = _anchors(phi)
+    _sweep(d, d < _FAR)
+    return np.where(phi <= 0, -d, d)
+
+
+@njit(cache=True)
+def _anchors(phi: Any) -> Any:
+    """Distance of samples next to the zero level, from where it crosses the axes; `_FAR` elsewhere."""
     nx, ny, nz = phi.shape
-    big = 1e6
-    d = np.full(phi.shape, big)
+    d = np.full(phi.shape, _FAR)
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 f = phi[i, j, k]
                 inverse = 0.0
                 for axis in range(3):
-                    best = big
+                    best = _FAR
                     for step in (-1, 1):
                         a = i + (step if axis == 0 else 0)
                         b = j + (step if axis == 1 else 0)
@@ -232,11 +237,17 @@ def _redistance(phi: Any) -> Any:
                             g = phi[a, b, c]
                             if (f <= 0) != (g <= 0):
                                 best = min(best, abs(f) / max(abs(f - g), 1e-12))
-                    if best < big:
+                    if best < _FAR:
                         inverse += 1.0 / max(best, 1e-9) ** 2
                 if inverse > 0:
                     d[i, j, k] = 1.0 / np.sqrt(inverse)
-    anchored = d < big
+    return d
+
+
+@njit(cache=True)
+def _sweep(d: Any, anchored: Any) -> None:
+    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place."""
+    nx, ny, nz = d.shape
     for corner in range(8):
         i0, i1, di = (0, nx, 1) if corner & 1 else (nx - 1, -1, -1)
         j0, j1, dj = (0, ny, 1) if corner & 2 else (ny - 1, -1, -1)
@@ -245,17 +256,11 @@ def _redistance(phi: Any) -> Any:
             for j in range(j0, j1, dj):
                 for k in range(k0, k1, dk):
                     if not anchored[i, j, k]:
-                        x = min(d[i - 1, j, k] if i else big, d[i + 1, j, k] if i < nx - 1 else big)
-                        y = min(d[i, j - 1, k] if j else big, d[i, j + 1, k] if j < ny - 1 else big)
-                        z = min(d[i, j, k - 1] if k else big, d[i, j, k + 1] if k < nz - 1 else big)
+                        x = min(d[i - 1, j, k] if i else _FAR, d[i + 1, j, k] if i < nx - 1 else _FAR)
+                        y = min(d[i, j - 1, k] if j else _FAR, d[i, j + 1, k] if j < ny - 1 else _FAR)
+                        z = min(d[i, j, k - 1] if k else _FAR, d[i, j, k + 1] if k < nz - 1 else _FAR)
                         if min(x, y, z) < d[i, j, k]:
                             d[i, j, k] = min(d[i, j, k], _eikonal(x, y, z))
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if phi[i, j, k] <= 0:
-                    d[i, j, k] = -d[i, j, k]
-    return d
 
 
 @njit(cache=True)
