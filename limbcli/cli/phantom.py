@@ -8,6 +8,20 @@ from typing import Annotated
 import typer
 
 from limbcli.cli.options import JsonOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.synth_options import (
+    CStiffOpt,
+    FKappaOpt,
+    MaxForceOpt,
+    MaxStrainOpt,
+    MOpt,
+    NoiseOpt,
+    SameMeshOpt,
+    StepOpt,
+    SynthElementOpt,
+    SynthFarSizeOpt,
+    SynthMarginOpt,
+    SynthSizeOpt,
+)
 from limbcli.cli.terminal import emit, terminal
 
 FolderArg = Annotated[Path, typer.Argument(metavar="DIR", help="Case folder to make.", show_default=False)]
@@ -24,19 +38,46 @@ def command(
     name: NameOpt = "phantom",
     site: SiteOpt = None,
     no_measurement: BareOpt = False,
+    c_kpa: CStiffOpt = 6.0,
+    f_kappa: FKappaOpt = 80.0,
+    m: MOpt = 6.0,
+    noise: NoiseOpt = 1.0,
+    step_n: StepOpt = 2.0,
+    max_force_n: MaxForceOpt = 20.0,
+    max_strain: MaxStrainOpt = 0.45,
+    element: SynthElementOpt = None,
+    size_mm: SynthSizeOpt = 3.4,
+    far_size_mm: SynthFarSizeOpt = 10.0,
+    margin_mm: SynthMarginOpt = None,
+    same_mesh: SameMeshOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """A synthetic subject whose truth is known: MRI, measurements, truth.toml."""
+    """A synthetic subject whose truth is known: MRI, measurements, truth."""
+    from limbcli.phantom.protocol import Protocol
     from limbcli.phantom.subject import PLACES
+    from limbcli.stages.indent import KnownTissue
     from limbcli.stages.phantom import PhantomOptions, phantom
+    from limbcli.stages.synth import SynthOptions
 
+    plan = SynthOptions(
+        tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
+        seed=seed,
+        noise=noise,
+        element=element,
+        size=size_mm,
+        far_size=far_size_mm,
+        margin=margin_mm,
+        same_mesh=same_mesh,
+        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
+    )
     options = PhantomOptions(
         seed=seed,
         subject_id=name,
         site_names=tuple(site) if site else tuple(each.name for each in PLACES),
-        measured=not no_measurement,
+        element=element or "tet10",
+        synth=None if no_measurement else plan,
     )
     progress = terminal(quiet=quiet, verbose=verbose)
     emit(phantom(folder, options=options, force=force, progress=progress), as_json=json)

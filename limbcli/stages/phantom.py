@@ -11,36 +11,52 @@ the format of `stages.expect`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import tempfile
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import atomic_folder
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
+from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.mri import Volume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
+from limbcli.stages.synth import (
+    SiteMeasurement,
+    SynthOptions,
+    measure_sites,
+    summary_of,
+    truth_table,
+)
 
 TRUTH = "truth"
+LABELS = "labels.nii.gz"
 
 
 @dataclass(frozen=True)
 class PhantomOptions:
-    """What to make. voxel : mm; site_names : some of `subject.PLACES`; measured : with measurements."""
+    """What to make. voxel : mm; site_names : some of `subject.PLACES`.
+
+    element : that case.toml asks for; synth : how to simulate and measure, None for a case
+    without measurements (its seed is this one's); noise : what case.toml states, before the
+    factor in `synth`.
+    """
 
     seed: int = 7
     subject_id: str = "phantom"
     voxel: tuple[float, float, float] = (1.0, 1.0, 4.0)
     site_names: tuple[str, ...] = tuple(each.name for each in PLACES)
     element: str = "tet10"
-    measured: bool = True
     noise: NoiseLaw = field(default_factory=NoiseLaw)
+    synth: SynthOptions | None = field(default_factory=SynthOptions)
 
 
 def phantom(
@@ -65,12 +81,13 @@ def phantom(
     progress.event("stage", name="phantom", site=None)
     with atomic_folder(folder) as work:
         volume = _write_image(subject, work, options, rng_image, progress)
-        _write_truth(subject, volume, work, options)
-        _write_case(subject, work, options)
-        for place in places:
-            (work / place.name).mkdir()
-            (work / place.name / "levels.csv").write_text(LEVELS_HEADER, encoding="utf-8")
-    return _result(folder, subject, volume, options)
+        _write_geometry(subject, volume, work)
+        _write_case(subject, work, options, options.noise, measured=False)
+        measured = _measure(subject, work, options, progress)
+        if measured:
+            _write_case(subject, work, options, measured[0].law, measured=True)
+        _write_truth(subject, work, options, measured)
+    return _result(folder, subject, volume, measured, options)
 
 
 def _check_target(folder: Path, *, force: bool) -> None:
@@ -103,30 +120,83 @@ def _write_image(
     return volume
 
 
-def _write_truth(subject: Subject, volume: Volume, work: Path, options: PhantomOptions) -> None:
+def _write_geometry(subject: Subject, volume: Volume, work: Path) -> None:
+    """Truth label map and surfaces."""
     folder = work / TRUTH
     folder.mkdir()
-    truth.write_labels(folder / "labels.nii.gz", volume.labels, subject.grid)
+    truth.write_labels(folder / LABELS, volume.labels, subject.grid)
     for name, surface in truth.surfaces(subject).items():
         truth.write_surface(folder / f"{name}.ply", surface)
-    table = geometry_truth(subject, seed=options.seed, dice_labels="labels.nii.gz")
-    (folder / "truth.toml").write_text(toml(table), encoding="utf-8")
 
 
-def _write_case(subject: Subject, work: Path, options: PhantomOptions) -> None:
+def _write_truth(
+    subject: Subject, work: Path, options: PhantomOptions, measured: list[SiteMeasurement]
+) -> None:
+    table = geometry_truth(subject, seed=options.seed, dice_labels=LABELS)
+    if measured and options.synth is not None:
+        table |= truth_table(measured, options.synth)
+    (work / TRUTH / "truth.toml").write_text(toml(table), encoding="utf-8")
+
+
+def _measure(
+    subject: Subject, work: Path, options: PhantomOptions, progress: Progress
+) -> list[SiteMeasurement]:
+    """Simulate and write the readings; on the truth surfaces, or on the case's own mesh."""
+    if options.synth is None:
+        return []
+    plan = replace(options.synth, seed=options.seed)
+    with tempfile.TemporaryDirectory() as scratch:
+        source = work if plan.same_mesh else _truth_case(subject, work, Path(scratch) / "case", options)
+        case = Case.open(source)
+        measured = measure_sites(case, case.sites, out=Path(scratch) / "out", options=plan, progress=progress)
+    for each in measured:
+        write_readings(work / each.site, each.readings)
+    return measured
+
+
+def _truth_case(subject: Subject, work: Path, folder: Path, options: PhantomOptions) -> Path:
+    """A case without images: the truth surfaces, every site at its true position."""
+    surfaces = {path.stem: str(path.resolve()) for path in (work / TRUTH).glob("*.ply")}
+    bones = sorted(path for name, path in surfaces.items() if name.startswith("bone"))
     sites = []
     for place in subject.places:
-        marker = 1 if place.by_marker else None
-        sites.append(
-            site_table(place, subject, marker=marker, noise=options.noise, measured=options.measured)
-        )
+        table = site_table(place, subject, marker=None, noise=options.noise, measured=False)
+        sites.append({**table, "levels": str((work / table["levels"]).resolve())})
+    folder.mkdir()
+    table = case_table(
+        subject_id=options.subject_id,
+        imaging={"skin": surfaces["skin"], "bones": bones},
+        sites=sites,
+        element=options.element,
+    )
+    (folder / "case.toml").write_text(toml(table), encoding="utf-8")
+    return folder
+
+
+def _write_case(
+    subject: Subject, work: Path, options: PhantomOptions, law: NoiseLaw, *, measured: bool
+) -> None:
+    """case.toml; without measurements every levels.csv holds its header only."""
+    sites = []
+    for place in subject.places:
+        marker = 1 if place.by_marker else None  # markers are numbered from distal to proximal
+        sites.append(site_table(place, subject, marker=marker, noise=law, measured=measured))
+        if not measured:
+            (work / place.name).mkdir()
+            (work / place.name / "levels.csv").write_text(LEVELS_HEADER, encoding="utf-8")
     table = case_table(
         subject_id=options.subject_id, imaging={"mri": "mri"}, sites=sites, element=options.element
     )
     (work / "case.toml").write_text(toml(table), encoding="utf-8")
 
 
-def _result(folder: Path, subject: Subject, volume: Volume, options: PhantomOptions) -> StageResult:
+def _result(
+    folder: Path,
+    subject: Subject,
+    volume: Volume,
+    measured: list[SiteMeasurement],
+    options: PhantomOptions,
+) -> StageResult:
     size = sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
     labels = volume.labels
     data: dict[str, Any] = {
@@ -138,12 +208,15 @@ def _result(folder: Path, subject: Subject, volume: Volume, options: PhantomOpti
             "bone": float((labels == 2).sum() * subject.grid.spacing.prod() / 1e3),
         },
         "sites": [each.name for each in subject.places],
+        "tissue": vars(options.synth.tissue) if options.synth else None,
+        "n_levels": {each.site: len(each.true.force) for each in measured},
         "size_bytes": size,
     }
     summary = [
         f"{subject.grid.shape[2]} slices of {subject.grid.shape[0]} x {subject.grid.shape[1]}"
         f" voxels, {size / 1e6:.1f} MB in all; sites {', '.join(data['sites'])}",
-        f"next: limbcli batch {folder}" if options.measured else f"next: limbcli segment {folder}",
+        *map(summary_of, measured),
+        f"next: limbcli batch {folder}" if measured else f"next: limbcli segment {folder}",
     ]
     return StageResult(
         stage="phantom",

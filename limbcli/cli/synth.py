@@ -1,0 +1,84 @@
+"""`limbcli synth CASE --out-case DIR`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.synth_options import (
+    CStiffOpt,
+    FKappaOpt,
+    MaxForceOpt,
+    MaxStrainOpt,
+    MOpt,
+    NoiseOpt,
+    SameMeshOpt,
+    StepOpt,
+    SynthElementOpt,
+    SynthFarSizeOpt,
+    SynthMarginOpt,
+    SynthSizeOpt,
+)
+from limbcli.cli.terminal import emit, terminal
+
+OutCaseOpt = Annotated[
+    Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
+]
+SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
+ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
+
+
+def command(
+    case: CaseArg,
+    out_case: OutCaseOpt,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    seed: SeedOpt = 7,
+    force: ForceOpt = False,
+    c_kpa: CStiffOpt = 6.0,
+    f_kappa: FKappaOpt = 80.0,
+    m: MOpt = 6.0,
+    noise: NoiseOpt = 1.0,
+    step_n: StepOpt = 2.0,
+    max_force_n: MaxForceOpt = 20.0,
+    max_strain: MaxStrainOpt = 0.45,
+    element: SynthElementOpt = None,
+    size_mm: SynthSizeOpt = 3.4,
+    far_size_mm: SynthFarSizeOpt = 10.0,
+    margin_mm: SynthMarginOpt = None,
+    same_mesh: SameMeshOpt = False,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:
+    """Measurements with known parameters on the geometry of an existing case, as a new case."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.phantom.protocol import Protocol
+    from limbcli.stages.indent import KnownTissue
+    from limbcli.stages.synth import SynthOptions, synth
+
+    options = SynthOptions(
+        tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
+        seed=seed,
+        noise=noise,
+        element=element,
+        size=size_mm,
+        far_size=far_size_mm,
+        margin=margin_mm,
+        same_mesh=same_mesh,
+        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
+    )
+    result = synth(
+        Case.open(case),
+        out=out or default_out(case),
+        out_case=out_case,
+        sites=site,
+        options=options,
+        force=force,
+        progress=terminal(quiet=quiet, verbose=verbose),
+    )
+    emit(result, as_json=json)

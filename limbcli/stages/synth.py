@@ -1,0 +1,284 @@
+"""`limbcli synth CASE`: measurements with known parameters, on the geometry of an existing case.
+
+A new case folder is written that holds the old one's images and the simulated
+measurements; what is true of them lies beside it, in a file that no stage reads.
+The simulation runs on a mesh of its own unless `same_mesh` is asked for.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli import __version__
+from limbcli.case import CASE_FILE, Case, Noise, Site
+from limbcli.errors import CaseError
+from limbcli.files import atomic_file, atomic_folder
+from limbcli.measurement.swe_prediction import Window
+from limbcli.model import LimbModel
+from limbcli.model_io import load_model
+from limbcli.phantom.case_folder import NoiseLaw, toml
+from limbcli.phantom.measured_files import write_readings
+from limbcli.phantom.noise import Readings, measure
+from limbcli.phantom.protocol import Protocol, TrueLevels
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.stages.indent import KnownTissue, indent
+
+Alter = Callable[[LimbModel], LimbModel]
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """What to simulate, and how to measure it.
+
+    element None is the case's; size, far_size, margin : of the mesh simulated on (mm), None the
+    usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
+    noise : factor on the case's [site.noise] (0: none); alter : a change of the meshed model.
+    """
+
+    tissue: KnownTissue = field(default_factory=KnownTissue)
+    seed: int = 7
+    noise: float = 1.0
+    element: str | None = None
+    size: float | None = 3.4
+    far_size: float | None = 10.0
+    margin: float | None = None
+    same_mesh: bool = False
+    protocol: Protocol = field(default_factory=Protocol)
+    window: Window = field(default_factory=Window)
+    alter: Alter | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SiteMeasurement:
+    """One site's truth and readings."""
+
+    site: str
+    true: TrueLevels
+    readings: Readings
+    law: NoiseLaw
+    facts: Mapping[str, Any]
+
+
+def synth(
+    case: Case,
+    *,
+    out: Path,
+    out_case: Path,
+    sites: list[str] | None = None,
+    options: SynthOptions = SynthOptions(),
+    force: bool = False,
+    progress: Progress = SILENT,
+) -> StageResult:
+    """Write a case like `case`, its measurements simulated; the truth to `truth_file(out_case)`.
+
+    Raises
+    ------
+    CaseError
+        If `out_case` is there already and `force` is not given, or is the case itself.
+    MeshError, SolveError
+        If a site cannot be meshed or simulated.
+    """
+    _check_target(case, out_case, force=force)
+    chosen = case.selected(sites)
+    measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
+    with atomic_folder(out_case) as work:
+        _copy_imaging(case, work)
+        for each in measured:
+            write_readings(work / each.site, each.readings)
+        (work / CASE_FILE).write_text(toml(_case_table(case, measured)), encoding="utf-8")
+    with atomic_file(truth_file(out_case)) as path:
+        path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
+    return _result(case, out_case, measured)
+
+
+def truth_file(out_case: Path) -> Path:
+    """Where the truth of a simulated case lies: beside the folder, not in it.
+
+    >>> truth_file(Path("data/calf-synth")).as_posix()
+    'data/calf-synth.truth.toml'
+    """
+    return out_case.parent / f"{out_case.name}.truth.toml"
+
+
+def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
+    where = str(out_case)
+    if out_case.resolve() == case.folder.resolve():
+        raise CaseError("--out-case is the case itself", where=where, fix="name another folder")
+    if not out_case.exists() or (out_case.is_dir() and not any(out_case.iterdir())):
+        return
+    if not force:
+        fix = "add --force to replace it, or name another folder"
+        raise CaseError(f"{out_case} is there already", where=where, fix=fix)
+    if not truth_file(out_case).is_file():
+        what = f"{out_case} was not made by synth ({truth_file(out_case).name} is not beside it)"
+        raise CaseError(what, where=where, fix="--force replaces only what synth made; name another folder")
+
+
+# ---------------------------------------------------------------- simulation and reading
+
+
+def measure_sites(
+    case: Case, sites: tuple[Site, ...], *, out: Path, options: SynthOptions, progress: Progress = SILENT
+) -> list[SiteMeasurement]:
+    """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing."""
+    numbers = {each.name: k for k, each in enumerate(case.sites)}
+    with tempfile.TemporaryDirectory() as scratch:
+        _segmented(case, out, progress)
+        folder = out if options.same_mesh else Path(scratch)
+        if not options.same_mesh:
+            shutil.copytree(stage_folder(out, "segment"), stage_folder(folder, "segment"))
+        return [_measure_site(case, site, folder, options, numbers[site.name], progress) for site in sites]
+
+
+def _segmented(case: Case, out: Path, progress: Progress) -> None:
+    from limbcli.stages.segment import segment
+
+    if not (stage_folder(out, "segment") / "segment.json").is_file():
+        segment(case, out=out, progress=progress)
+
+
+def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progress: Progress) -> LimbModel:
+    from limbcli.stages.mesh import mesh
+
+    place = stage_folder(folder, "mesh", site.name)
+    if not (place / "mesh.json").is_file():
+        sizes: dict[str, Any] = {}
+        if not options.same_mesh:
+            sizes = {"size": options.size, "far_size": options.far_size, "margin": options.margin}
+        mesh(case, out=folder, sites=[site.name], element=options.element, progress=progress, **sizes)
+    return load_model(place / "model.npz")
+
+
+def _measure_site(
+    case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
+) -> SiteMeasurement:
+    progress.event("stage", name="synth", site=site.name)
+    model = _meshed(case, site, folder, options, progress)
+    if options.alter is not None:
+        model = options.alter(model)
+    true = indent(
+        model,
+        options.tissue,
+        protocol=options.protocol,
+        window=options.window,
+        density_kg_per_m3=site.density_kg_per_m3,
+        progress=progress,
+    )
+    law = noise_law(site.noise).times(options.noise)
+    rng = np.random.default_rng([options.seed, 3, number])
+    block = model.mesh.solid_blocks[0]
+    facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
+    readings = measure(true, law, protocol=options.protocol, rng=rng)
+    return SiteMeasurement(site.name, true, readings, law, facts)
+
+
+def noise_law(noise: Noise) -> NoiseLaw:
+    """The case's noise as the law to measure with."""
+    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction)
+
+
+# ---------------------------------------------------------------- what is written
+
+
+def _copy_imaging(case: Case, work: Path) -> None:
+    """Images, labels and surfaces under the names that case.toml gives them."""
+    table = case.raw["imaging"]
+    for name in [*(table[key] for key in ("mri", "labels", "skin") if key in table), *table.get("bones", [])]:
+        source, target = case.folder / name, work / _inside(name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target)
+        else:
+            shutil.copyfile(source, target)
+
+
+def _inside(name: str) -> Path:
+    """A path of case.toml as a path within the new folder.
+
+    >>> _inside("../other/mri").as_posix(), _inside("mri").as_posix()
+    ('mri', 'mri')
+    """
+    path = Path(name)
+    return Path(path.name) if path.is_absolute() or ".." in path.parts else path
+
+
+def _case_table(case: Case, measured: list[SiteMeasurement]) -> dict[str, Any]:
+    table = {key: value for key, value in case.raw.items() if key != "site"}
+    imaging = dict(table["imaging"])
+    for key in ("mri", "labels", "skin"):
+        if key in imaging:
+            imaging[key] = _inside(imaging[key]).as_posix()
+    if "bones" in imaging:
+        imaging["bones"] = [_inside(each).as_posix() for each in imaging["bones"]]
+    by_name = {each.site: each for each in measured}
+    sites = [
+        measured_site(raw, by_name[raw["name"]].law) for raw in case.raw["site"] if raw["name"] in by_name
+    ]
+    return {**table, "imaging": imaging, "site": sites}
+
+
+def measured_site(raw: Mapping[str, Any], law: NoiseLaw) -> dict[str, Any]:
+    """A [[site]] table with the measured files' names and the noise they were read with."""
+    name = raw["name"]
+    kept = {key: value for key, value in raw.items() if key not in ("levels", "trace", "swe_maps", "noise")}
+    files = {"levels": f"{name}/levels.csv", "trace": f"{name}/trace.csv", "swe_maps": f"{name}/swe"}
+    return {**kept, **files, "noise": {**vars(law), "source": "spec"}}
+
+
+def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[str, Any]:
+    """What is true of the measurements."""
+    return {
+        "made_by": f"limbcli {__version__}",
+        "measurement_seed": options.seed,
+        "tissue": vars(options.tissue),
+        "site": [
+            {
+                "name": each.site,
+                **each.facts,
+                "skin_bone_mm": float("nan") if each.true.skin_bone is None else each.true.skin_bone,
+                "force_n": _rounded(each.true.force),
+                "depth_mm": _rounded(each.true.depth),
+                "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
+                "noise": vars(each.law),
+            }
+            for each in measured
+        ],
+    }
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(each), 6) for each in values]
+
+
+def summary_of(each: SiteMeasurement) -> str:
+    """One line for people."""
+    true = each.true
+    speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
+    return (
+        f"{each.site}: {len(true.force)} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
+        f"SWE {speeds[0]:.2f} to {speeds[-1]:.2f} m/s; {each.facts['n_elements']} {each.facts['element']}"
+    )
+
+
+def _result(case: Case, out_case: Path, measured: list[SiteMeasurement]) -> StageResult:
+    return StageResult(
+        stage="synth",
+        subject=case.subject,
+        folder=out_case,
+        files={"case": CASE_FILE},
+        data={
+            "truth": str(truth_file(out_case)),
+            "sites": [each.site for each in measured],
+            "n_levels": {each.site: len(each.true.force) for each in measured},
+        },
+        summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
+        provenance=provenance(),
+    )
