@@ -76,9 +76,9 @@ class Pair:
         for p in self.patches:
             kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body)
 
-    def stiffness(self, slots: IntArray, values: Array) -> None:
+    def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
         for p in self.patches:
-            kernels.stiffness(p.facets, p.N, p.weights, p.eps, p.state, p.pairs, slots, values)
+            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, p.pairs, slots, values)
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt) -> None:
         for p in self.patches:

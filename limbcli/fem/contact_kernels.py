@@ -300,22 +300,58 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
 
 
 @njit(cache=True, nogil=True)
-def stiffness(facets, N, weights, eps, state, pairs, slots, values):
-    """Symmetric positive part eps |n| N_a N_b nu nu, added to the matrix."""
+def stiffness(x, facets, N, dN, weights, eps, state, pairs, slots, values):
+    """Symmetric part of the contact tangent of the soft facets, added to the upper triangle.
+
+    The exact block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
+    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`; half of it and of its transpose are added.
+    """
+    nodes = facets.shape[1]
+    r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    D, dg, K = np.empty((nodes, 3, 3)), np.empty((nodes, 3)), np.empty((nodes, 3, nodes, 3))
     for f in range(facets.shape[0]):
+        touching = False
+        K[:] = 0.0
         for k in range(N.shape[0]):
-            if state[f, k, TRACTION] == 0.0:
+            t = state[f, k, TRACTION]
+            if t == 0.0:
                 continue
-            n = state[f, k, NORMAL : NORMAL + 3]
+            touching = True
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            t = 0
-            for b in range(facets.shape[1]):
-                for a in range(b + 1):
-                    factor = weights[k] * eps[f] * N[k, a] * N[k, b] / length
-                    code = pairs[f, t]
-                    t += 1
+            gap = state[f, k, GAP]
+            m = state[f, k, OTHER : OTHER + 3]
+            mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
+            for b in range(nodes):
+                for i in range(3):
+                    c[i] = dN[k, b, 0] * g2[i] - dN[k, b, 1] * g1[i]
+                D[b, 0, 0] = D[b, 1, 1] = D[b, 2, 2] = 0.0
+                D[b, 0, 1], D[b, 0, 2], D[b, 1, 2] = c[2], -c[1], c[0]
+                D[b, 1, 0], D[b, 2, 0], D[b, 2, 1] = -c[2], c[1], -c[0]
+                for j in range(3):
+                    along = (n[0] * D[b, 0, j] + n[1] * D[b, 1, j] + n[2] * D[b, 2, j]) / length
+                    turn = 0.0
                     for i in range(3):
+                        turn += m[i] * (D[b, i, j] - n[i] / length * along) / length
+                    dg[b, j] = (N[k, b] * m[j] - gap * turn) / mnu
+            for a in range(nodes):
+                for i in range(3):
+                    left = weights[k] * N[k, a] * eps[f] * n[i]
+                    right = weights[k] * N[k, a] * t
+                    for b in range(nodes):
                         for j in range(3):
-                            slot = slots[code // 2, i, j]
-                            if slot >= 0:
-                                values[slot] += factor * n[i] * n[j]
+                            K[a, i, b, j] += left * dg[b, j] + right * D[b, i, j]
+        if not touching:
+            continue
+        place = 0
+        for b in range(nodes):
+            for a in range(b + 1):
+                code = pairs[f, place]
+                place += 1
+                pair = code // 2
+                swapped = code % 2 == 1
+                for i in range(3):
+                    for j in range(3):
+                        slot = slots[pair, j, i] if swapped else slots[pair, i, j]
+                        if slot >= 0:
+                            values[slot] += 0.5 * (K[a, i, b, j] + K[b, j, a, i])

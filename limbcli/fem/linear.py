@@ -8,6 +8,7 @@ take the upper triangle as fixed CSR arrays and new values at each `factor`.
 from __future__ import annotations
 
 import ctypes
+import sys
 import time
 from typing import Any, Protocol
 
@@ -98,7 +99,7 @@ class Pardiso:
             self._pt[:] = 0
 
     def __del__(self) -> None:
-        if getattr(self, "_pt", None) is not None and self._pt.any():
+        if not sys.is_finalizing() and getattr(self, "_pt", None) is not None and self._pt.any():
             self.close()
 
     def _call(self, phase: int, rhs: Array | None = None) -> Array:

@@ -352,11 +352,11 @@ class System:
             parts[0] += each
         return parts[0]
 
-    def add_contact(self, values: Array) -> Array:
-        """The matrix with the symmetric part of the contact (of the state searched last) added."""
+    def add_contact(self, state: State, values: Array) -> Array:
+        """The matrix with the symmetric part of the contact (as searched last) added."""
         values = values.copy()
         for pair in self.pairs:
-            pair.stiffness(self.pattern.slots, values)
+            pair.stiffness(self.X + state.u, self.pattern.slots, values)
         return values
 
     def tangent_times(self, state: State, v: Array) -> Array:

@@ -99,7 +99,7 @@ class Inverse:
         system = tangent.system
         self.n = system.n_tissue
         if self.n:
-            linear.factor(system.add_contact(tangent.upper.data))
+            linear.factor(system.add_contact(state, tangent.upper.data))
         n_rigid = len(system.rigid)
         self.border = np.zeros((system.n_unknowns, n_rigid))
         for k in range(n_rigid):
