@@ -13,6 +13,7 @@ from limbcli.meshing.checks import SiteChecks, site_checks
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, Domain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
+from limbcli.meshing.layers import Layer, core_of, with_layers
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import Quality, quality
@@ -23,6 +24,7 @@ from limbcli.model import (
     Contact,
     Curve,
     Drive,
+    IntArray,
     LimbModel,
     Material,
     Mesh,
@@ -53,6 +55,7 @@ class MeshOptions:
     start_depth: float = 0.05
     depth: float = 10.0
     spacing: float = 1.0
+    layers: tuple[Layer, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +100,13 @@ def site_model(
     local = limb.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, probe, options.margin), spacing=options.spacing)
     progress.event("task", name="mesh: volume", done=1, total=4)
-    volume = mesh_volume(domain, probe, options.sizes)
+    volume, kinds = _fill(domain, probe, options)
     progress.event("task", name="mesh: model", done=3, total=4)
     checks = site_checks(domain, probe, options.margin)
     rigid = probe_mesh(probe)
     lowered = ProbeMesh(rigid.points - [0, 0, options.start_depth], rigid.quads, rigid.tips)
-    mesh = assemble(
-        volume, np.zeros(len(volume.cells), np.int64), ("tissue",), probe, lowered, element=options.element
-    )
+    names = ("tissue", *(each.name for each in reversed(options.layers)))
+    mesh = assemble(volume, kinds, names, probe, lowered, element=options.element)
     figures = _figures(mesh, volume, probe)
     info = _info(name, frame, probe, options, domain, volume)
     progress.event("task", name="mesh: done", done=4, total=4)
@@ -117,6 +119,15 @@ def site_model(
         volume.maker,
         (*domain.notes, *volume.notes),
     )
+
+
+def _fill(domain: Domain, probe: ProbeShape, options: MeshOptions) -> tuple[VolumeMesh, IntArray]:
+    """Cells and the number of the block each belongs to."""
+    if not options.layers:
+        volume = mesh_volume(domain, probe, options.sizes)
+        return volume, np.zeros(len(volume.cells), np.int64)
+    core = core_of(domain, options.layers)
+    return with_layers(mesh_volume(core, probe, options.sizes), core, domain.skin, options.layers)
 
 
 def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:

@@ -1,0 +1,143 @@
+"""Layers under the skin, conforming to its surface: skin and fat over the rest of the tissue.
+
+The core (all but the layers) is meshed first, bounded by the skin moved inward;
+then its outer facets are drawn out to the skin, each into prisms cut in three
+tetrahedra. Over bone the layers thin out so that some core is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.distance import Field, distance_again
+from limbcli.meshing.domain import CUT, SKIN, Domain
+from limbcli.meshing.improve import Ties, put_back
+from limbcli.meshing.quality import volumes
+from limbcli.meshing.volume import VolumeMesh, boundary_faces
+from limbcli.model import Array, IntArray
+
+_SHARE = 0.6  # of the tissue over bone that layers may take at most
+_THICKEST = 40.0  # mm
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer by name ("skin", "fat"), its thickness (mm) and how many cells thick it is."""
+
+    name: str
+    thickness: float
+    n_cells: int = 1
+
+
+def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tuple[Layer, ...]:
+    """The layers asked for by thickness (mm, 0: none), outermost first.
+
+    >>> [(each.name, each.n_cells) for each in layers_of(skin=1.5, fat=8.0)]
+    [('skin', 1), ('fat', 2)]
+    """
+    for name, value in (("--skin-mm", skin), ("--fat-mm", fat)):
+        if not 0 <= value <= _THICKEST:
+            raise CaseError(f"{name} is {value:g}", where="layers", fix=f"give 0 to {_THICKEST:g} mm")
+    wanted = (("skin", skin), ("fat", fat))
+    return tuple(Layer(name, t, max(1, round(t / (1.5 * size)))) for name, t in wanted if t > 0)
+
+
+def core_of(domain: Domain, layers: tuple[Layer, ...]) -> Domain:
+    """The domain without its layers: its `skin` is the layers' inner side."""
+    total = sum(each.thickness for each in layers)
+    depth = np.full(domain.skin.grid.shape, total)
+    if domain.bone is not None:
+        gap = np.abs(domain.bone.values) + np.abs(domain.skin.values)
+        depth = np.minimum(depth, _SHARE * gap)
+    inner = distance_again(domain.skin.with_values(domain.skin.values + depth))
+    if not (inner.values < 0).any():
+        raise CaseError(
+            f"layers of {total:g} mm leave no tissue below", where="layers", fix="give thinner layers"
+        )
+    return replace(domain, skin=inner)
+
+
+def with_layers(
+    core: VolumeMesh, inner: Domain, skin: Field, layers: tuple[Layer, ...]
+) -> tuple[VolumeMesh, IntArray]:
+    """The core with its layers on, and each cell's number: 0 core, 1 and more the layers from inside out.
+
+    Raises
+    ------
+    MeshError
+        If a layer's cell turns out inverted (the layer is too thick for a bend of the skin).
+    """
+    faces = core.faces[core.labels == SKIN]
+    base = np.unique(faces)
+    outer = _outer_points(core, inner, skin, base)
+    heights, kinds = _levels(layers)
+    n = len(core.points)
+    added = [core.points[base] + h * (outer - core.points[base]) for h in heights]
+    number = np.full(n, -1)
+    number[base] = np.arange(len(base))
+    rows = [base, *(n + k * len(base) + np.arange(len(base)) for k in range(len(heights)))]
+    points = np.vstack([core.points, *added])
+    cells, parts = [core.cells], [np.zeros(len(core.cells), np.int64)]
+    local = np.sort(number[faces], axis=1)
+    for k, kind in enumerate(kinds):
+        cells.append(_prisms(rows[k][local], rows[k + 1][local], points))
+        parts.append(np.full(3 * len(faces), kind))
+    every = np.vstack(cells)
+    bad = int((volumes(points, every) <= 1e-9).sum())
+    if bad:
+        raise MeshError(
+            f"{bad} cells of the layers are inverted",
+            where="layers",
+            fix="give thinner layers (--fat-mm, --skin-mm) or a finer mesh (--size-mm)",
+        )
+    shell = boundary_faces(every)
+    labels = _labels(shell, points, core, rows[-1], inner)
+    return VolumeMesh(points, every, shell, labels, core.maker, core.notes), np.concatenate(parts)
+
+
+def _outer_points(core: VolumeMesh, inner: Domain, skin: Field, base: IntArray) -> Array:
+    """Where each inner node lands on the skin: along the distance field, in its plane on a cut."""
+    ties = Ties.of_faces(len(core.points), core.faces, core.labels)
+    return put_back(core.points[base], Ties(ties.codes[base]), replace(inner, skin=skin), rounds=8)
+
+
+def _levels(layers: tuple[Layer, ...]) -> tuple[list[float], list[int]]:
+    """Heights (0 to 1) of the node rows from inside out, and the number of the layer below each."""
+    total = sum(each.thickness for each in layers)
+    heights, kinds, below = [], [], 0.0
+    for number, each in enumerate(reversed(layers), start=1):
+        for k in range(1, each.n_cells + 1):
+            heights.append((below + each.thickness * k / each.n_cells) / total)
+            kinds.append(number)
+        below += each.thickness
+    return heights, kinds
+
+
+def _prisms(low: IntArray, high: IntArray, points: Array) -> IntArray:
+    """Three tetrahedra a prism; corners in one order everywhere, so neighbours share their diagonals."""
+    (a, b, c), (d, e, f) = low.T, high.T
+    cells = np.vstack([np.c_[a, b, c, f], np.c_[a, b, f, e], np.c_[a, e, f, d]])
+    negative = volumes(points, cells) < 0
+    cells[negative] = cells[negative][:, [0, 2, 1, 3]]
+    return cells
+
+
+def _labels(shell: IntArray, points: Array, core: VolumeMesh, outer: IntArray, domain: Domain) -> IntArray:
+    """Labels of the whole boundary: the core's own, SKIN outside, the cuts between."""
+    known = {
+        tuple(face): label
+        for face, label in zip(np.sort(core.faces, axis=1).tolist(), core.labels, strict=True)
+    }
+    is_outer = np.isin(shell, outer).all(axis=1)
+    out = np.empty(len(shell), np.int64)
+    for k, face in enumerate(np.sort(shell, axis=1).tolist()):
+        out[k] = SKIN if is_outer[k] else known.get(tuple(face), -1)
+    between = out < 0
+    if between.any():
+        middle = points[shell[between]].mean(axis=1)
+        height = np.stack([np.abs(each.height(middle)) for each in domain.planes])
+        out[between] = CUT + np.argmin(height, axis=0)
+    return out

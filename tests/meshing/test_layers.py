@@ -1,0 +1,57 @@
+"""Skin and fat layers that conform to the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.meshing.layers import layers_of
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.quality import volumes
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_model import MeshOptions, site_model
+
+PROBE = ProbeShape(40.0, 14.0, 3.0)
+SKIN, FAT = 1.5, 6.0
+
+
+@pytest.fixture(scope="module")
+def made(leg):
+    options = MeshOptions(
+        element="tet4", margin=20.0, sizes=Sizes(3.5, 10.0), spacing=1.5, layers=layers_of(skin=SKIN, fat=FAT)
+    )
+    return site_model(leg, (0.0, 42.0, 0.0), "transverse", PROBE, options)
+
+
+def test_layers_have_their_volume(made):
+    """A ring of thickness t on a radius of about 40 mm, 54 mm long."""
+    mesh = made.model.mesh
+    length = 2 * (14 / 2 + 20)
+    for name, outside, inside in (("skin", 0.0, SKIN), ("fat", SKIN, SKIN + FAT)):
+        exact = np.pi * ((42 - outside) ** 2 - (42 - inside) ** 2) * length
+        found = volumes(mesh.points, mesh.block(name).cells).sum()
+        assert found == pytest.approx(exact, rel=0.1)  # the limb's mean radius is 40 to 42 mm there
+
+
+def test_layers_share_their_nodes(made):
+    mesh = made.model.mesh
+    assert [each.name for each in mesh.solid_blocks] == ["tissue", "fat", "skin"]
+    tissue, fat, skin = (np.unique(each.cells) for each in mesh.solid_blocks)
+    assert len(np.intersect1d(tissue, fat)) > 100
+    assert len(np.intersect1d(fat, skin)) > 100
+    assert len(np.intersect1d(tissue, skin)) == 0
+    assert (np.isin(mesh.node_sets["skin"], skin)).all()
+
+
+def test_cells_are_good_and_the_probe_meets_the_skin(made):
+    mesh = made.model.mesh
+    assert made.quality.inverted_cells == 0
+    assert made.quality.min_angle_deg > 4
+    contact = np.unique(mesh.surfaces["contact"].facets["tri3"])
+    assert mesh.points[contact, 2].max() == pytest.approx(0.0, abs=0.1)
+
+
+def test_impossible_thickness_is_refused():
+    with pytest.raises(CaseError, match="--fat-mm"):
+        layers_of(fat=100.0)
