@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import meshio
 import nibabel as nib
 import numpy as np
 import pydicom
@@ -73,6 +74,14 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, subject, volume):
         write_series(tmp_path / name, volume.signal, subject.grid, seed=3)
         truth.write_labels(tmp_path / name / "labels.nii.gz", volume.labels, subject.grid)
     assert sha256(tmp_path / "a") == sha256(tmp_path / "b")
+
+
+def test_a_written_surface_reads_back(tmp_path, subject):
+    surface = truth.surfaces(subject, edge=6.0)["bone_tibia"]
+    truth.write_surface(tmp_path / "tibia.ply", surface)
+    read = meshio.read(tmp_path / "tibia.ply")
+    assert read.points == pytest.approx(surface.points, abs=1e-4)
+    assert np.array_equal(read.cells_dict["triangle"], surface.triangles)
 
 
 def test_label_map_has_the_images_geometry_in_ras(tmp_path, subject, volume):

@@ -1,0 +1,72 @@
+"""The phantom as a case folder: whole, valid, the same for the same seed, never over other data."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.files import sha256
+from limbcli.stages.phantom import PhantomOptions, phantom
+
+BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), synth=None)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("phantom") / "subject"
+    phantom(target, options=BARE)
+    return target
+
+
+def test_the_folder_is_a_case_and_its_truth_is_beside(folder):
+    case = Case.open(folder)
+    assert [each.name for each in case.sites] == ["p1", "p2"]
+    assert case.sites[0].marker == 1
+    assert case.sites[1].position is not None
+    assert len(list(case.imaging.mri.glob("*.dcm"))) > 15
+    truth = tomllib.loads((folder / "truth" / "truth.toml").read_text())
+    assert truth["seed"] == 3
+    assert len(truth["marker"]) == 2
+    names = {path.name for path in (folder / "truth").iterdir()}
+    assert names == {"truth.toml", "labels.nii.gz", "skin.ply", "bone_tibia.ply", "bone_fibula.ply"}
+
+
+def test_no_stage_could_read_the_truth_through_the_case(folder):
+    assert "truth" not in (folder / "case.toml").read_text()
+
+
+def test_the_first_marker_is_the_distal_one(folder):
+    truth = tomllib.loads((folder / "truth" / "truth.toml").read_text())
+    markers = np.array([each["position_mm"] for each in truth["marker"]])
+    assert markers[0, 2] < markers[1, 2]
+    place = np.array(truth["place"][0]["position_mm"])
+    assert np.linalg.norm(markers[0] - place) < 4.0
+
+
+def test_the_same_seed_gives_the_same_folder_another_seed_another(folder, tmp_path):
+    phantom(tmp_path / "again", options=BARE)
+    assert sha256(tmp_path / "again") == sha256(folder)
+    other = PhantomOptions(seed=4, voxel=BARE.voxel, synth=None)
+    phantom(tmp_path / "other", options=other)
+    assert sha256(tmp_path / "other" / "mri") != sha256(folder / "mri")
+
+
+def test_an_existing_folder_is_replaced_only_with_force_and_only_if_synthetic(folder, tmp_path):
+    with pytest.raises(CaseError, match="there already"):
+        phantom(folder, options=BARE)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "case.toml").write_text("format = 1\n")
+    with pytest.raises(CaseError, match="not a synthetic subject"):
+        phantom(mine, options=BARE, force=True)
+    assert (mine / "case.toml").read_text() == "format = 1\n"
+
+
+def test_an_unknown_site_is_named(tmp_path):
+    with pytest.raises(CaseError, match="no site 'p9'"):
+        phantom(tmp_path / "x", options=PhantomOptions(site_names=("p9",), synth=None))
+    assert not (tmp_path / "x").exists()

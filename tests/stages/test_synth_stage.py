@@ -1,0 +1,97 @@
+"""Simulated measurements on a case's geometry, and the truth found again from them."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.measurement.elastography import read_maps
+from limbcli.measurement.indentation import read_levels
+from limbcli.phantom.protocol import Protocol
+from limbcli.stages.build_feb import build_feb
+from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.indent import KnownTissue, depths_to
+from limbcli.stages.mesh import mesh
+from limbcli.stages.phantom import PhantomOptions, phantom
+from limbcli.stages.segment import segment
+from limbcli.stages.synth import SynthOptions, synth, truth_file
+
+TISSUE = KnownTissue(c_kpa=6.0, f_kappa=20.0, m=6.0)
+EXACT = SynthOptions(
+    tissue=TISSUE, noise=0.0, same_mesh=True, element="tet4", protocol=Protocol(max_force=12.0, hold=1.0)
+)
+
+
+@pytest.fixture(scope="module")
+def limb(tmp_path_factory):
+    """A phantom without measurements, segmented and meshed coarsely (tet4)."""
+    folder = tmp_path_factory.mktemp("synth")
+    options = PhantomOptions(voxel=(1.5, 1.5, 5.0), synth=None, site_names=("p1",), element="tet4")
+    phantom(folder / "limb", options=options)
+    case = Case.open(folder / "limb")
+    segment(case, out=folder / "out")
+    mesh(case, out=folder / "out", size=5.0, far_size=12.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exact(limb):
+    """Noise-free measurements on the very mesh."""
+    case = Case.open(limb / "limb")
+    return synth(case, out=limb / "out", out_case=limb / "exact", options=EXACT).folder
+
+
+def test_depths_begin_closely_and_end_where_asked():
+    assert depths_to(3.0, 1.0) == [0.25, 0.5, 1.0, 2.0, 3.0]
+    assert depths_to(7.0, 1.0)[:5] == depths_to(10.0, 1.0)[:5]
+    assert np.all(np.diff(depths_to(6.1, 1.0)) > 0)
+
+
+@pytest.mark.slow
+def test_levels_are_the_force_steps_and_speeds_start_at_the_ground_modulus(exact):
+    levels = read_levels(exact / "p1" / "levels.csv")
+    assert levels.force == pytest.approx(2.0 * np.arange(7), abs=1e-9)
+    assert np.all(np.diff(levels.depth) > 0)
+    assert levels.swe_mean_m_per_s[0] == pytest.approx(np.sqrt(3.0), rel=1e-4)
+    assert np.all(np.diff(levels.swe_mean_m_per_s) > 0.02)
+    maps = read_maps(exact / "p1" / "swe", len(levels))
+    assert levels.swe_pixels.tolist() == [len(each) for each in maps]
+
+
+@pytest.mark.slow
+def test_truth_lies_beside_the_new_case_and_not_in_it(exact):
+    truth = tomllib.loads(truth_file(exact).read_text())
+    assert truth["tissue"] == {"c_kpa": 6.0, "f_kappa": 20.0, "m": 6.0}
+    assert truth["site"][0]["force_n"][-1] == 12.0
+    assert not list(exact.rglob("*truth*"))
+    assert Case.open(exact).sites[0].noise.depth == 0.0
+
+
+@pytest.mark.slow
+def test_noise_free_fit_on_the_same_mesh_finds_the_truth_within_1_percent(limb, exact):
+    case = Case.open(exact)
+    out = limb / "fit"
+    shutil.copytree(limb / "out", out)
+    build_feb(case, out=out)
+    found = fit(case, out=out, solver="reference", options=FitOptions(intervals=False, tolerance=1e-5))[0]
+    assert found.data["c_kpa"] == pytest.approx(6.0, rel=1e-4)
+    assert found.data["f_kappa"] == pytest.approx(TISSUE.f_kappa, rel=0.01)
+    assert found.data["m"] == pytest.approx(TISSUE.m, rel=0.01)
+
+
+@pytest.mark.slow
+def test_only_what_synth_made_is_replaced(limb, exact, tmp_path):
+    case = Case.open(limb / "limb")
+    with pytest.raises(CaseError, match="is the case itself"):
+        synth(case, out=limb / "out", out_case=limb / "limb", options=EXACT, force=True)
+    with pytest.raises(CaseError, match="there already"):
+        synth(case, out=limb / "out", out_case=exact, options=EXACT)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "levels.csv").write_text("force_n\n")
+    with pytest.raises(CaseError, match="not made by synth"):
+        synth(case, out=limb / "out", out_case=tmp_path / "mine", options=EXACT, force=True)
