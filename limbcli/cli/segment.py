@@ -2,17 +2,91 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 
+SeedOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--seed",
+        metavar="KIND=X,Y,Z",
+        help="A point (patient LPS, mm) in the marrow of a bone that was missed (bone=...), "
+        "or in what was taken for bone and is none (soft=...). May be repeated.",
+    ),
+]
+SmoothOpt = Annotated[
+    float, typer.Option("--smooth", metavar="MM", min=0.0, max=5.0, help="Smoothing of the surfaces, mm.")
+]
+ThresholdOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--threshold",
+        metavar="SIGNAL",
+        help="Signal between air and skin, in the image's units (HU on CT); default: found.",
+        show_default=False,
+    ),
+]
+LimbOpt = Annotated[
+    str | None,
+    typer.Option(
+        "--limb", metavar="left|right", help="Which limb, where two are in view.", show_default=False
+    ),
+]
+FreshOpt = Annotated[
+    bool, typer.Option("--fresh", help="Leave a label map that was edited by hand aside; start anew.")
+]
+
 
 def command(
-    case: CaseArg, out: OutOpt = None, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0
+    case: CaseArg,
+    out: OutOpt = None,
+    seed: SeedOpt = None,
+    smooth: SmoothOpt = 0.7,
+    threshold: ThresholdOpt = None,
+    limb: LimbOpt = None,
+    fresh: FreshOpt = False,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
 ) -> None:
-    """MRI series to label map, closed surfaces and markers."""
+    """MRI or CT series to label map, closed surfaces and markers.
+
+    A label map edited by hand in the output folder (labels.nii.gz) wins over the automatic one.
+    """
+    if limb not in (None, "left", "right"):
+        raise typer.BadParameter("left or right", param_hint="--limb")
+    seeds = [_seed(each) for each in seed or []]
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.segment import segment
 
-    progress = terminal(quiet=quiet, verbose=verbose)
-    emit(segment(Case.open(case), out=out or default_out(case), progress=progress), as_json=json)
+    result = segment(
+        Case.open(case),
+        out=out or default_out(case),
+        seeds=seeds,
+        smooth=smooth,
+        threshold=threshold,
+        limb=limb,  # type: ignore[arg-type]
+        fresh=fresh,
+        progress=terminal(quiet=quiet, verbose=verbose),
+    )
+    emit(result, as_json=json)
+
+
+def _seed(text: str) -> tuple[str, tuple[float, float, float]]:
+    """
+    >>> _seed("bone=1,-2.5,30")
+    ('bone', (1.0, -2.5, 30.0))
+    """
+    kind, _, places = text.partition("=")
+    try:
+        x, y, z = (float(each) for each in places.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r} is not KIND=X,Y,Z", param_hint="--seed") from error
+    if kind not in ("bone", "soft"):
+        raise typer.BadParameter(f"{kind!r} is neither bone nor soft", param_hint="--seed")
+    return kind, (x, y, z)

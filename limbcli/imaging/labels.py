@@ -105,6 +105,7 @@ def segmentation_from(labels: Volume) -> Segmentation:
         labels=labels,
         skin=turned.with_values(limb),
         bones=tuple(turned.with_values(each) for each in bones),
+        fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
         markers=_markers(turned, limb),
     )
 

@@ -50,21 +50,30 @@ def background_threshold(values: NDArray) -> float:
 
 
 def skin_outline(
-    volume: Volume, levels: Levels, rough: NDArray[np.bool_], *, without: NDArray[np.bool_] | None = None
+    volume: Volume,
+    levels: Levels,
+    rough: NDArray[np.bool_],
+    *,
+    without: NDArray[np.bool_] | None = None,
+    threshold: float | None = None,
 ) -> NDArray[np.bool_]:
     """The limb with its edge where the signal is half of the outermost tissue's.
 
     Skin is a grey band of 1 to 2 mm on T1, darker than muscle; its outer edge is taken.
-    `without` is left out (skin markers). Ghosts of pulsating vessels beside the limb are cut
-    off, and the edge is evened out in its distance field.
+    `without` is left out (skin markers); a `threshold` (image units) replaces the edge's own
+    level. Ghosts of pulsating vessels beside the limb are cut off, and the edge is evened out
+    in its distance field.
     """
     raw = _blurred(volume)
     values = _blurred(volume.with_values(levels.values))
     reach = [max(1, round(1.0 / each)) for each in volume.spacing[:2]]
     beside = ndimage.grey_dilation(values, footprint=_ellipse(*reach)[:, :, None])
-    threshold = np.clip(0.5 * beside, *_SKIN)
     near = ndimage.binary_dilation(rough, _ellipse(*(3 * n for n in reach))[:, :, None])
-    above = (values > threshold) & (raw > _NOISE * background_threshold(raw)) & near
+    if threshold is not None:
+        above = (raw > threshold) & near
+    else:
+        edge = np.clip(0.5 * beside, *_SKIN)
+        above = (values > edge) & (raw > _NOISE * background_threshold(raw)) & near
     if without is not None:
         above &= ~without
     mask = filled_by_slice(largest(above))

@@ -1,4 +1,4 @@
-"""Automatic segmentation of a limb on T1 MRI: skin, bones, markers.
+"""Automatic segmentation of a limb on T1 MRI or CT: skin, bones, fat, markers.
 
 Nothing is learned from data; the anatomy's plain facts are used. Air is dark, skin
 encloses everything, muscle and fat have two levels under a slow shading, bone is bright
@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.cortex import with_cortex
-from limbcli.imaging.intensity import Levels, normalise
+from limbcli.imaging.ct import bones_on_ct, fat_on_ct, limb_on_ct
+from limbcli.imaging.fat import fat_of
+from limbcli.imaging.intensity import normalise
+from limbcli.imaging.limbs import Side, one_limb, require_bright_fat, upright
 from limbcli.imaging.markers import Marker, find_markers
 from limbcli.imaging.marrow import find_marrow
 from limbcli.imaging.outline import rough_outline, skin_outline
@@ -32,30 +35,58 @@ _PARTS = 6
 class Segmentation:
     """What was found, on the image's own grid, and finer where the image is coarse.
 
-    labels : Volume of uint8 on the image's grid: 0 outside, 1 soft tissue, 2 bone, 3 marker
-    skin : Volume of bool on the working grid (k along the limb)
+    labels : Volume of uint8 on the image's grid: 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat
+    skin : Volume of bool on the working grid (k along the limb): everything inside the skin
     bones : one Volume of bool per bone, largest first
+    fat : Volume of bool, or None where it cannot be told from muscle
     markers : numbered capsules
-    levels : normalised image on the working grid, or None where labels were given
+    notes : what was done on the way that a person should know
     """
 
     labels: Volume
     skin: Volume
     bones: tuple[Volume, ...]
+    fat: Volume | None = None
     markers: tuple[Marker, ...] = ()
-    levels: Levels | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Masks:
+    """What `_on_mri` and `_on_ct` find on the working grid."""
+
+    limb: NDArray[np.bool_]
+    bones: list[NDArray[np.bool_]]
+    fat: NDArray[np.bool_] | None
+    marker: NDArray[np.bool_]
+    markers: tuple[Marker, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Wishes:
+    """What a user can say about a segmentation.
+
+    threshold : signal between air and skin (image units, HU on CT); None finds it
+    bone_seeds : patient LPS (n, 3), mm, points in marrow of bones to add
+    soft_seeds : patient LPS (n, 3), mm, points in what was taken for bone and is none
+    side : which of two limbs in view
+    """
+
+    threshold: float | None = None
+    bone_seeds: Array | None = None
+    soft_seeds: Array | None = None
+    side: Side | None = None
 
 
 def segment_limb(
-    image: Volume, *, threshold: float | None = None, seeds: Array | None = None, progress: Progress = SILENT
+    image: Volume, *, modality: str = "MR", wishes: Wishes | None = None, progress: Progress = SILENT
 ) -> Segmentation:
-    """Skin, bones and markers of a limb.
+    """Skin, bones, fat and markers of a limb.
 
     Parameters
     ----------
-    image : T1-weighted image of one limb, any orientation
-    threshold : signal between air and skin; None finds it
-    seeds : patient LPS (n, 3), mm, points in marrow of bones to add
+    image : T1-weighted image, or CT in HU, of one limb (or two: then `wishes.side`), any orientation
+    modality : "CT" for Hounsfield units; anything else is taken for T1
 
     Returns
     -------
@@ -64,65 +95,100 @@ def segment_limb(
     Raises
     ------
     CaseError
-        If no limb stands out from the background.
+        If no limb stands out from the background, two do, or fat is not bright.
     """
+    wishes = wishes or Wishes()
+    turned, order, flipped = image.along_limb()
+    notes: tuple[str, ...] = ()
+    if modality != "CT":
+        turned, notes = upright(turned)
+    turned = one_limb(turned, wishes.side, threshold=wishes.threshold)
+    work, factors = supersampled(turned)
+    masks = (_on_ct if modality == "CT" else _on_mri)(work, wishes, progress)
+    bones = _without_soft(masks.bones, work, wishes.soft_seeds)
+    labels = np.where(masks.limb, SOFT_TISSUE, 0).astype(np.uint8)
+    if masks.fat is not None:
+        labels[masks.fat & masks.limb] = FAT
+    for bone in bones:
+        labels[bone] = BONE
+    labels[masks.marker & ~masks.limb] = MARKER
+    progress.event("task", name="segmenting", done=_PARTS, total=_PARTS)
+    return Segmentation(
+        labels=image.with_values(back(_coarse(labels, factors), order, flipped)),
+        skin=work.with_values(masks.limb),
+        bones=tuple(work.with_values(bone) for bone in bones),
+        fat=None if masks.fat is None else work.with_values(masks.fat),
+        markers=masks.markers,
+        notes=notes if masks.fat is not None else (*notes, "fat and muscle cannot be told apart; no label 4"),
+    )
 
+
+def _on_mri(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
     def tell(done: int) -> None:
         progress.event("task", name="segmenting", done=done, total=_PARTS)
 
-    turned, order, flipped = image.along_limb()
-    work, factor = supersampled(turned)
-    rough = rough_outline(work, threshold=threshold)
+    rough = rough_outline(work, threshold=wishes.threshold)
+    require_bright_fat(work, rough)
     tell(1)
     levels = normalise(work, rough)
     tell(2)
     found = find_markers(work, levels, rough)
     tell(3)
-    limb = skin_outline(work, levels, rough, without=found.around)
+    limb = skin_outline(work, levels, rough, without=found.around, threshold=wishes.threshold)
     tell(4)
-    points = None if seeds is None else work.to_voxel(seeds)
+    points = None if wishes.bone_seeds is None else work.to_voxel(wishes.bone_seeds)
     marrow = find_marrow(levels, limb, work.spacing, seeds=points)
     tell(5)
     bones = [with_cortex(each, levels, limb, work.spacing) & limb for each in marrow]
-    labels = np.where(limb, SOFT_TISSUE, 0).astype(np.uint8)
-    for bone in bones:
-        labels[bone] = BONE
-    labels[found.mask & ~limb] = MARKER
-    tell(_PARTS)
-    return Segmentation(
-        labels=image.with_values(back(_coarse(labels, factor), order, flipped)),
-        skin=work.with_values(limb),
-        bones=tuple(work.with_values(bone) for bone in bones),
-        markers=found.markers,
-        levels=levels,
-    )
+    bone = np.any(bones, axis=0) if bones else np.zeros_like(limb)
+    return Masks(limb, bones, fat_of(levels, limb, bone, work), found.mask, found.markers)
 
 
-def supersampled(volume: Volume) -> tuple[Volume, int]:
-    """The image on a grid of at most 1 mm within the slices; returns it and the factor.
+def _on_ct(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
+    limb = limb_on_ct(work, threshold=wishes.threshold)
+    progress.event("task", name="segmenting", done=2, total=_PARTS)
+    bones = bones_on_ct(work, limb)
+    nothing = np.zeros_like(limb)
+    return Masks(limb, bones, fat_on_ct(work, limb), nothing, ())
 
-    >>> fine, factor = supersampled(Volume(np.zeros((4, 4, 3)), np.diag([2.0, 2.0, 5.0, 1.0])))
-    >>> factor, fine.shape, fine.affine[0]
-    (2, (8, 8, 3), array([ 1. ,  0. ,  0. , -0.5]))
+
+def _without_soft(
+    bones: list[NDArray[np.bool_]], work: Volume, seeds: Array | None
+) -> list[NDArray[np.bool_]]:
+    """The bones that hold none of the points known to be soft."""
+    if seeds is None:
+        return bones
+    points = [tuple(each) for each in np.round(work.to_voxel(seeds)).astype(int)]
+    return [bone for bone in bones if not any(bone[point] for point in points)]
+
+
+def supersampled(volume: Volume) -> tuple[Volume, tuple[int, int]]:
+    """The image on a grid of at most 1 mm within the slices; returns it and the factors.
+
+    >>> fine, factors = supersampled(Volume(np.zeros((4, 4, 3)), np.diag([2.0, 1.0, 5.0, 1.0])))
+    >>> factors, fine.shape, fine.affine[0]
+    ((2, 1), (8, 4, 3), array([ 1. ,  0. ,  0. , -0.5]))
     """
-    factor = int(np.ceil(volume.spacing[:2].max() / _FINEST - 1e-6))
-    if factor == 1:
-        return volume, 1
+    first, second = (max(1, int(np.ceil(each / _FINEST - 1e-6))) for each in volume.spacing[:2])
+    if first == second == 1:
+        return volume, (1, 1)
     values = ndimage.zoom(
-        volume.values.astype(np.float32), (factor, factor, 1), order=3, mode="nearest", grid_mode=True
+        volume.values.astype(np.float32), (first, second, 1), order=3, mode="nearest", grid_mode=True
     )
     affine = volume.affine.copy()
-    shift = -(factor - 1) / (2 * factor)
-    affine[:3, 3] += (affine[:3, 0] + affine[:3, 1]) * shift
-    affine[:3, :2] /= factor
-    return Volume(values, affine), factor
+    for axis, factor in enumerate((first, second)):
+        affine[:3, 3] -= volume.affine[:3, axis] * (factor - 1) / (2 * factor)
+        affine[:3, axis] /= factor
+    return Volume(values, affine), (first, second)
 
 
-def _coarse(labels: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+def _coarse(labels: NDArray[np.uint8], factors: tuple[int, int]) -> NDArray[np.uint8]:
     """Each voxel takes the label that fills most of it."""
-    if factor == 1:
+    if factors == (1, 1):
         return labels
     a, b, c = labels.shape
-    blocks = labels.reshape(a // factor, factor, b // factor, factor, c)
-    shares = [(blocks == value).mean(axis=(1, 3)) for value in (0, SOFT_TISSUE, BONE, MARKER)]
-    return np.argmax(shares, axis=0).astype(np.uint8)
+    blocks = labels.reshape(a // factors[0], factors[0], b // factors[1], factors[1], c)
+    shares = [(blocks == value).mean(axis=(1, 3)) for value in (0, SOFT_TISSUE, BONE, MARKER, FAT)]
+    inside = np.add(shares[SOFT_TISSUE], shares[FAT])
+    body = np.argmax([shares[0], inside, shares[BONE], shares[MARKER]], axis=0)
+    return np.where((body == SOFT_TISSUE) & (shares[FAT] > shares[SOFT_TISSUE]), FAT, body).astype(np.uint8)

@@ -1,34 +1,80 @@
-"""segment: MRI series, label map or surfaces to skin, bones and markers.
+"""segment: MRI or CT series, label map or surfaces to skin, bones, fat and markers.
 
-Whatever the case brings, later stages find the same files: skin.ply, bone_*.ply.
+Whatever the case brings, later stages find the same files: skin.ply, bone_*.ply. What
+the user has edited by hand (OUT/segment/labels.nii.gz) wins over all of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.files import sha256
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.dicom import read_series
-from limbcli.imaging.labels import read_labels, segmentation_from, write_labels
+from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.labels import segmentation_from, write_labels
+from limbcli.imaging.layers import layers_at
+from limbcli.imaging.limbs import Side
 from limbcli.imaging.picture import contact_sheet
-from limbcli.imaging.segmentation import Segmentation, segment_limb
-from limbcli.imaging.surface import ClosedSurface, read_surface, surface_of, write_surface
+from limbcli.imaging.quality import assess
+from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
+from limbcli.imaging.surface import SMOOTH, ClosedSurface, read_surface, surface_of, write_surface
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.results import StageResult, StageWriter, open_stage, read_result
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
+LABELS = "labels.nii.gz"
+EDITED = "edited labels"
+
+Seed = tuple[str, tuple[float, float, float]]
 
 
-def segment(case: Case, *, out: Path, progress: Progress = SILENT) -> StageResult:
-    """Find skin, bones and markers; write label map, surfaces and contact sheet.
+@dataclass(frozen=True)
+class _Options:
+    seeds: tuple[Seed, ...]
+    smooth: float
+    threshold: float | None
+    side: Side | None
 
-    The case's surfaces are taken if it names them, else its label map, else its MRI
-    series is segmented.
+    def wishes(self) -> Wishes:
+        def points(kind: str) -> np.ndarray | None:
+            found = [place for name, place in self.seeds if name == kind]
+            return np.array(found) if found else None
+
+        return Wishes(self.threshold, points("bone"), points("soft"), self.side)
+
+
+def segment(
+    case: Case,
+    *,
+    out: Path,
+    seeds: Sequence[Seed] = (),
+    smooth: float = SMOOTH,
+    threshold: float | None = None,
+    limb: Side | None = None,
+    fresh: bool = False,
+    progress: Progress = SILENT,
+) -> StageResult:
+    """Find skin, bones, fat and markers; write label map, surfaces and contact sheet.
+
+    A label map that the user has edited in the output folder wins; else the case's surfaces
+    are taken, else its label map, else its series is segmented.
+
+    Parameters
+    ----------
+    seeds : ("bone", (x, y, z)) adds the bone whose marrow holds the point (patient LPS, mm);
+        ("soft", (x, y, z)) says that what was taken for bone there is none
+    smooth : standard deviation of the smoothing of the surfaces, mm
+    threshold : signal between air and skin, image units (HU on CT)
+    limb : which of two limbs in view
+    fresh : leave an edited label map aside and start anew
 
     Raises
     ------
@@ -36,13 +82,17 @@ def segment(case: Case, *, out: Path, progress: Progress = SILENT) -> StageResul
         If the input cannot be used; the message says why and what to do.
     """
     progress.event("stage", name="segment")
+    options = _Options(_checked(seeds, case), smooth, threshold, limb)
+    edited = None if fresh else _edited(out)
     with open_stage(out, "segment", subject=case.subject) as writer:
-        if case.imaging.skin is not None:
+        if edited is not None:
+            _from_edited(case, edited, options, writer, progress)
+        elif case.imaging.skin is not None:
             _from_surfaces(case, writer)
         elif case.imaging.labels is not None:
-            _from_labels(case, case.imaging.labels, writer, progress)
+            _from_labels(case, case.imaging.labels, options, writer, progress)
         elif case.imaging.mri is not None:
-            _from_series(case, case.imaging.mri, writer, progress)
+            _from_series(case, case.imaging.mri, options, writer, progress)
         else:
             raise CaseError(
                 "the case names no geometry",
@@ -53,49 +103,143 @@ def segment(case: Case, *, out: Path, progress: Progress = SILENT) -> StageResul
     return writer.result
 
 
-def _from_series(case: Case, folder: Path, writer: StageWriter, progress: Progress) -> None:
+def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
+    for name, place in seeds:
+        if name not in ("bone", "soft") or not np.isfinite(place).all():
+            raise CaseError(
+                f"the seed {name} = {place} is not understood",
+                where=f"{case.subject}, --seed",
+                fix="write bone=x,y,z or soft=x,y,z with patient LPS mm",
+            )
+    return tuple(seeds)
+
+
+def _edited(out: Path) -> Path | None:
+    """The label map in the output folder, if the user has changed it since it was written."""
+    path = out / "segment" / LABELS
+    if not path.is_file():
+        return None
+    try:
+        before = read_result(out, "segment").data
+    except CaseError:
+        return None
+    changed = sha256(path) != before.get("labels_sha256")
+    return path if changed or before.get("source") == EDITED else None
+
+
+def _from_series(
+    case: Case, folder: Path, options: _Options, writer: StageWriter, progress: Progress
+) -> None:
     writer.used("mri", folder)
     series = read_series(folder, progress=progress)
-    found = segment_limb(series.volume, progress=progress)
+    modality = str(series.facts.get("modality", "MR"))
+    found = segment_limb(series.volume, modality=modality, wishes=options.wishes(), progress=progress)
     writer.data["source"] = "mri"
     writer.data["image"] = dict(series.facts)
-    writer.warnings.extend(series.notes)
-    _write(case, series.volume, found, writer, progress)
+    writer.warnings.extend((*series.notes, *found.notes))
+    _write(case, series.volume, found, options, writer, progress)
 
 
-def _from_labels(case: Case, path: Path, writer: StageWriter, progress: Progress) -> None:
-    """A label map replaces the automatic segmentation; the series, if any, is only shown."""
+def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
+    """A label map replaces the automatic segmentation."""
     writer.used("labels", path)
-    labels = read_labels(path)
-    found = segmentation_from(labels)
+    labels = read_label_file(path)
     writer.data["source"] = "labels"
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
-    _write(case, labels, found, writer, progress)
+    _ignored(options, writer)
+    _write(case, labels, segmentation_from(labels), options, writer, progress)
 
 
-def _write(case: Case, image: Volume, found: Segmentation, writer: StageWriter, progress: Progress) -> None:
+def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
+    """The user's own edit of an earlier result; it is kept as it is."""
+    writer.used("edited_labels", path)
+    labels = read_label_file(path)
+    writer.data["source"] = EDITED
+    text = f"the label map edited by hand in {path.parent} wins over the automatic one (--fresh starts anew)"
+    writer.summary.append(text)
+    writer.warnings.append(text)
+    _ignored(options, writer)
+    image = labels
+    if case.imaging.mri is not None:
+        series = read_series(case.imaging.mri, progress=progress).volume
+        image = series if series.shape == labels.shape else labels
+    _write(case, image, segmentation_from(labels), options, writer, progress)
+
+
+def _ignored(options: _Options, writer: StageWriter) -> None:
+    if options.seeds or options.threshold is not None or options.side is not None:
+        writer.warnings.append("--seed, --threshold and --limb have no effect on a given label map")
+
+
+def _write(
+    case: Case,
+    image: Volume,
+    found: Segmentation,
+    options: _Options,
+    writer: StageWriter,
+    progress: Progress,
+) -> None:
     if not found.bones:
         raise CaseError(
             "no bone was found",
             where=f"{case.subject}, segment",
-            fix="give its place with --seed bone=x,y,z (patient LPS, mm), or [imaging] labels",
+            fix="give a point in its marrow with --seed bone=x,y,z (patient LPS, mm), or [imaging] labels",
         )
     names = name_bones(found.bones)
-    write_labels(writer.file("labels", "labels.nii.gz"), found.labels)
-    surfaces = {"skin": surface_of(found.skin, edge=SKIN_EDGE)}
+    labels = writer.file("labels", LABELS)
+    write_labels(labels, found.labels)
+    writer.data["labels_sha256"] = sha256(labels)
+    surfaces = {"skin": surface_of(found.skin, edge=SKIN_EDGE, smooth=options.smooth)}
     progress.event("task", name="surfaces", done=1, total=1 + len(names))
     for number, (name, bone) in enumerate(zip(names, found.bones, strict=True), 2):
-        surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE)
+        surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth)
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
     _write_surfaces(surfaces, writer)
+    _tell_markers(found, writer)
+    _tell_layers(case, found, surfaces["skin"], writer)
+    verdict = _tell_quality(found, names, writer)
+    sheet = writer.file("contact_sheet", "contact-sheet.png")
+    title = f"{case.subject}: skin (yellow), bones ({', '.join(names)}); quality: {verdict}"
+    contact_sheet(sheet, image, found, title=title)
+
+
+def _tell_markers(found: Segmentation, writer: StageWriter) -> None:
     writer.data["markers"] = [
         {"number": each.number, "position_mm": each.position, "volume_mm3": each.volume}
         for each in found.markers
     ]
     if found.markers:
         writer.summary.append(f"{len(found.markers)} skin marker(s), numbered from distal to proximal")
-    sheet = writer.file("contact_sheet", "contact-sheet.png")
-    contact_sheet(sheet, image, found, title=f"{case.subject}: skin (yellow), bones ({', '.join(names)})")
+
+
+def _tell_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: StageWriter) -> None:
+    """Thickness of skin and fat under each site whose place is known."""
+    places = {each.number: each.position for each in found.markers}
+    layers = {}
+    for site in case.sites:
+        position = site.position if site.marker is None else places.get(site.marker)
+        if position is None or found.fat is None:
+            continue
+        found_layers = layers_at(np.array(position), skin, found.fat)
+        if found_layers is None:
+            writer.warnings.append(
+                f"site {site.name}: no fat was met under the skin, its thickness is unknown"
+            )
+            continue
+        layers[site.name] = {"skin_mm": found_layers.skin, "fat_mm": found_layers.fat}
+        writer.summary.append(
+            f"site {site.name}: fat {found_layers.fat:.1f} mm under {found_layers.skin:.1f} mm of skin"
+        )
+    writer.data["layers"] = layers
+
+
+def _tell_quality(found: Segmentation, names: tuple[str, ...], writer: StageWriter) -> str:
+    quality = assess(found, names)
+    writer.data["quality"] = {"verdict": quality.verdict, **quality.figures}
+    writer.summary.append(f"quality: {quality.verdict}")
+    for finding in quality.findings:
+        writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; look at contact-sheet.png")
+    return quality.verdict
 
 
 def _from_surfaces(case: Case, writer: StageWriter) -> None:
@@ -111,7 +255,7 @@ def _from_surfaces(case: Case, writer: StageWriter) -> None:
 
 def _bone_names(case: Case) -> list[str]:
     """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
-    names = []
+    names: list[str] = []
     for number, path in enumerate(case.imaging.bones, 1):
         known = [each for each in ("tibia", "fibula", "femur", "patella") if each in path.stem.lower()]
         name = f"bone_{known[0] if len(known) == 1 else number}"

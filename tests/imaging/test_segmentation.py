@@ -23,7 +23,7 @@ MARKERS = ((43.5, 0.0, -8.0), (0.0, 38.0, 12.0))
 
 
 def skin_and_bone_dice(labels, truth):
-    return dice(np.isin(labels, (1, 2)), np.isin(truth, (1, 2))), dice(labels == 2, truth == 2)
+    return dice(np.isin(labels, (1, 2, 4)), np.isin(truth, (1, 2))), dice(labels == 2, truth == 2)
 
 
 def test_a_simple_limb_is_found_with_bones_and_markers():

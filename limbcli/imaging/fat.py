@@ -1,0 +1,31 @@
+"""Fat, told from muscle by its signal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.intensity import Levels
+from limbcli.imaging.volume import Volume
+
+_LEAST_CONTRAST = 1.5  # fat over muscle
+_LEAST_PART = 100.0  # mm^3: smaller specks of fat belong to the muscle
+
+
+def fat_of(
+    levels: Levels, limb: NDArray[np.bool_], bone: NDArray[np.bool_], volume: Volume
+) -> NDArray[np.bool_] | None:
+    """Voxels of fat: nearer to fat's level than to muscle's, outside bone.
+
+    None where fat and muscle cannot be told apart (contrast below 1.5, or within noise).
+    """
+    if levels.fat < _LEAST_CONTRAST or levels.fat - 1.0 < 4.0 * levels.noise:
+        return None
+    sigma = [0.5 / volume.spacing[0], 0.5 / volume.spacing[1], 0.0]
+    smooth = ndimage.gaussian_filter(levels.values, sigma)
+    fat = (smooth > levels.between) & limb & ~bone
+    parts, n_parts = ndimage.label(fat)
+    sizes = np.bincount(parts.ravel(), minlength=n_parts + 1) * volume.voxel_volume
+    sizes[0] = 0.0
+    return np.asarray(sizes[parts] >= _LEAST_PART)

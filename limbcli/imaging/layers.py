@@ -1,0 +1,69 @@
+"""How thick skin and subcutaneous fat are under a place on the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.surface import ClosedSurface
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+_PATCH = 6.0  # mm: radius round a place over which normal and thickness are taken
+_DEEPEST = 60.0  # mm
+_STEP = 0.25  # mm
+_SKIN = 5.0  # mm: fat begins within this depth
+_GAP = 2.0  # mm: a gap in the fat (septum, vein) up to this is no end
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Under a place: skin (dark, outer) and fat thickness along the inward normal, mm; medians."""
+
+    skin: float
+    fat: float
+    point: tuple[float, float, float]
+
+
+def layers_at(position: Array, skin: ClosedSurface, fat: Volume) -> Layers | None:
+    """Thickness of skin and subcutaneous fat at the skin point nearest to a position.
+
+    Medians over the skin within 6 mm, each along the mean normal there; None where the
+    rays meet no fat near the skin (thin skin over bone, or a marker's shadow).
+
+    position : patient LPS (3,), mm;  fat : Volume of bool
+    """
+    corner = skin.points[skin.triangles]
+    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    centres = corner.mean(axis=1)
+    nearest = skin.points[np.argmin(np.linalg.norm(skin.points - position, axis=1))]
+    near = np.linalg.norm(centres - nearest, axis=1) < _PATCH
+    normal = normals[near].sum(axis=0)
+    normal /= np.linalg.norm(normal)
+    depth = np.arange(0.0, _DEEPEST, _STEP)
+    rays = centres[near][:, None, :] - depth[:, None] * normal
+    index = fat.to_voxel(rays.reshape(-1, 3)).T
+    inside = ndimage.map_coordinates(fat.values.astype(np.float32), index, order=1).reshape(rays.shape[:2])
+    found = np.array([run for run in map(_first_run, inside > 0.5) if run is not None])
+    if len(found) < 0.5 * len(inside):
+        return None
+    start, end = np.median(found, axis=0)
+    return Layers(float(start), float(end - start), (float(nearest[0]), float(nearest[1]), float(nearest[2])))
+
+
+def _first_run(fat: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Start and end (mm) of the first run of fat along a ray; short gaps do not end it.
+
+    >>> ray = np.zeros(100, bool); ray[6:20] = True; ray[22:30] = True; ray[60:70] = True
+    >>> _first_run(ray)
+    (1.5, 7.5)
+    """
+    where = np.flatnonzero(fat)
+    if not len(where) or where[0] * _STEP > _SKIN:
+        return None
+    breaks = np.flatnonzero(np.diff(where) * _STEP > _GAP)
+    last = where[breaks[0]] if len(breaks) else where[-1]
+    return float(where[0] * _STEP), float((last + 1) * _STEP)

@@ -1,0 +1,125 @@
+"""NRRD volumes, as 3D Slicer writes them (`.nrrd`, `.seg.nrrd`).
+
+Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, attached data,
+encodings raw, gzip and ascii).
+"""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import CaseError
+from limbcli.imaging.volume import RAS_FROM_LPS
+from limbcli.model import Array
+
+_TYPES = {
+    "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
+    "i1": ("signed char", "int8", "int8_t"),
+    "i2": ("short", "short int", "signed short", "int16", "int16_t"),
+    "u2": ("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"),
+    "i4": ("int", "signed int", "int32", "int32_t"),
+    "u4": ("uint", "unsigned int", "uint32", "uint32_t"),
+    "f4": ("float",),
+    "f8": ("double",),
+}
+_LPS = ("left-posterior-superior", "lps")
+_RAS = ("right-anterior-superior", "ras")
+
+
+@dataclass(frozen=True, eq=False)
+class Nrrd:
+    """values [i, j, k] or [layer, i, j, k]; affine voxel to patient LPS; key/value pairs of the header."""
+
+    values: NDArray
+    affine: Array
+    pairs: dict[str, str]
+
+
+def read_nrrd(path: Path) -> Nrrd:
+    """A NRRD file with its data attached.
+
+    Raises
+    ------
+    CaseError
+        If it is none, or of a kind that cannot be read; the message says what.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise _refusal(path, f"cannot be read ({error.strerror})") from error
+    end, skip = content.find(b"\n\n"), 2
+    if b"\r\n\r\n" in content[:65536] and (end < 0 or content.find(b"\r\n\r\n") < end):
+        end, skip = content.find(b"\r\n\r\n"), 4
+    if not content.startswith(b"NRRD000") or end < 0:
+        raise _refusal(path, "is no NRRD file")
+    fields, pairs = _header(content[:end].decode("utf-8", "replace"))
+    if "data file" in fields or "datafile" in fields:
+        raise _refusal(path, "keeps its data in another file")
+    try:
+        values = _values(content[end + skip :], fields)
+        return Nrrd(values, _affine(fields), pairs)
+    except (KeyError, ValueError, OSError, EOFError, zlib.error) as error:
+        raise _refusal(path, f"cannot be read ({error})") from error
+
+
+def _refusal(path: Path, what: str) -> CaseError:
+    fix = "save it again from 3D Slicer as .nrrd or .seg.nrrd (compressed or not), or as NIfTI"
+    return CaseError(f"the label map {what}", where=str(path), fix=fix)
+
+
+def _header(text: str) -> tuple[dict[str, str], dict[str, str]]:
+    fields, pairs = {}, {}
+    for line in text.splitlines()[1:]:
+        if line.startswith("#"):
+            continue
+        if ":=" in line:
+            key, _, value = line.partition(":=")
+            pairs[key.strip()] = value.strip()
+        elif ":" in line:
+            key, _, value = line.partition(":")
+            fields[key.strip().lower()] = value.strip()
+    return fields, pairs
+
+
+def _values(data: bytes, fields: dict[str, str]) -> NDArray:
+    sizes = [int(each) for each in fields["sizes"].split()]
+    kind = next((code for code, names in _TYPES.items() if fields["type"].lower() in names), None)
+    if kind is None:
+        raise ValueError(f"type {fields['type']}")
+    encoding = fields.get("encoding", "raw").lower()
+    if encoding in ("gzip", "gz"):
+        data = gzip.decompress(data)
+    elif encoding in ("ascii", "text", "txt"):
+        return np.array(data.split(), dtype=float).reshape(sizes, order="F")
+    elif encoding != "raw":
+        raise ValueError(f"encoding {encoding}")
+    order = ">" if fields.get("endian", "little").lower() == "big" else "<"
+    count = int(np.prod(sizes))
+    return np.frombuffer(data, dtype=order + kind, count=count).reshape(sizes, order="F")
+
+
+def _affine(fields: dict[str, str]) -> Array:
+    vectors = [_vector(each) for each in fields["space directions"].replace("none", "(none)").split(") ")]
+    columns = [each for each in vectors if each is not None]
+    if len(columns) != 3:
+        raise ValueError("space directions of three axes are needed")
+    affine = np.eye(4)
+    affine[:3, :3] = np.array(columns).T
+    affine[:3, 3] = _vector(fields.get("space origin", "(0,0,0)"))
+    space = fields.get("space", "left-posterior-superior").lower()
+    if space in _RAS:
+        affine = RAS_FROM_LPS @ affine
+    elif space not in _LPS:
+        raise ValueError(f"space {space}")
+    return affine
+
+
+def _vector(text: str) -> list[float] | None:
+    inner = text.strip().strip("()")
+    return None if inner == "none" else [float(each) for each in inner.split(",")]

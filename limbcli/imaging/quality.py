@@ -1,0 +1,139 @@
+"""How far a segmentation can be trusted: figures, and a verdict in words.
+
+"good" passes without remark, "check" comes with warnings to look at, "poor" says that
+later stages should not be believed before the segmentation has been mended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.segmentation import Segmentation
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+_JUMP = (0.35, 0.8)  # change of a section's area from one slice to the next: check, poor
+_BONE_JUMP = (0.9, 2.5)  # bones flare towards a joint
+_SECTION = (0.45, 0.6)  # bone's share of the limb's section
+_AT_SKIN = (0.02, 0.15)  # share of a bone's surface that lies on the skin
+_BORDER = (0.03, 0.15)  # share of the limb's outline that the image's side cuts off
+_THIN = (2.0, 1.0)  # mm, half thickness of a bone at its thinnest section
+_HOLE = (20.0, 500.0)  # mm^3 of holes inside
+_IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
+_EVERY = 5.0  # mm along the limb over which a jump is measured
+
+
+@dataclass(frozen=True)
+class Quality:
+    """verdict "good" | "check" | "poor"; figures with units in their names; findings in words."""
+
+    verdict: str
+    figures: dict[str, float] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+
+
+def assess(found: Segmentation, names: tuple[str, ...]) -> Quality:
+    """Leakage, holes, jumps of section and thin spots of a segmentation.
+
+    names : of the bones, in order
+    """
+    figures: dict[str, float] = {}
+    remarks: list[tuple[int, str]] = []
+
+    def judge(key: str, value: float, limits: tuple[float, float], text: str) -> None:
+        figures[key] = round(float(value), 4)
+        worse = limits[1] > limits[0]
+        grade = sum(value > limit if worse else value < limit for limit in limits)
+        if grade:
+            remarks.append((grade, text.format(value)))
+
+    limb = found.skin
+    judge("limb_jump_share", _jump(limb), _JUMP, "the limb's section changes by {:.0%} within 5 mm")
+    judge("limb_cut_share", _cut_off(limb.values), _BORDER, "the image's side cuts off {:.0%} of the limb")
+    judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
+    allowed = np.zeros(limb.shape, bool)
+    for name, bone in zip(names, found.bones, strict=True):
+        allowed |= bone.values
+        at_skin = _share_at_skin(bone.values, limb.values)
+        gaps = _gaps(bone.values)
+        is_ = f"bone {name} "
+        judge(
+            f"{name}_jump_share", _jump(bone), _BONE_JUMP, is_ + "changes its section by {:.0%} within 5 mm"
+        )
+        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "lies on the skin with {:.0%} of its face")
+        judge(f"{name}_holes_mm3", _holes(bone), _HOLE, is_ + "has holes of {:.0f} mm3")
+        judge(f"{name}_half_thickness_mm", _thinnest(bone), _THIN, is_ + "is only {:.1f} mm to its middle")
+        judge(f"{name}_gaps", gaps, (0, 2), is_ + "is missing in {:.0f} slice(s) between its ends")
+    share = _largest_share(allowed, limb.values)
+    judge("bone_section_share", share, _SECTION, "bone fills {:.0%} of a section of the limb (a leak?)")
+    worst = max((grade for grade, _ in remarks), default=0)
+    return Quality(("good", "check", "poor")[worst], figures, tuple(text for _, text in remarks))
+
+
+def _areas(mask: NDArray[np.bool_]) -> Array:
+    return mask.sum(axis=(0, 1)).astype(np.float64)
+
+
+def _jump(mask: Volume) -> float:
+    """Largest relative change of the section's area over 5 mm, away from rounded ends."""
+    areas = _areas(mask.values)
+    filled = np.flatnonzero(areas)
+    step = max(1, round(_EVERY / mask.spacing[2]))
+    margin = int(np.ceil(20.0 / mask.spacing[2]))
+    low = filled[0] + (margin if filled[0] > 0 else 0)
+    high = filled[-1] + 1 - (margin if filled[-1] < len(areas) - 1 else 0)
+    inner = areas[low:high]
+    if len(inner) <= step or inner.min() == 0:
+        return 0.0
+    ratio = np.abs(np.log(inner[step:] / inner[:-step]))
+    return float(np.expm1(ratio.max() * min(1.0, _EVERY / (step * mask.spacing[2]))))
+
+
+def _gaps(mask: NDArray[np.bool_]) -> int:
+    filled = np.flatnonzero(_areas(mask))
+    return int(filled[-1] - filled[0] + 1 - len(filled))
+
+
+def _cut_off(limb: NDArray[np.bool_]) -> float:
+    """Share of the limb's outline that lies on the image's sides."""
+    sides = limb[0].sum() + limb[-1].sum() + limb[:, 0].sum() + limb[:, -1].sum()
+    outline = limb & ~ndimage.binary_erosion(limb, _IN_SLICE)
+    return float(sides / max(outline.sum(), 1))
+
+
+def _share_at_skin(bone: NDArray[np.bool_], limb: NDArray[np.bool_]) -> float:
+    """Share of the bone's edge with no soft tissue between it and the air, within the slices."""
+    edge = bone & ~ndimage.binary_erosion(bone, _IN_SLICE, border_value=1)
+    beside_air = bone & ndimage.binary_dilation(~limb, _IN_SLICE)
+    return float((edge & beside_air).sum() / max(edge.sum(), 1))
+
+
+def _holes(mask: Volume) -> float:
+    filled = ndimage.binary_fill_holes(mask.values)
+    return float((filled & ~mask.values).sum() * mask.voxel_volume)
+
+
+def _thinnest(bone: Volume) -> float:
+    """Smallest, over the slices away from the ends, of the largest distance to the bone's edge, mm."""
+    filled = np.flatnonzero(_areas(bone.values))
+    margin = int(np.ceil(8.0 / bone.spacing[2]))
+    low = margin if filled[0] > 0 else 0
+    high = margin if filled[-1] < bone.shape[2] - 1 else 0
+    inner = filled[low : len(filled) - high]
+    if not len(inner):
+        inner = filled
+    depths = [
+        ndimage.distance_transform_edt(np.pad(bone.values[:, :, k], 1), sampling=bone.spacing[:2]).max()
+        for k in inner
+    ]
+    return float(min(depths))
+
+
+def _largest_share(bone: NDArray[np.bool_], limb: NDArray[np.bool_]) -> float:
+    areas = _areas(limb)
+    large = areas > 0.3 * areas.max()
+    return float((_areas(bone)[large] / areas[large]).max()) if large.any() else 0.0
