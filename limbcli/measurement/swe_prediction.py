@@ -74,8 +74,8 @@ def predict_map(
     counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
     count = min(int(np.clip(np.max(counts), _FEWEST, _MOST)), len(points))
     distance, index = tree.query(targets, k=count)
-    spacing = np.median(tree.query(points, k=2)[0][:, 1])
-    inside = _surrounded(points, targets, distance, index, reach=max(3.0 * spacing, window.pixel))
+    spacing = float(np.median(tree.query(points, k=9)[0][:, 8]))
+    inside = _surrounded(points, targets, distance, index, reach=max(spacing, window.pixel))
     if not inside.any():
         raise _no_pixel(face_height)
     offset = points[index[inside]] - targets[inside][:, None, :]
