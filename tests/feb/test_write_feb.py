@@ -249,8 +249,8 @@ def test_a_model_of_50000_nodes_is_written_and_read_in_seconds(model: LimbModel,
     points = rng.normal(size=(50_000, 3))
     cells = rng.integers(0, 50_000, size=(30_000, 10))
     mesh = replace(model.mesh, points=points, blocks=(Block("tissue", "tet10", cells), model.mesh.blocks[1]))
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: the machine may be busy
     back = round_trip(model.with_mesh(mesh), tmp_path)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     assert np.array_equal(back.mesh.blocks[0].cells, cells)
     assert seconds < 5, f"{seconds:.1f} s: rows must not pass through template loops"
