@@ -19,6 +19,8 @@ from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
+_LOOSE = 3e-2  # residual at which a stride on the way is good enough
+_EASY = 6  # iterations up to which the next stride may be longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class Analysis:
         self.counts = Counts()
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
+        self._stride = np.inf
 
     @property
     def newton(self) -> Newton:
@@ -70,6 +73,7 @@ class Analysis:
             newton = self._prepare(step, state)
             state = newton.system.start
             reached: list[State] = [state]
+            self._stride = step.step_size if self.model.contacts else np.inf
             for target in step_times(step):
                 number += 1
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
@@ -120,45 +124,59 @@ class Analysis:
         visit: Visitor | None,
         known: State | None,
     ) -> State:
-        """March to a time, halving the step where it fails."""
-        cuts, aim = 0, target
+        """March to a time in strides that Newton's method can take.
+
+        Strides on the way serve as first guesses only: they are solved loosely and not kept.
+        """
+        newton = self.newton
+        cuts = 0
         while True:
+            begin = reached[-1].time
+            rest = target - begin
+            n = 1 if known is not None else int(np.ceil(rest / self._stride - 1e-6))
+            aim = target if n <= 1 else begin + rest / n
+            last = cuts >= max(_MAX_CUTS, step.max_retries)
+            before = newton.counts.iterations
             try:
-                state, forces = self._solve(aim, reached, level, known if aim == target else None)
-            except SolveError as error:
-                if not isinstance(error, NotConverged):
-                    raise
+                state, forces = self._solve(aim, reached, level, known, aim == target, patient=last)
+            except NotConverged:
                 cuts += 1
-                self.newton.counts.retries += 1
-                middle = 0.5 * (reached[-1].time + aim)
-                if cuts > max(_MAX_CUTS, step.max_retries) or middle <= reached[-1].time:
+                newton.counts.retries += 1
+                if last or 0.5 * (begin + aim) <= begin:
                     raise
-                self.newton.tangent = None
-                aim, known = middle, None
+                self._stride = rest if known is not None else 0.5 * (aim - begin)
+                newton.slow, known = np.inf, None
                 continue
-            must = aim == target
-            snapshot = Snapshot(len(snapshots) + 1, state, forces, must)
-            snapshots.append(snapshot)
+            used = newton.counts.iterations - before
+            if aim - begin >= self._stride * (1 - 1e-6) and used <= _EASY:
+                self._stride *= 1.5
             reached.append(state)
-            if visit is not None:
-                visit(self, snapshot)
-            if must:
+            if aim == target:
+                snapshot = Snapshot(len(snapshots) + 1, state, forces, True)
+                snapshots.append(snapshot)
+                if visit is not None:
+                    visit(self, snapshot)
                 return state
-            aim = target if cuts <= 1 else min(target, aim + 2 * (aim - reached[-2].time))
-            cuts = max(0, cuts - 1)
 
     def _solve(
-        self, time: float, reached: list[State], level: Level, known: State | None
+        self,
+        time: float,
+        reached: list[State],
+        level: Level,
+        known: State | None,
+        must: bool,
+        *,
+        patient: bool,
     ) -> tuple[State, Forces]:
         newton = self.newton
+        tolerance = None if must else _LOOSE
         if known is not None:
-            return newton.equilibrate(newton.system.prescribed(known, time), level)
-        if len(reached) >= 3:
-            try:
-                return newton.equilibrate(extrapolate(newton.system, reached, time), level)
-            except NotConverged:
-                newton.tangent = None
-        return newton.equilibrate(newton.predict(reached[-1], time), level)
+            guess = newton.system.prescribed(known, time)
+        elif len(reached) >= 3:
+            guess = extrapolate(newton.system, reached, time)
+        else:
+            guess = newton.predict(reached[-1], time)
+        return newton.equilibrate(guess, level, tolerance=tolerance, patient=patient)
 
     def _depth(self, system: System, time: float) -> float:
         state = system.prescribed(system.start, time)

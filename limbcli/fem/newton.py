@@ -15,6 +15,10 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 
+_PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
+_LARGE = 20_000  # equations, from which on single precision pays
+
+
 class NotConverged(SolveError):
     """Newton's method gave up at one time; the caller may cut the step."""
 
@@ -24,6 +28,9 @@ class Settings:
     """How equilibrium is sought.
 
     tolerance : residual over the forces at play, both as norms
+    renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
+    max_krylov : Krylov iterations per decade above which the factor is renewed
+    single : factor in single precision (None: for large systems); GMRES makes up for it
     linear : "auto", "pardiso" or "superlu"
     """
 
@@ -31,8 +38,9 @@ class Settings:
     max_iterations: int = 30
     linear: str = "auto"
     threads: int = 2
-    refresh_ratio: float = 0.2
-    forcing: float = 1e-2
+    single: bool | None = None
+    renew_ratio: float = 0.1
+    max_krylov: float = 12.0
 
 
 @dataclass
@@ -64,10 +72,16 @@ class Newton:
         self.counts = Counts()
         self.tangent: Tangent | None = None
         self.inverse: Inverse | None = None
+        self.slow = 0.0
+        single = settings.single if settings.single is not None else system.n_tissue > _LARGE
         pattern = system.pattern
         self.linear: Any = (
             linear_solvers.make(
-                pattern.indptr, pattern.indices, kind=settings.linear, threads=settings.threads
+                pattern.indptr,
+                pattern.indices,
+                kind=settings.linear,
+                threads=settings.threads,
+                single=single,
             )
             if system.n_tissue
             else None
@@ -86,6 +100,7 @@ class Newton:
         self.tangent = assemble(self.system, state, forces.nodal)
         self.inverse = Inverse(self.tangent, state, self.linear)
         self.counts.factorisations += 1
+        self.slow = 0.0
 
     def exact_tangent(self, state: State, forces: Forces) -> None:
         """The elastic tangent at this very state; the factor may stay older, GMRES makes up for it."""
@@ -95,18 +110,29 @@ class Newton:
             self.tangent = assemble(self.system, state, forces.nodal)
 
     def solve_linear(self, state: State, rhs: Array, tolerance: float) -> Array:
-        """Solve with the exact contact tangent and the last elastic tangent."""
-        assert self.tangent is not None and self.inverse is not None
+        """Solve with the exact contact tangent and the last elastic tangent.
+
+        `slow` becomes the number of Krylov iterations per decade, which tells how far the
+        factor has aged.
+        """
+        assert self.tangent is not None
+        assert self.inverse is not None
         tangent, inverse = self.tangent, self.inverse
-        step, n, _ = gmres(lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance)
+        step, n, reached = gmres(
+            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=50
+        )
         self.counts.krylov += n
+        self.slow = n / max(-np.log10(max(reached, 1e-16)), 0.3)
         return step
 
     def predict(self, state: State, time: float) -> State:
         """The state moved to `time` along the tangent: no element sees the whole step at once."""
         system = self.system
         forces = self.forces(state)
-        self.refresh(state, forces)
+        if self.inverse is None or self.slow > self.settings.max_krylov:
+            self.refresh(state, forces)
+        else:
+            self.tangent = assemble(system, state, forces.nodal)
         system.at(time)
         aim = system.prescribed(state, time)
         v = np.where(system.free, 0.0, aim.u - state.u)
@@ -117,48 +143,65 @@ class Newton:
         if system.pairs:
             nodal, bodies = system.contact_times(state, v, motions)
             change += nodal
-        forces_then = system.forces(State(time, state.u, state.bodies))
+        forces_then = self.forces(State(time, state.u, state.bodies))
         rhs = forces_then.residual.copy()
         rhs[: system.n_tissue] += change[system.free]
         if len(system.rigid) and system.pairs:
             for k, (b, dof) in enumerate(system.rigid):
                 rhs[system.n_tissue + k] += bodies[b, dof]
-        return system.moved(aim, self.solve_linear(state, -rhs, 1e-3))
+        return system.moved(aim, self.solve_linear(state, -rhs, 1e-2))
 
-    def equilibrate(self, guess: State, level: Level) -> tuple[State, Forces]:
-        """The equilibrium near a guess; raises NotConverged."""
+    def equilibrate(
+        self, guess: State, level: Level, *, tolerance: float | None = None, patient: bool = True
+    ) -> tuple[State, Forces]:
+        """The equilibrium near a guess; raises NotConverged.
+
+        tolerance : other than the settings', for a level on the way
+        patient : False gives up early, where a shorter step is the better answer
+        """
         system, settings = self.system, self.settings
+        target = settings.tolerance if tolerance is None else tolerance
         system.at(guess.time)
-        state = guess
-        forces = self.forces(state)
+        state, forces = guess, self.forces(guess)
         if forces.worst <= 0:
             raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
-        stale = self.tangent is None
+        first = forces.error
+        renew = True
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
-            if forces.error <= settings.tolerance:
+            if forces.error <= target:
                 return state, forces
             if iteration == settings.max_iterations:
                 break
-            if stale or self.tangent is None:
-                self.refresh(state, forces)
+            if not patient and iteration >= 3 and forces.error > 0.5 * first:
+                raise self.failure(state, forces, level, iteration, "the step is too long")
             self.counts.iterations += 1
-            step = self.solve_linear(state, -forces.residual, settings.forcing)
-            before = float(np.linalg.norm(forces.residual))
-            state, forces, length = self.search(state, forces, step)
-            ratio = float(np.linalg.norm(forces.residual)) / before
-            fresh = self.tangent is not None and not stale
-            stale = ratio > settings.refresh_ratio
-            if length == 0.0:
-                if fresh:
-                    stale = True
-                    continue
+            step = self.direction(state, forces, renew, target)
+            before = forces.error
+            state, forces, length = self.search(state, forces, step, iteration)
+            if length == 0.0 and renew:
                 break
+            renew = forces.error > settings.renew_ratio * before
         raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
 
-    def search(self, state: State, forces: Forces, step: Array) -> tuple[State, Forces, float]:
-        """Backtrack until no cell is inverted and the residual does not grow much."""
+    def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
+        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
+        settings = self.settings
+        if self.inverse is None or self.slow > settings.max_krylov:
+            self.refresh(state, forces)
+        elif renew or self.tangent is None:
+            self.tangent = assemble(self.system, state, forces.nodal)
+        forcing = float(np.clip(0.3 * target / forces.error, 1e-4, min(0.1, forces.error**0.5)))
+        return self.solve_linear(state, -forces.residual, forcing)
+
+    def search(self, state: State, forces: Forces, step: Array, iteration: int) -> tuple[State, Forces, float]:
+        """Shorten the step until no cell is inverted and the residual does not run away.
+
+        While the set of touching points still changes, the residual of a good step may be
+        several times the one before; only later must it fall.
+        """
         before = float(np.linalg.norm(forces.residual))
+        allowed = _PATIENCE if iteration < _PATIENT_ITERATIONS else 1.0
         length = 1.0
         best: tuple[float, State, Forces, float] | None = None
         for _ in range(7):
@@ -166,7 +209,7 @@ class Newton:
             result = self.forces(trial)
             size = float(np.linalg.norm(result.residual))
             if result.worst > 0 and np.isfinite(size):
-                if size <= (1.0 - 0.1 * length) * before:
+                if size <= allowed * (1.0 - 0.1 * length) * before:
                     return trial, result, length
                 if best is None or size < best[0]:
                     best = (size, trial, result, length)
