@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from lxml import etree
 
 from limbcli.feb import read_loads
@@ -22,10 +23,11 @@ from limbcli.feb.read_material import MaterialSection, read_materials
 from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
 from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
-from limbcli.model import Curved, Domain, LimbModel, Material, RigidBody, Step
+from limbcli.model import Curved, Domain, LimbModel, Material, Mesh, RigidBody, Step, Surface
 
 UNITS = "mm-N-s"
 INFO_MARK = "limbcli-info "
+EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # kept beside `info`
 _SECTIONS = (
     "Module", "Globals", "Control", "Material", "Mesh", "MeshDomains", "MeshData", "Boundary", "Rigid",
     "Contact", "Step", "LoadData", "Output",
@@ -74,7 +76,7 @@ def read_feb(path: Path | str) -> LimbModel:
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
     model = LimbModel(
-        mesh=mesh.mesh,
+        mesh=_with_empty_sets(mesh.mesh, info),
         materials=materials.materials,
         domains=domains,
         bodies=tuple(read_loads.tie(bodies, ties).values()),
@@ -179,6 +181,13 @@ def used_curves(model: LimbModel) -> set[str]:
     for material in model.materials.values():
         visit(material)
     return {name for name in names if name is not None}
+
+
+def _with_empty_sets(mesh: Mesh, info: dict[str, Any]) -> Mesh:
+    """The mesh with its empty sets and surfaces, which a file cannot hold."""
+    nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
+    surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
+    return replace(mesh, node_sets={**mesh.node_sets, **nodes}, surfaces={**mesh.surfaces, **surfaces})
 
 
 def _info(root: Tag) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from markupsafe import Markup
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
-from limbcli.feb.read import INFO_MARK
+from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, INFO_MARK
 from limbcli.feb.views import (
     block_rows,
     drive_groups,
@@ -32,6 +31,10 @@ from limbcli.model import LimbModel
 from limbcli.results import plain
 
 MAIN_TEMPLATE = "feb/model.feb.j2"
+# FEBio's own XML reader (XMLReader::GetChar) knows five entities by name and none by number,
+# and looks for them in comments too.
+_ENTITIES = {"&#39;": "&apos;", "&#34;": "&quot;"}
+_IN_COMMENTS = {"--": "-\\u002d", "&": "\\u0026", "<": "\\u003c", ">": "\\u003e"}
 FILE_ID_KEYS = ("file_node_ids", "file_cell_ids")
 
 
@@ -56,7 +59,14 @@ def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Pa
         If the templates are missing.
     """
     text = render(model, templates=templates)
-    content = text.encode("iso-8859-1", errors="xmlcharrefreplace")
+    try:
+        content = text.encode("iso-8859-1")
+    except UnicodeEncodeError as error:
+        raise CaseError(
+            f"FEBio cannot read the character {text[error.start]!r} in a name",
+            where=str(path),
+            fix="use plain letters in the names of parts, sets and materials",
+        ) from error
     with atomic_file(path) as partial:
         partial.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
     return path
@@ -65,7 +75,7 @@ def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Pa
 def render(model: LimbModel, *, templates: Path | None = None) -> str:
     """The text of the model file."""
     try:
-        return _environment(templates).get_template(MAIN_TEMPLATE).render(_context(model))
+        text = _environment(templates).get_template(MAIN_TEMPLATE).render(_context(model))
     except jinja2.TemplateError as error:
         line = getattr(error, "lineno", None)
         raise CaseError(
@@ -73,6 +83,9 @@ def render(model: LimbModel, *, templates: Path | None = None) -> str:
             where=f"{getattr(error, 'filename', None) or MAIN_TEMPLATE}" + (f", line {line}" if line else ""),
             fix="compare it with limbcli's own templates/feb, or leave --templates out",
         ) from error
+    for foreign, known in _ENTITIES.items():
+        text = text.replace(foreign, known)
+    return text
 
 
 def _environment(templates: Path | None) -> jinja2.Environment:
@@ -95,7 +108,7 @@ def _context(model: LimbModel) -> dict[str, Any]:
     return {
         "model": model,
         "module": "biphasic" if any(m.law == "biphasic" for m in model.materials.values()) else "solid",
-        "info": _info(model.info),
+        "info": _info(model),
         "steps": step_views(model, ids),
         "materials": material_views(model, ids),
         "drives": drive_groups(model.drives),
@@ -112,8 +125,14 @@ def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
     return {
         "nodes": node_rows(mesh.points),
         "blocks": block_rows(mesh.blocks),
-        "node_sets": [{"name": name, "ids": set_ids(each)} for name, each in mesh.node_sets.items()],
-        "surfaces": [{"name": name, "rows": surface_rows(each)} for name, each in mesh.surfaces.items()],
+        "node_sets": [
+            {"name": name, "ids": set_ids(each)} for name, each in mesh.node_sets.items() if len(each)
+        ],
+        "surfaces": [
+            {"name": name, "rows": surface_rows(each)}
+            for name, each in mesh.surfaces.items()
+            if each.n_facets  # FEBio takes an empty <Surface> for its neighbour
+        ],
         "element_maps": [
             {
                 "name": name,
@@ -130,10 +149,18 @@ def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
     }
 
 
-def _info(info: Mapping[str, Any]) -> Markup | None:
-    """`info` as JSON that may stand in a comment (where `--` is not allowed)."""
-    kept = {key: value for key, value in info.items() if key not in ("plot_variables", *FILE_ID_KEYS)}
+def _info(model: LimbModel) -> Markup | None:
+    """`info` as JSON that may stand in a comment; with the names of the sets that are not written."""
+    kept = {key: value for key, value in model.info.items() if key not in ("plot_variables", *FILE_ID_KEYS)}
+    empty_sets = [name for name, each in model.mesh.node_sets.items() if len(each) == 0]
+    empty_surfaces = [name for name, each in model.mesh.surfaces.items() if each.n_facets == 0]
+    if empty_sets:
+        kept[EMPTY_NODE_SETS] = empty_sets
+    if empty_surfaces:
+        kept[EMPTY_SURFACES] = empty_surfaces
     if not kept:
         return None
-    text = json.dumps(plain(kept), allow_nan=False).replace("--", "-\\u002d")
+    text = json.dumps(plain(kept), allow_nan=False)
+    for mark, escaped in _IN_COMMENTS.items():
+        text = text.replace(mark, escaped)
     return Markup(INFO_MARK + text)

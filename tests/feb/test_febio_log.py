@@ -47,7 +47,7 @@ def test_a_log_that_breaks_off_is_not_complete(data: Path) -> None:
     log = read_log(path)
     assert (log.ending, log.times) == ("none", (0.25, 0.5))
     assert log.n_iterations > 7
-    with pytest.raises(SolveError, match="breaks off at time 0.5"):
+    with pytest.raises(SolveError, match="breaks off"):
         check_complete(log, path, end_time=1.0)
 
 

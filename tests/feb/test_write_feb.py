@@ -29,6 +29,7 @@ from limbcli.model import (
     Spring,
     Step,
     Support,
+    Surface,
 )
 from limbcli.model_io import differences
 
@@ -105,7 +106,7 @@ def everything(model: LimbModel, rng: np.random.Generator) -> LimbModel:
                 supports=(Support("skin", ("x", "z")),), drives=(Drive("probe", "y", "displacement", 1.0),),
             ),
         ),
-        info={"note": "a -- b <&> é", "n": 3},
+        info={"note": "a -- b <&> 'é' \"q\" ---", "n": 3},
     )  # fmt: skip
 
 
@@ -120,6 +121,37 @@ def test_all_that_a_model_can_hold_comes_back_exactly(
     back = round_trip(full, tmp_path)
     fixed = replace(back, steps=(back.steps[0], replace(back.steps[1], dt_min=1e-3, max_retries=8)))
     assert differences(replace(full, materials=dict(full.materials)), fixed) == []
+
+
+def test_febios_own_xml_reader_can_read_it(model: LimbModel, rng: np.random.Generator) -> None:
+    """It knows five entities by name, none by number, and looks for them in comments too."""
+    full = everything(model, rng)
+    odd = replace(full, springs=(replace(full.springs[0], name='the patient\'s <"guide"> & rail'),))
+    text = render(odd)
+    assert set(re.findall(r"&[^;]*;", text)) == {"&apos;", "&lt;", "&gt;", "&amp;", "&quot;"}
+    assert text.count("&") == len(re.findall(r"&(apos|lt|gt|amp|quot);", text))
+    comment = text[text.index("<!--") + 4 : text.index("-->")]
+    assert not {"--", "&", "<", ">"} & set(re.findall(r"--|[&<>]", comment))
+    for tag in ("Boundary", "Rigid", "Contact", "LoadData", "logfile", "Surface", "NodeSet"):
+        assert not re.search(rf"<{tag}[^>]*>\s*</{tag}>", text), "an empty section is read as its neighbour"
+
+
+def test_empty_sets_are_not_written_and_yet_come_back(model: LimbModel, tmp_path: Path) -> None:
+    mesh = replace(
+        model.mesh,
+        node_sets={**model.mesh.node_sets, "cut": np.zeros(0, dtype=np.int64)},
+        surfaces={**model.mesh.surfaces, "cut": Surface("cut", {})},
+    )
+    bare = replace(model.with_mesh(mesh), supports=(), records=())
+    assert 'name="cut"' not in render(bare)
+    assert "<Boundary>" not in render(bare)
+    assert differences(bare, round_trip(bare, tmp_path)) == []
+
+
+def test_names_that_febio_cannot_read_are_refused(model: LimbModel, tmp_path: Path) -> None:
+    spring = Spring("Führung → 1", "probe", "probe", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+    with pytest.raises(CaseError, match="→"):
+        write_feb(replace(model, springs=(spring,)), tmp_path / "model.feb")
 
 
 def test_random_points_come_back_to_the_last_bit(
