@@ -10,20 +10,23 @@ from limbcli.reporting.reportlet import Cell
 
 DASH = "–"
 _MOST_IN_A_ROW = 4
+_SMALLEST_EXPONENT = -4
+_THIN = "\u00a0"  # keeps a number and its unit on one line
 
 
 def significant(value: float, digits: int = 3) -> str:
     """
     >>> significant(5.2034), significant(104.4), significant(0.01234), significant(12345.0), significant(0)
     ('5.20', '104', '0.0123', '12345', '0')
+    >>> significant(1.0), significant(0.9999), significant(99.96), significant(-0.1), significant(3.21e-7)
+    ('1.00', '1.00', '100', '-0.100', '3.21e-7')
     """
     if value == 0:
         return "0"
-    places = digits - 1 - math.floor(math.log10(abs(value)))
-    rounded = round(value, max(places, 0))
-    if abs(rounded) >= 10 ** math.ceil(math.log10(abs(value))):
-        places -= 1
-    return f"{rounded:.{max(places, 0)}f}" if abs(value) >= 1e-4 else f"{value:.{digits - 1}e}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    if int(exponent) < _SMALLEST_EXPONENT:
+        return f"{mantissa}e{int(exponent)}"
+    return f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
 
 
 def number(value: object) -> float | None:
@@ -37,12 +40,12 @@ def cell(value: object, *, digits: int = 3, reason: str = "not in the result", u
     """A table cell; undefined values become a dash that carries its reason.
 
     >>> cell(2.5, unit="mm").text, cell(None, reason="no SWE").text, cell(None, reason="no SWE").reason
-    ('2.50 mm', '–', 'no SWE')
+    ('2.50\xa0mm', '–', 'no SWE')
     """
     known = number(value)
     if known is None:
         return Cell(DASH, reason=reason)
-    return Cell(significant(known, digits) + (f" {unit}" if unit else ""))
+    return Cell(significant(known, digits) + (f"{_THIN}{unit}".replace(" ", _THIN) if unit else ""))
 
 
 def quantity(value: object, unit: str, *, digits: int = 3, reason: str = "not in the result") -> str:
@@ -85,7 +88,7 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
 
     >>> for name, value in plain_rows({"volume_cm3": {"skin": 1626.6}, "n_slices": 56}):
     ...     print(name.text, "=", value.text)
-    volume, skin = 1627 cm³
+    volume, skin = 1627...cm³
     number of slices = 56
     """
     rows: list[tuple[Cell, ...]] = []

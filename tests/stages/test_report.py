@@ -14,6 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from limbcli.case import Case
+from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
 from limbcli.stages.report import report
@@ -313,8 +314,19 @@ def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
     result = report(case, out=tmp_path / "out")
     page = Page(result.path("page").read_text(encoding="utf-8"))
     assert result.data["mood"] == "missing"
-    assert "Tissue parameters were identified at 0 of 1 site." in page.text
-    assert page.text.count("It is made by:") >= 4
+    assert "The tissue was fitted at 0 of 1 site." in page.text
+    for command in ("segment", "mesh", "run", "fit"):
+        assert re.search(rf"limbcli {command} \S+( --site p1)? --out", page.text), command
+
+
+def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    sentence = overview(gather(case, out=out)).sentence
+    assert "Not identified, so not to be relied on: f_κ at p1." in sentence
+    path = out / "fit" / "p1" / "fit.json"
+    path.write_text(path.read_text().replace('"weak"', '"identified"'))
+    assert "Every parameter searched for is identified." in overview(gather(case, out=out)).sentence
 
 
 @pytest.mark.parametrize(

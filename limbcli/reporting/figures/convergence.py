@@ -33,7 +33,7 @@ class Residuals:
 
 
 _COLOURS = {"mooney-rivlin": BLUE, "ogden": VERMILION}
-_SYMBOLS = {"f_kappa": "f_κ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
+_SYMBOLS = {"f_kappa": r"$f_\kappa$ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
 
 
 def fit_walk(walks: Sequence[FitWalk]) -> Figure:

@@ -84,7 +84,7 @@ def skin_figure(state: DeformedState) -> Figure:
         norm = Normalize(min(0.0, float(colour.min())), max(float(colour.max()), 1e-6))
         palette = ScalarMappable(norm, DISPLACEMENT_MAP)
         rgba = np.concatenate([palette.to_rgba(colour), np.tile(to_rgba(_UNKNOWN), (len(cut), 1))])
-        rgba[:, :3] *= shade[:, None]
+        rgba[: len(skin), :3] *= shade[: len(skin), None]
         drawn = PolyCollection(
             seen[facets][depth_order], facecolors=rgba[depth_order], edgecolors="face", linewidths=0.2
         )

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from limbcli.model import Array
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
 
 # 95 % quantile of chi-square with one degree of freedom.
 THRESHOLD_95 = 3.8415
-_SYMBOLS = {"f_kappa": "f_κ", "m": "m", "c": "c"}
+_SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +35,30 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
         for axes, profile in zip(panels, profiles, strict=False):
             order = np.argsort(profile.values)
             values, deviance = profile.values[order], profile.deviance[order]
-            inside = deviance <= THRESHOLD_95
             axes.plot(values, deviance, color=BLUE, zorder=3)
-            if inside.any():
-                axes.axvspan(values[inside].min(), values[inside].max(), color=QUIET, alpha=0.2, lw=0)
+            axes.axvspan(*_not_excluded(values, deviance), color=QUIET, alpha=0.2, lw=0)
             axes.axhline(THRESHOLD_95, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
             axes.axvline(profile.estimate, color=INK, lw=1.0, ls=":", label="the fit")
             if values.min() > 0 and values.max() > 5 * values.min():
                 axes.set_xscale("log")
+                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
             symbol = _SYMBOLS.get(profile.name, profile.name)
-            axes.set(xlabel=f"{symbol} [–]", title=symbol, ylim=(-0.3, 3 * THRESHOLD_95))
+            axes.set(xlabel=f"{symbol} [–]", title=symbol, ylim=(-0.3, 2 * THRESHOLD_95))
         panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
         panels[0].legend(loc="upper center")
     return figure
+
+
+def _not_excluded(values: Array, deviance: Array) -> tuple[float, float]:
+    """Where the curve crosses the limit on either side of its lowest point, or its ends."""
+    lowest, ends = int(deviance.argmin()), []
+    for side in (slice(lowest, None, -1), slice(lowest, None)):
+        outside = np.flatnonzero(deviance[side] > THRESHOLD_95)
+        if outside.size == 0 or outside[0] == 0:
+            ends.append(float(values[side][-1]))
+            continue
+        pair = slice(outside[0] - 1, outside[0] + 1)
+        ends.append(float(np.interp(THRESHOLD_95, deviance[side][pair], values[side][pair])))
+    return ends[0], ends[1]

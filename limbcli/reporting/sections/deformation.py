@@ -45,7 +45,7 @@ def deformation(page: Page, site: SiteMaterial) -> Reportlet:
         pictures=pictures,
         look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "
         "follows the probe's face, and the strongest squeeze between probe and bone",
-        bad="skin that passes through the probe, a checkerboard or spikes in the lower picture (locking, "
+        bad="skin that passes through the probe, a checkerboard or spikes in the squeeze (locking, "
         "or an element near collapse), or displacement that is still large at a cut face (the model is "
         "too small)",
         notes=tuple(_notes(site, state)),

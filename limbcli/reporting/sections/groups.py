@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from limbcli.reporting.numbers import DASH
 from limbcli.reporting.page import Page, SiteMaterial
-from limbcli.reporting.reportlet import Reportlet
+from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
 from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.elastography import elastography
@@ -44,5 +45,28 @@ def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
 
 
 def _site(page: Page, site: SiteMaterial) -> Group:
-    reportlets = tuple(each for make in SITE_REPORTLETS if (each := make(page, site)) is not None)
-    return Group(f"site-{site.name}", f"Site {site.name}", reportlets)
+    reportlets = [each for make in SITE_REPORTLETS if (each := make(page, site)) is not None]
+    shown = [each for each in reportlets if not _is_gap(each)]
+    gaps = [each for each in reportlets if _is_gap(each)]
+    if len(gaps) > 1:
+        gaps = [_together(site, gaps)]
+    return Group(f"site-{site.name}", f"Site {site.name}", (*shown, *gaps))
+
+
+def _is_gap(reportlet: Reportlet) -> bool:
+    return reportlet.mood == "missing" and not reportlet.is_answered
+
+
+def _together(site: SiteMaterial, gaps: list[Reportlet]) -> Reportlet:
+    """Several questions that cannot be answered yet, in one place: why, and what makes each."""
+    rows = tuple(
+        (
+            Cell(each.title, lead=True),
+            Cell(" ".join(each.notes)),
+            Cell(each.command) if each.command else Cell(DASH, reason="see the reason beside it"),
+        )
+        for each in gaps
+    )
+    caption = f"Questions without an answer yet at site {site.name}"
+    table = Table(caption, (head("question", "why not", "made by"),), rows, numeric=False)
+    return Reportlet(f"gaps-{site.name}", "What is still missing?", "missing", site.name, tables=(table,))

@@ -39,6 +39,7 @@ class SiteGlance:
     facts: tuple[Fact, ...]
     pills: tuple[Pill, ...]
     command: str = ""
+    weak: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,27 +71,29 @@ def overview(page: Page) -> Overview:
     warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
     warnings += [Warned(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
     failures = page.outcomes.failed
-    fitted = sum(page.outcomes.of("fit", site.name).status == "done" for site in page.sites)
+    sentence = _sentence(sites, failures, len(warnings))
     return Overview(
-        _overall(bool(failures), fitted, len(page.sites), bool(warnings)),
-        _sentence(fitted, len(page.sites), failures, len(warnings)),
-        sites,
-        failures,
-        tuple(warnings),
+        _overall(sites, bool(failures), bool(warnings)), sentence, sites, failures, tuple(warnings)
     )
 
 
-def _overall(failed: bool, fitted: int, n_sites: int, warned: bool) -> Mood:
-    if failed:
+def _overall(sites: tuple[SiteGlance, ...], failed: bool, warned: bool) -> Mood:
+    moods = {each.mood for each in sites}
+    if failed or "failed" in moods:
         return "failed"
-    if fitted < n_sites:
+    if "missing" in moods:
         return "missing"
-    return "warning" if warned else "fine"
+    return "warning" if warned or "warning" in moods else "fine"
 
 
-def _sentence(fitted: int, n_sites: int, failures: tuple[Outcome, ...], n_warnings: int) -> str:
-    sites = "site" if n_sites == 1 else "sites"
-    text = f"Tissue parameters were identified at {fitted} of {n_sites} {sites}."
+def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_warnings: int) -> str:
+    fitted = [each for each in sites if each.facts]
+    weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
+    text = f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
+    if fitted and not weak:
+        text += " Every parameter searched for is identified."
+    if weak:
+        text += f" Not identified, so not to be relied on: {'; '.join(weak)}."
     if failures:
         text += f" Failed: {', '.join(each.label for each in failures)}."
     if n_warnings:
@@ -116,14 +119,17 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     facts = _facts(view)
     moods = {each.mood for each in facts}
     mood: Mood = "warning" if "warning" in moods else "fine"
-    return SiteGlance(site.name, site.place, mood, _site_sentence(view), facts, pills)
+    step = view.last
+    weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
+    return SiteGlance(site.name, site.place, mood, _site_sentence(view), facts, pills, weak=weak)
 
 
 def _facts(view: FitView) -> tuple[Fact, ...]:
     step = view.last
     if step is None:
         return ()
-    facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), "2µ, from shear waves; held fixed")]
+    source = view.c_source.replace(" mu ", " µ ") or "of unknown origin"
+    facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), f"{source}; held fixed")]
     facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
     remark = f"R² {quantity(step.r2, '', digits=4)}"
     facts.append(Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark))
@@ -151,8 +157,4 @@ def _estimate(each: EstimateView) -> Fact:
 
 def _site_sentence(view: FitView) -> str:
     step = view.last
-    if step is None:
-        return "The fit left no parameters."
-    weak = [each.name for each in step.estimates if not each.is_sound]
-    text = f"{step.label}, {view.element} elements, {view.solver}."
-    return text + (f" Not to be relied on: {', '.join(weak)}." if weak else "")
+    return f"{step.label}, {view.element} elements, {view.solver}." if step else "The fit left no parameters."

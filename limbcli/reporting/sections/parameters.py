@@ -95,7 +95,7 @@ def _details(site: str, view: FitView) -> Table:
 
 
 def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
-    unit = f" {each.unit}" if each.unit else ""
+    unit = f"\u00a0{each.unit}" if each.unit else ""
     return (
         Cell(each.name),
         cell(each.value, unit=each.unit),
@@ -109,15 +109,15 @@ def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
 def _interval(each: EstimateView) -> str:
     """
     >>> _interval(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
-    'above 3.00'
+    'above\xa03.00'
     """
     if each.low is None and each.high is not None:
-        return f"below {significant(each.high)}"
+        return f"below\u00a0{significant(each.high)}"
     if each.high is None and each.low is not None:
-        return f"above {significant(each.low)}"
+        return f"above\u00a0{significant(each.low)}"
     assert each.low is not None
     assert each.high is not None
-    return f"{significant(each.low)} to {significant(each.high)}"
+    return f"{significant(each.low)}\u00a0to\u00a0{significant(each.high)}"
 
 
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
