@@ -16,26 +16,18 @@ _TEXT, _WHOLE, _REAL = "text", "whole", "real"
 STEPPER_DT_MAX = 0.1
 STEPPER_MORE = {"aggressiveness": _WHOLE, "cutback": _REAL, "dtforce": _WHOLE}
 SOLVER = {
-    "symmetric_stiffness": _TEXT,
-    "equation_scheme": _TEXT,
-    "max_refs": _WHOLE,
-    "dtol": _REAL,
-    "etol": _REAL,
-    "rtol": _REAL,
-    "ptol": _REAL,
-    "lstol": _REAL,
-    "lsmin": _REAL,
-    "lsiter": _WHOLE,
-    "min_residual": _REAL,
-    "max_residual": _REAL,
-    "diverge_reform": _WHOLE,
-    "reform_each_time_step": _WHOLE,
-    "reform_augment": _WHOLE,
-    "rhoi": _REAL,
+    **dict.fromkeys(("symmetric_stiffness", "equation_scheme", "equation_order"), _TEXT),
+    **dict.fromkeys(("optimize_bw", "max_refs"), _WHOLE),
+    **dict.fromkeys(("dtol", "etol", "rtol", "ptol", "lstol", "lsmin"), _REAL),
+    **dict.fromkeys(("lsiter", "ls_check_jacobians"), _WHOLE),
+    **dict.fromkeys(("min_residual", "max_residual", "zero_diagonal_tol"), _REAL),
+    **dict.fromkeys(("check_zero_diagonal", "force_partition", "logSolve", "arc_length"), _WHOLE),
+    **dict.fromkeys(("diverge_reform", "reform_each_time_step", "reform_augment"), _WHOLE),
+    **dict.fromkeys(("rhoi", "alpha", "beta", "gamma", "arc_length_scale"), _REAL),
 }
 QUASI_NEWTON = {"max_ups": _WHOLE, "max_buffer_size": _WHOLE, "cycle_buffer": _WHOLE, "cmax": _REAL}
 OUTPUT_CONTROL = {
-    "plot_level": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
+    "plot_level": _TEXT, "plot_range": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
     "output_level": _TEXT, "output_stride": _WHOLE, "adaptor_re_solve": _WHOLE,
 }  # fmt: skip
 _TIME_DIGITS = 12
@@ -163,8 +155,12 @@ def _solver(tag: Tag | None) -> dict[str, Any]:
         return {}
     if tag.optional("type") not in (None, "solid", "biphasic"):
         raise tag.problem(f"solver type {tag.optional('type')!r} is not supported", fix='use type="solid"')
-    tag.allow(attributes=("type",), children=(*SOLVER, "qn_method"))
+    tag.allow(attributes=("type",), children=(*SOLVER, "qn_method", "linear_solver"))
     settings = _settings(tag, SOLVER)
+    linear = tag.child("linear_solver")
+    if linear is not None:
+        linear.allow(attributes=("type",))
+        settings["linear_solver"] = linear.attribute("type")
     method = tag.child("qn_method")
     if method is not None:
         method.allow(attributes=("type",), children=QUASI_NEWTON)

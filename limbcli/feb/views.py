@@ -196,7 +196,7 @@ def step_views(model: LimbModel, ids: Ids) -> list[dict[str, Any]]:
 
 
 def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
-    known = {*SOLVER, *QUASI_NEWTON, *OUTPUT_CONTROL, *STEPPER_MORE, "qn_method"}
+    known = {*SOLVER, *QUASI_NEWTON, *OUTPUT_CONTROL, *STEPPER_MORE, "qn_method", "linear_solver"}
     unknown = set(step.control) - known
     if unknown:
         raise CaseError(
@@ -220,6 +220,7 @@ def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
         "must_id": ids.curves[must_curve] if must_curve is not None else None,
         "solver": chosen(SOLVER),
         "qn_method": step.control.get("qn_method"),
+        "linear_solver": step.control.get("linear_solver"),
         "quasi_newton": chosen(QUASI_NEWTON),
         "output": chosen(OUTPUT_CONTROL),
         "stepper": chosen(STEPPER_MORE),

@@ -91,7 +91,8 @@ def _build_site(
     if templates is not None:
         writer.used("templates", templates)
     writer.warnings.extend(meshed.warnings)
-    _report(writer, model, plan, levels, site, c_source)
+    writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
+    _report(writer, model, plan, levels, site)
 
 
 def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) -> tuple[float, str]:
@@ -140,19 +141,14 @@ def simulated_depths(levels: Levels) -> Array:
     return np.array(apart(depths.tolist()))
 
 
-def _report(
-    writer: StageWriter, model: LimbModel, plan: Schedule, levels: Levels, site: Site, c_source: str
-) -> None:
+def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Levels, site: Site) -> None:
     law = model.materials[TISSUE].parameters
     c, kappa = float(law["c1"]) + float(law["c2"]), float(law["kappa"])  # type: ignore[arg-type]
     block = model.mesh.solid_blocks[0]
     n_cells = sum(len(each.cells) for each in model.mesh.solid_blocks)
     writer.data.update(
         c_kpa=kpa_from_mpa(c),
-        c_source=c_source,
-        f_kappa=kappa / c,
         kappa_kpa=kpa_from_mpa(kappa),
-        m=law["m1"],
         density_kg_per_m3=site.density_kg_per_m3,
         element=block.kind,
         n_nodes=len(tissue_nodes(model)),
@@ -169,7 +165,8 @@ def _report(
         f" (from {measured} loading levels)"
     )
     writer.summary.append(
-        f"start values: c {kpa_from_mpa(c):.3f} kPa ({c_source}), f_kappa {kappa / c:g}, m {law['m1']:g}"
+        f"start values: c {kpa_from_mpa(c):.3f} kPa ({writer.data['c_source']}), "
+        f"f_kappa {writer.data['f_kappa']:g}, m {writer.data['m']:g}"
     )
     if not np.array_equal(np.sort(levels.depth[levels.loading]), levels.depth[levels.loading]):
         writer.warnings.append(

@@ -156,6 +156,18 @@ def test_neo_hooke_is_kept_in_lames_constants(punch: Path, tmp_path: Path) -> No
     assert parameters["lambda"] == pytest.approx(0.012, rel=1e-15)
 
 
+@pytest.mark.parametrize("n_parts", [0, 2])
+def test_a_wrapper_law_has_one_elastic_part(punch: Path, tmp_path: Path, n_parts: int) -> None:
+    text = punch.read_text()
+    start, end = text.index("<density>"), text.index("</material>")
+    elastic = f'<elastic type="Ogden unconstrained">{text[start:end]}</elastic>'
+    path = tmp_path / "wrapped.feb"
+    wrapped = text[:start] + "<g0>1</g0>" + elastic * n_parts + text[end:]
+    path.write_text(wrapped.replace('type="Ogden unconstrained"', 'type="viscoelastic"', 1))
+    with pytest.raises(CaseError, match=f"it has {n_parts} <elastic>"):
+        read_feb(path)
+
+
 # ---------------------------------------------------------------- against the stored models of FEBio
 
 

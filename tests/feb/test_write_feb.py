@@ -102,7 +102,7 @@ def everything(model: LimbModel, rng: np.random.Generator) -> LimbModel:
             Step(4, 0.1, must_points=(0.1, 0.3), dt_max=0.2, control={"dtol": 1e-3, "cutback": 0.5}),
             Step(
                 2, 0.5, "transient", adaptive=False,
-                control={"qn_method": "full Newton", "output_level": "OUTPUT_NEVER"},
+                control={"linear_solver": "pardiso", "qn_method": "full Newton", "plot_range": "0,-1"},
                 supports=(Support("skin", ("x", "z")),), drives=(Drive("probe", "y", "displacement", 1.0),),
             ),
         ),
