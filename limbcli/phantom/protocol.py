@@ -53,7 +53,8 @@ def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
     """Depths at which a simulated curve reaches given forces.
 
     The curve is PCHIP through the simulated points and is inverted as it stands
-    (bisection), so that sampling the same curve at the answer gives the force back.
+    (bisection), so that sampling the same curve at the answer gives the force back. Depths
+    at which the probe does not touch the mesh yet (force 0) may lead.
 
     Raises
     ------
@@ -63,8 +64,9 @@ def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
     >>> depth_at_force(np.arange(5.0), np.arange(5.0) ** 2, np.array([0.0, 9.0])).round(9)
     array([0., 3.])
     """
-    if np.any(np.diff(force) <= 0):
-        k = int(np.argmin(np.diff(force)))
+    growth = np.where(force[1:] > 0, np.diff(force), 1.0)
+    if np.any(growth <= 0):
+        k = int(np.argmin(growth))
         raise SolveError(
             f"the simulated force does not grow between {depth[k]:.2f} and {depth[k + 1]:.2f} mm",
             where="simulated measurement",

@@ -32,6 +32,12 @@ def test_depth_at_force_inverts_the_sampled_curve(rng):
     assert found[0] == 0
 
 
+def test_a_gap_before_first_contact_is_no_fault():
+    depth = np.arange(6.0)
+    found = depth_at_force(depth, np.array([0.0, -0.0, 0.5, 1.5, 3.0, 5.0]), np.array([0.0, 3.0]))
+    assert found == pytest.approx([0.0, 4.0])
+
+
 def test_a_force_that_is_not_reached_or_falls_is_an_error():
     depth = np.arange(4.0)
     with pytest.raises(SolveError, match=r"reaches 3\.00 N"):
