@@ -88,7 +88,7 @@ def read_fit_view(result: StageResult) -> FitView:
     return FitView(
         element=str(data.get("element", DASH)),
         solver=solver or DASH,
-        c_source=str(data.get("c_source") or ""),
+        c_source=str(data.get("c_source") or "").replace("2 mu ", "2 µ "),
         noise_scale=number(data.get("noise_scale")),
         noise_source=str(noise.get("source", "")) if isinstance(noise, Mapping) else "",
         steps=steps,

@@ -17,8 +17,9 @@ from limbcli.problems import errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings
-from limbcli.reporting.outcome import Outcomes, read_outcomes
+from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.results import StageResult
 from limbcli.stages.report_state import read_deformed, read_residuals
 
 
@@ -72,26 +73,26 @@ def _with_speeds(material: SiteMaterial, levels: Levels) -> SiteMaterial:
 
 
 def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
-    """The simulated state: of the fitted model where there is one, else of the run."""
-    found: dict[str, object] = {}
+    """The simulated state, of the fitted model where there is one, and the solver's residuals."""
     for stage in ("fit", "run"):
         outcome = outcomes.of(stage, material.name)
         if outcome.result is None or outcome.status == "failed":
             continue
-        found.setdefault("residuals", read_residuals(outcome.result))
-        try:
-            state = read_deformed(outcome.result)
-        except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
-            found["why_not_deformed"] = f"The deformed model of “{outcome.label}” cannot be drawn: {error}."
-            continue
-        if state is not None:
-            return replace(
-                material,
-                deformed=state,
-                deformed_source=f"the records of “{outcome.label}”",
-                residuals=read_residuals(outcome.result),
-            )
-    return replace(material, **found)  # type: ignore[arg-type]
+        if material.residuals is None:
+            material = replace(material, residuals=read_residuals(outcome.result))
+        if material.deformed is None:
+            material = _with_state(material, outcome, outcome.result)
+    return material
+
+
+def _with_state(material: SiteMaterial, outcome: Outcome, result: StageResult) -> SiteMaterial:
+    try:
+        state = read_deformed(result)
+    except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
+        what = error.what if isinstance(error, LimbError) else f"{type(error).__name__} {error}"
+        why = f"The deformed model of “{outcome.label}” cannot be drawn: {what}."
+        return replace(material, why_not_deformed=why)
+    return replace(material, deformed=state, deformed_source=f"the records of “{outcome.label}”")
 
 
 _ORDER = ("segment", "mesh", "build-feb", "run", "fit")

@@ -57,7 +57,7 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
         for axes in panels:
             axes.set_xlabel("iteration")
             _whole_numbers(axes)
-        panels[0].legend(loc="upper right")
+        panels[0].legend(loc="best")
     return figure
 
 

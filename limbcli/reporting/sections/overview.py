@@ -128,7 +128,7 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
     step = view.last
     if step is None:
         return ()
-    source = view.c_source.replace(" mu ", " µ ") or "of unknown origin"
+    source = view.c_source or "of unknown origin"
     facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), f"{source}; held fixed")]
     facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
     remark = f"R² {quantity(step.r2, '', digits=4)}"
