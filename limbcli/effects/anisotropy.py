@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
-from limbcli.model import LimbModel, Material
+from limbcli.model import LimbModel, Material, Value
 
 SHEAR = Parameter("fibre_shear_per_c", null=0.0, start=0.5, low=0.0, high=5.0, typical=1.0,
                   prior="muscle: mu along / across 1.3 to 3, so mu_f/c 0.3 to 2")  # fmt: skip
@@ -28,7 +28,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     if shear == 0.0 and tension == 0.0:
         return model
     c = ground_modulus(model)
-    fibre = {
+    fibre: dict[str, Value] = {
         "ksi": tension * c,
         "alpha": 0.0,
         "beta": 2.0,

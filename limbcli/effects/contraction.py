@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
-from limbcli.model import LimbModel, Material
+from limbcli.model import LimbModel, Material, Value
 
 TENSION = Parameter("active_stress_per_c", null=0.0, start=0.3, low=0.0, high=4.0, typical=0.6,
                     prior="0 to 30 kPa; guarding, a few kPa")  # fmt: skip
@@ -21,7 +21,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     tension = theta[TENSION.name]
     if tension == 0.0:
         return model
-    active = {"T0": tension * ground_modulus(model), "fiber": limb_axis(model)}
+    active: dict[str, Value] = {"T0": tension * ground_modulus(model), "fiber": limb_axis(model)}
     return with_part(model, Material("active_contraction", active))
 
 

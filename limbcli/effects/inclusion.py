@@ -61,7 +61,7 @@ EFFECT = Effect(
         {X: 9.0, DEPTH: 10.0},
         {X: 0.0, DEPTH: 18.0},
         {NEAR_BONE: 5.0},
-    ),  # fmt: skip
+    ),
     solves=True,
     tell_tale="a spot in the speed map at every load, there at rest already",
 )

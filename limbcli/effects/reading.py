@@ -47,7 +47,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What the instruments would show at the levels: force, travel (n,), log_speed (n, n_windows), thickness."""
+    """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows), thickness."""
 
     force: Array
     log_speed: Array

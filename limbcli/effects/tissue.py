@@ -10,6 +10,11 @@ from limbcli.effects.base import TISSUE
 from limbcli.errors import SolveError
 from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
 
+# Barycentric places on a facet, in sixths.
+_SPREAD = (
+    (6, 0, 0), (0, 6, 0), (0, 0, 6), (3, 3, 0), (0, 3, 3), (3, 0, 3), (2, 2, 2), (4, 1, 1), (1, 4, 1),
+    (1, 1, 4),
+)  # fmt: skip
 # Parameters that are stiffnesses or stresses: scaling all of them scales the law.
 _STIFFNESSES = ("c1", "c2", "c3", "c4", "c5", "c6", "kappa", "ksi", "mu", "lambda", "T0")
 
@@ -98,8 +103,7 @@ def _skin_points(model: LimbModel) -> Array:
     if surface is None:
         raise SolveError("the model has no surface `skin`", where="effect", fix="mesh again")
     points = []
-    weights = [np.array(w) / 6 for w in ((6, 0, 0), (0, 6, 0), (0, 0, 6), (2, 2, 2), (3, 3, 0), (0, 3, 3), (3, 0, 3),
-                                         (4, 1, 1), (1, 4, 1), (1, 1, 4))]  # fmt: skip
+    weights = [np.array(each) / 6 for each in _SPREAD]
     for facets in surface.facets.values():
         corners = model.mesh.points[facets[:, :3]]
         points += [np.einsum("k,nkd->nd", w, corners) for w in weights]
