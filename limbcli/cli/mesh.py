@@ -26,6 +26,18 @@ MarginOpt = Annotated[
         "--margin-mm", help="Tissue kept beyond the probe; default: the case's.", show_default=False
     ),
 ]
+SkinOpt = Annotated[float, typer.Option("--skin-mm", help="Thickness of a skin layer; 0: none.")]
+FatOpt = Annotated[float, typer.Option("--fat-mm", help="Thickness of a fat layer below the skin; 0: none.")]
+AtOpt = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--at",
+        metavar="ANGLE_DEG HEIGHT_MM",
+        help="Place the site by angle round the limb (0 anterior, 90 the patient's left) and height above "
+        "its distal end, instead of the case's place.",
+        show_default=False,
+    ),
+]
 
 
 def command(
@@ -36,6 +48,9 @@ def command(
     size: SizeOpt = None,
     far_size: FarSizeOpt = None,
     margin: MarginOpt = None,
+    skin: SkinOpt = 0.0,
+    fat: FatOpt = 0.0,
+    at: AtOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -53,6 +68,9 @@ def command(
         size=size,
         far_size=far_size,
         margin=margin,
+        skin_layer=skin,
+        fat_layer=fat,
+        place=at,
         progress=terminal(quiet=quiet, verbose=verbose),
     )
     emit(results, as_json=json)

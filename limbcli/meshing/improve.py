@@ -22,6 +22,7 @@ from limbcli.model import Array, IntArray
 
 FREE, FIXED = 0, -1
 _DIRECTIONS = 14
+_ON = 0.02  # mm: a boundary node this near to its surface is on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +194,22 @@ def _put_back(
 
 
 @njit(cache=True)
+def _off_surface(
+    p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
+) -> float:
+    """How far (mm) p is from the farthest of the surfaces it should be on."""
+    worst = 0.0
+    for each in range(2):
+        code = codes[each]
+        if code >= 3:
+            n = planes[code - 3]
+            worst = max(worst, abs(p[0] * n[0] + p[1] * n[1] + p[2] * n[2] - n[3]))
+        elif code > 0:
+            worst = max(worst, abs(_sample(skin if code == 1 else bone, origin, spacing, p, g)))
+    return worst
+
+
+@njit(cache=True)
 def _put_all_back(
     x: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int
 ) -> None:
@@ -245,7 +262,9 @@ def _smooth(
                     for k in range(3):
                         x[v, k] = here[k] + size * reach * np.random.normal() * 0.6  # noqa: NPY002
                     if codes[v, 0] > 0:
-                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, 2, g)
+                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, 3, g)
+                        if _off_surface(x[v], codes[v], skin, bone, origin, spacing, planes, g) > _ON:
+                            continue
                     q = _star_quality(x, cells, star, first, last)
                     if q > best:
                         best = q

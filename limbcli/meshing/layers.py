@@ -131,7 +131,7 @@ def _labels(shell: IntArray, points: Array, core: VolumeMesh, outer: IntArray, d
         tuple(face): label
         for face, label in zip(np.sort(core.faces, axis=1).tolist(), core.labels, strict=True)
     }
-    is_outer = np.isin(shell, outer).all(axis=1)
+    is_outer = np.asarray(np.isin(shell, outer).all(axis=1))
     out = np.empty(len(shell), np.int64)
     for k, face in enumerate(np.sort(shell, axis=1).tolist()):
         out[k] = SKIN if is_outer[k] else known.get(tuple(face), -1)

@@ -206,6 +206,7 @@ def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 1
             faces, n = flip(points, faces, labels)
         for _ in range(2):
             ranks, ties = _ranks(points, faces, labels)
+            points = keep_unfolded(points, put_back(points, ties, domain), faces)
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), ties, domain)
             points = keep_unfolded(points, moved, faces)
     surface = Triangles(points, faces)
@@ -223,15 +224,17 @@ def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, 
     return np.where((ranks == 2) & (at != 2), 3, ranks), ties
 
 
-def face_labels(surface: Triangles, domain: Domain) -> IntArray:
-    """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone."""
+def face_labels(surface: Triangles, domain: Domain, *, tolerance: float = 1e-3) -> IntArray:
+    """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone.
+
+    tolerance : mm by which a face of a cut may leave its plane
+    """
     labels = domain.label(surface.centroids)
     unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
     uncut = Domain(domain.skin, domain.bone, (), ())
     labels = np.where(labels >= CUT, uncut.label(surface.centroids), labels)
     for k, plane in enumerate(domain.planes):
-        height = np.sort(np.abs(plane.height(surface.points))[surface.faces], axis=1)
-        flat = (height[:, 1] < 0.02) & (height[:, 2] < 0.5)
+        flat = np.abs(plane.height(surface.points))[surface.faces].max(axis=1) < tolerance
         labels[flat & (unit @ plane.normal > 0.9)] = CUT + k
     return labels
 

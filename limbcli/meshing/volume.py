@@ -152,7 +152,7 @@ def _with_ftetwild(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[s
     )
     raw = checked(nodes, cells, fine.surface.volume, "fTetWild", tolerance=0.02)
     faces = boundary_faces(raw.cells)
-    labels = face_labels(Triangles(raw.points, faces), domain)
+    labels = face_labels(Triangles(raw.points, faces), domain, tolerance=0.5)
     return _improved(raw, faces, labels, domain)
 
 

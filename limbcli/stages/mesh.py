@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.meshing.export import write_vtu
+from limbcli.meshing.frame import skin_point_at
+from limbcli.meshing.layers import layers_of
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.probe import ProbeShape
@@ -16,8 +19,8 @@ from limbcli.meshing.surfaces import read_surface
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
 
-_OVER_TISSUE = 0.95  # part of the face that should have skin below
 _OFF_SKIN = 3.0  # mm: a site further from the skin than this was moved, and that is said
 
 
@@ -30,11 +33,16 @@ def mesh(
     size: float | None = None,
     far_size: float | None = None,
     margin: float | None = None,
+    skin_layer: float = 0.0,
+    fat_layer: float = 0.0,
+    place: tuple[float, float] | None = None,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
     """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
 
     element, margin : instead of the case's; size, far_size : edges (mm) under the probe, far from it
+    skin_layer, fat_layer : thickness (mm) of blocks of their own that follow the skin, 0 for none
+    place : (angle in degrees, height in mm) round and along the limb, instead of one site's place
 
     Raises
     ------
@@ -44,10 +52,19 @@ def mesh(
         If no volume mesh of sufficient quality could be made.
     """
     chosen = case.selected(sites)
+    if place is not None and len(chosen) != 1:
+        raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
     options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
+    layers = layers_of(skin=skin_layer, fat=fat_layer, size=options.sizes.under_probe)
+    options = replace(options, layers=layers)
     segmented = read_result(out, "segment")
     progress.event("note", text="reading and mending the surfaces")
     limb = read_limb(segmented)
+    if place is not None:
+        point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
+        chosen = (
+            replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
+        )
     return [_mesh_site(case, site, limb, segmented, options, out, progress) for site in chosen]
 
 
@@ -123,13 +140,18 @@ def _mesh_site(
             title=f"{case.subject}, site {site.name}: {options.element} model",
             start_depth=options.start_depth,
         )
-        _report(writer, found, options, limb, segmented)
+        _report(writer, found, options, limb, segmented, site)
     assert writer.result is not None
     return writer.result
 
 
 def _report(
-    writer: StageWriter, found: SiteModel, options: MeshOptions, limb: Limb, segmented: StageResult
+    writer: StageWriter,
+    found: SiteModel,
+    options: MeshOptions,
+    limb: Limb,
+    segmented: StageResult,
+    site: Site,
 ) -> None:
     figures, checks, frame = found.quality, found.checks, found.frame
     writer.data.update(
@@ -152,6 +174,8 @@ def _report(
             "size_far_mm": options.sizes.far,
             "start_depth_mm": options.start_depth,
             "cuts": found.model.info["cuts"],
+            "layers": {f"{each.name}_mm": each.thickness for each in options.layers},
+            "measured_skin_bone_mm": measured_skin_bone(site),
         }
     )
     writer.summary.append(
@@ -169,9 +193,10 @@ def _report(
     )
     writer.summary.append(f"{bone}; {100 * checks.over_tissue_share:.0f} % of the face over tissue")
     writer.warnings.extend(segmented.warnings)
-    if checks.over_tissue_share < _OVER_TISSUE:
-        writer.warnings.append(
-            f"only {100 * checks.over_tissue_share:.0f} % of the probe face lies over tissue"
+    writer.warnings.extend(
+        geometry_warnings(
+            checks, measured=writer.data["measured_skin_bone_mm"], margin=options.margin, site=site.name
         )
+    )
     if frame.moved > _OFF_SKIN:
         writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")

@@ -1,6 +1,6 @@
 """Every site meshes: five residual limbs and a whole leg, eight sites each, two resolutions, and thin places.
 
-    python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N]
+    python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N] [--size usual|coarse]
 
 One JSON line a site is added to FILE (default: mesh-sites.jsonl in the
 temporary folder); what is there is not done again. At the end a table.
@@ -114,6 +114,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "mesh-sites.jsonl")
     parser.add_argument("--limit", type=int, default=10**6)
+    parser.add_argument("--size", choices=sorted(RESOLUTIONS), help="only this resolution")
     given = parser.parse_args()
     done = [json.loads(each) for each in given.out.read_text().splitlines()] if given.out.is_file() else []
     known = {(each["limb"], each["site"], each["size"]) for each in done}
@@ -121,7 +122,7 @@ def main() -> None:
         assert abs(np.linalg.norm(proximal_direction(limb)) - 1) < 1e-9
         for site, place, axis in sites(limb, heights):
             for size, sizes in RESOLUTIONS.items():
-                if (name, site, size) in known or len(done) >= given.limit:
+                if given.size not in (None, size) or (name, site, size) in known or len(done) >= given.limit:
                     continue
                 done.append({"limb": name, "site": site, "size": size, **one(limb, place, axis, sizes)})
                 with given.out.open("a") as stream:

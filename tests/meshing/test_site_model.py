@@ -42,6 +42,16 @@ def test_cells_are_good(made):
     assert made.quality.min_scaled_jacobian > 0
 
 
+def test_nodes_lie_on_their_surfaces(made):
+    mesh, domain = made.model.mesh, made.domain
+    skin = np.unique(mesh.surfaces["skin"].facets["tri6"][:, :3])
+    bone = np.unique(mesh.surfaces["bone"].facets["tri6"][:, :3])
+    assert np.abs(domain.skin.at(mesh.points[skin])).max() < 0.1
+    assert np.abs(domain.bone.at(mesh.points[bone])).max() < 0.1
+    cut = mesh.points[np.unique(mesh.surfaces["cut"].facets["tri6"])]
+    assert np.abs(np.abs(cut[:, 1]) - 32).max() < 1e-6
+
+
 def test_sets_and_surfaces_carry_their_names(made):
     mesh = made.model.mesh
     assert [each.name for each in mesh.blocks] == ["tissue", "probe", "probe_tips"]
@@ -90,6 +100,7 @@ def test_checks_measure_the_limb(made):
     assert made.checks.thinnest_under_probe_mm == pytest.approx(np.sqrt(40**2 - 18**2) - 7.5, abs=1.0)
 
 
+@pytest.mark.slow
 def test_tet4_has_the_corners_of_tet10(leg, made):
     linear = site_model(
         leg,

@@ -12,10 +12,12 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.meshing.checks import SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
 from limbcli.results import read_result
 from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh_checks import geometry_warnings
 from limbcli.stages.segment import segment
 
 CASE = """format = 1
@@ -121,6 +123,43 @@ def test_sizes_out_of_range_are_refused(folder, out):
 def test_without_segment_it_says_what_to_run(folder, tmp_path):
     with pytest.raises(CaseError, match="no result of `segment`"):
         mesh(Case.open(folder), out=tmp_path)
+
+
+def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
+    import shutil
+
+    shutil.copytree(out / "segment", tmp_path / "segment")
+    case = Case.open(folder)
+    result = mesh(case, out=tmp_path, sites=["p1"], size=4, far_size=10, fat_layer=4.0, place=(90.0, 60.0))[0]
+    assert result.data["frame"]["skin_point_mm"] == pytest.approx([30, 0, 0], abs=0.6)
+    model = load_model(result.path("model"))
+    assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
+    with pytest.raises(CaseError, match="several sites"):
+        mesh(case, out=tmp_path, place=(90.0, 60.0))
+
+
+def checks(**changes: float | None) -> SiteChecks:
+    usual = {
+        "skin_bone_mm": 20.0, "thinnest_under_probe_mm": 18.0, "over_tissue_share": 1.0, "bone_share": 1.0,
+        "to_cut_mm": 40.0, "gap_at_first_touch_mm": 1.0,
+    }  # fmt: skip
+    return SiteChecks(**{**usual, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("found", "measured", "said"),
+    [
+        (checks(), 20.5, None),
+        (checks(), None, None),
+        (checks(), 23.0, "23.0 mm on the B-mode image (-13 %)"),
+        (checks(skin_bone_mm=None), 23.0, "the model has none"),
+        (checks(over_tissue_share=0.8), None, "80 % of the probe face"),
+        (checks(to_cut_mm=20.0), None, "end 20 mm beyond the probe"),
+    ],
+)
+def test_model_is_checked_against_the_measurement(found, measured, said):
+    warnings = geometry_warnings(found, measured=measured, margin=40.0, site="p1")
+    assert [said in each for each in warnings] == ([True] if said else [])
 
 
 def test_command_prints_json(folder, out, capsys):

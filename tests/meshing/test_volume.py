@@ -1,0 +1,83 @@
+"""The chain of ways to a volume mesh, and the process the mesher runs in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeshError, ToolError
+from limbcli.meshing import mesher_process, volume
+from limbcli.meshing.domain import Domain
+from limbcli.meshing.mesher_process import in_process
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.surfaces import join
+
+PROBE = ProbeShape(40.0, 14.0, 3.0)
+
+
+def test_mesher_refusing_a_surface_is_a_mesh_error(make_ball):
+    crossing = join([make_ball((0, 0, 0), 10.0, n=8), make_ball((5, 0, 0), 10.0, n=8)])
+    with pytest.raises(MeshError, match="tetgen refuses"):
+        in_process("tetgen", crossing.points, crossing.faces, {}, time_limit_s=30)
+
+
+def test_mesher_that_runs_on_or_dies_is_a_mesh_error(make_ball, monkeypatch, tmp_path):
+    ball = make_ball((0, 0, 0), 10.0, n=6)
+    with pytest.raises(MeshError, match="ran out of time"):
+        in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=0.01)
+    monkeypatch.setattr(mesher_process.sys, "executable", "/bin/false")
+    with pytest.raises(MeshError, match="crashed"):
+        in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=5)
+
+
+def test_mesher_that_is_not_installed_is_a_tool_error(make_ball, monkeypatch, tmp_path):
+    (tmp_path / "pytetwild.py").write_text("raise ImportError('not here')")
+    monkeypatch.setattr(mesher_process, "_environment", lambda: {"PYTHONPATH": str(tmp_path)})
+    ball = make_ball((0, 0, 0), 10.0, n=6)
+    with pytest.raises(ToolError, match="not installed"):
+        in_process("pytetwild", ball.points, ball.faces, {}, time_limit_s=60)
+
+
+def empty_domain() -> Domain:
+    return Domain(None, None, (), ())  # type: ignore[arg-type]
+
+
+def test_every_way_is_tried_and_told(monkeypatch):
+    def refuse(*_arguments):
+        raise MeshError("refused", where="here", fix="none")
+
+    monkeypatch.setattr(volume, "_with_tetgen", refuse)
+    monkeypatch.setattr(volume, "_with_ftetwild", refuse)
+    with pytest.raises(MeshError) as caught:
+        volume.mesh_volume(empty_domain(), PROBE, Sizes())
+    for name in ("as asked", "remeshed finer", "bones smoothed", "fTetWild"):
+        assert f"{name}: refused" in caught.value.what
+
+
+def test_poor_cells_lead_to_the_next_way(monkeypatch):
+    flat = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [3, 3, 0.2]])
+    good = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10.0]])
+    calls = []
+
+    def mesh(_domain, _probe, sizes, _tale):
+        calls.append(sizes.under_probe)
+        points = flat if len(calls) == 1 else good
+        cells = np.array([[0, 1, 2, 3]])
+        return volume.VolumeMesh(
+            points, cells, volume.boundary_faces(cells), np.ones(4, np.int64), "TetGen", ()
+        )
+
+    monkeypatch.setattr(volume, "_with_tetgen", mesh)
+    found = volume.mesh_volume(empty_domain(), PROBE, Sizes(2.0, 8.0))
+    assert calls == [2.0, 1.5]
+    assert "smallest dihedral angle only" in found.notes[0]
+
+
+def test_boundary_of_two_cells_is_six_outward_faces():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    faces = volume.boundary_faces(np.array([[0, 1, 2, 3], [1, 2, 3, 4]]))
+    assert len(faces) == 6
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    outward = (a + b + c) / 3 - points.mean(axis=0)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), outward) > 0).all()
