@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
 from limbcli.reporting.figures.wave_speed import SpeedReadings, line_words, wave_speed
 
 DEPTH = np.linspace(0, 10, 11)
@@ -63,3 +64,17 @@ def test_a_falling_speed_is_written_with_a_minus():
 
 def test_an_undefined_r2_is_said_in_words():
     assert "R² undefined" in line_words(Line(0.0, 2.0, None, None, 3), "N")
+
+
+def test_profile_is_shaded_to_where_it_crosses_the_limit():
+    values = np.linspace(1.0, 9.0, 33)
+    crossing = 2.0 * np.sqrt(THRESHOLD_95)
+    whole = ProfileCurve("m", values, ((values - 5.0) / 2.0) ** 2, 5.0)
+    open_above = ProfileCurve(
+        "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
+    )
+    panels = profile_figure([whole, open_above]).axes
+    for axes, ends in zip(panels, [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0)], strict=True):
+        (shade,) = axes.patches
+        low, high = shade.get_x(), shade.get_x() + shade.get_width()
+        assert (low, high) == pytest.approx(ends, abs=0.02)
