@@ -38,6 +38,9 @@ AtOpt = Annotated[
         show_default=False,
     ),
 ]
+StudyOpt = Annotated[
+    bool, typer.Option("--study", help="Also solve finer, coarser, nearer and farther cut models (minutes).")
+]
 
 
 def command(
@@ -51,6 +54,7 @@ def command(
     skin: SkinOpt = 0.0,
     fat: FatOpt = 0.0,
     at: AtOpt = None,
+    study: StudyOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -71,6 +75,7 @@ def command(
         skin_layer=skin,
         fat_layer=fat,
         place=at,
+        study=study,
         progress=terminal(quiet=quiet, verbose=verbose),
     )
     emit(results, as_json=json)

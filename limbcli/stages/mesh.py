@@ -20,6 +20,7 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
+from limbcli.stages.mesh_study import study_site
 
 _OFF_SKIN = 3.0  # mm: a site further from the skin than this was moved, and that is said
 
@@ -36,6 +37,7 @@ def mesh(
     skin_layer: float = 0.0,
     fat_layer: float = 0.0,
     place: tuple[float, float] | None = None,
+    study: bool = False,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
     """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
@@ -43,6 +45,7 @@ def mesh(
     element, margin : instead of the case's; size, far_size : edges (mm) under the probe, far from it
     skin_layer, fat_layer : thickness (mm) of blocks of their own that follow the skin, 0 for none
     place : (angle in degrees, height in mm) round and along the limb, instead of one site's place
+    study : also a refinement study of each site (its result follows the site's)
 
     Raises
     ------
@@ -65,7 +68,13 @@ def mesh(
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
-    return [_mesh_site(case, site, limb, segmented, options, out, progress) for site in chosen]
+    results = []
+    for site in chosen:
+        results.append(_mesh_site(case, site, limb, segmented, options, out, progress))
+        if study:
+            position = site_position(site, segmented)
+            results.append(study_site(case, site, limb, position, options, out=out, progress=progress))
+    return results
 
 
 def mesh_options(

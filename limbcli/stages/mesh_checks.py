@@ -43,8 +43,8 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
         off = checks.skin_bone_mm / measured - 1
         if abs(off) > SKIN_BONE_TOLERANCE:
             out.append(
-                f"skin to bone is {checks.skin_bone_mm:.1f} mm in the model, {measured:.1f} mm on the B-mode image "
-                f"({100 * off:+.0f} %); check position_mm, long_axis and the segmentation"
+                f"skin to bone is {checks.skin_bone_mm:.1f} mm in the model, {measured:.1f} mm on the B-mode "
+                f"image ({100 * off:+.0f} %); check position_mm, long_axis and the segmentation"
             )
     if checks.to_cut_mm is not None and checks.to_cut_mm < _CLOSE_TO_CUT * margin:
         out.append(

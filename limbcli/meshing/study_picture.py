@@ -1,0 +1,52 @@
+"""A picture of a refinement study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from limbcli.meshing.convergence import Extrapolation
+
+
+def study_picture(
+    path: Path,
+    *,
+    sizes: list[tuple[float, float]],
+    margins: list[tuple[float, float]],
+    used: tuple[float, float],
+    extrapolation: Extrapolation,
+    depth: float,
+    title: str,
+) -> None:
+    """Force (N) at full depth against edge length and against tissue kept beyond the probe.
+
+    sizes, margins : (mm, N) pairs; used : the (size, margin) of the model itself
+    """
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    _curve(left, sizes, used[0], "edge length under the probe, mm", depth)
+    left.axhline(extrapolation.limit, color="#777777", linestyle="--", linewidth=1)
+    how = "assumed" if extrapolation.order_is_assumed else "seen"
+    left.set_title(
+        f"dashed: extrapolated to 0 ({extrapolation.limit:.3g} N, order {extrapolation.order:.1f} {how})"
+    )
+    left.set_xlim(left=0)
+    _curve(right, margins, used[1], "tissue kept beyond the probe face, mm", depth)
+    right.set_title("flat towards the right: the cut is far enough")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=120)
+
+
+def _curve(axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float) -> None:
+    x, force = zip(*sorted(pairs), strict=True)
+    axes.plot(x, force, "o-", color="#1f4e79")
+    mine = [(a, f) for a, f in pairs if a == used]
+    axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
+    axes.set_xlabel(label)
+    axes.set_ylabel(f"force at {depth:g} mm, N")
+    axes.set_ylim(bottom=0)
+    axes.legend(frameon=False)
