@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.reporting.figures.deformed import DeformedState, section_figure, skin_figure
+from limbcli.reporting.figures.deformed import DeformedState, section_figure
+from limbcli.reporting.figures.skin import skin_figure
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
