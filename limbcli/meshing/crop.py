@@ -44,14 +44,8 @@ def crop_planes(limb: Limb, probe: ProbeShape, margin: float) -> tuple[Plane, ..
         plane = _clean_cut(Plane(normal, half[axis], name), limb, float(reach.max()) - half[axis])
         if plane is not None:
             planes.append(plane)
-    corners = _corners(half)
-    near = [each for each in ends if each.height(corners).max() > -5.0 or not planes]
-    return (*planes, *near)
-
-
-def _corners(half: tuple[float, float]) -> Array:
-    depth = (-250.0, 10.0)
-    return np.array([(sx * half[0], sy * half[1], z) for sx in (-1, 1) for sy in (-1, 1) for z in depth])
+    kept = limb.skin.points[within(limb.skin.points, planes, slack=5.0)]
+    return (*planes, *(each for each in ends if (each.height(kept) > 0).any()))
 
 
 def _clean_cut(plane: Plane, limb: Limb, beyond: float) -> Plane | None:
