@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -29,7 +29,10 @@ class Failure:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One stage of one site (or of the subject). A failed stage may still hold an older result."""
+    """One stage of one site (or of the subject). A failed stage may still hold an older result.
+
+    held_by : label of the earlier stage whose failure kept this one from being run
+    """
 
     stage: str
     site: str | None
@@ -37,6 +40,7 @@ class Outcome:
     command: str
     result: StageResult | None = None
     failure: Failure | None = None
+    held_by: str = ""
 
     @property
     def label(self) -> str:
@@ -74,7 +78,19 @@ def read_outcomes(out: Path, sites: tuple[str, ...], *, case_name: str = "CASE")
     """Look at every stage's folder below `out`; never raises for what is missing or broken there."""
     keys: list[tuple[str, str | None]] = [(stage, None) for stage in SUBJECT_STAGES]
     keys += [(stage, site) for site in sites for stage in SITE_STAGES]
-    return Outcomes(tuple(_outcome(out, stage, site, case_name) for stage, site in keys))
+    outcomes: list[Outcome] = []
+    for stage, site in keys:
+        outcome = _outcome(out, stage, site, case_name)
+        before = (each for each in outcomes if each.site in (None, site) and each.status == "failed")
+        outcomes.append(_held(outcome, next(before, None)))
+    return Outcomes(tuple(outcomes))
+
+
+def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
+    """A stage without a result behind a failed one did not fail itself: it could not be run."""
+    if before is None or outcome.result is not None:
+        return outcome
+    return replace(outcome, status="missing", failure=None, held_by=before.label)
 
 
 def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome:

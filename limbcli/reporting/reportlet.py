@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -77,12 +76,13 @@ class Reportlet:
         return bool(self.pictures or self.tables or self.more)
 
 
-def placeholder(key: str, title: str, outcome: Outcome, *, blocked_by: Sequence[Outcome] = ()) -> Reportlet:
+def placeholder(key: str, title: str, outcome: Outcome) -> Reportlet:
     """An honest gap: the stage has not been run, or failed, and what makes it."""
     if outcome.status == "failed":
         return Reportlet(key, title, "failed", outcome.site, failure=outcome.failure, command=outcome.command)
     notes = [f"There is no result of “{outcome.stage}” yet, so this cannot be shown."]
-    notes += [f"“{each.label}” failed before it; mend that first." for each in blocked_by if each.failure]
+    if outcome.held_by:
+        notes.append(f"“{outcome.held_by}” failed before it; mend that first.")
     return Reportlet(key, title, "missing", outcome.site, notes=tuple(notes), command=outcome.command)
 
 

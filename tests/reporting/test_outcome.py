@@ -50,3 +50,15 @@ def test_a_warning_that_is_passed_on_is_listed_once(tmp_path):
         with open_stage(tmp_path, stage, subject="S1", site=site) as writer:
             writer.warnings.append("the fibula is thin")
     assert read_outcomes(tmp_path, ("p1",)).warnings() == [("segment", "the fibula is thin")]
+
+
+def test_stages_behind_a_failed_one_are_held_up_not_failed(tmp_path):
+    """A batch notes for each of them that it was not run; only the first is a failure."""
+    for stage in ("mesh", "build-feb", "run", "fit"):
+        (tmp_path / stage / "p1").mkdir(parents=True)
+        note = {"error": "CaseError", "what": f"{stage}: no", "where": "p1", "fix": "mend"}
+        (tmp_path / stage / "p1" / "error.json").write_text(json.dumps(note))
+    outcomes = read_outcomes(tmp_path, ("p1", "p2"))
+    assert [each.label for each in outcomes.failed] == ["mesh p1"]
+    assert outcomes.of("fit", "p1").held_by == "mesh p1"
+    assert outcomes.of("fit", "p2").held_by == ""

@@ -15,7 +15,7 @@ def mesh(page: Page, site: SiteMaterial) -> Reportlet:
     outcome = page.outcomes.of("mesh", site.name)
     result = outcome.result
     if result is None or outcome.status == "failed":
-        return placeholder(key, TITLE, outcome, blocked_by=[page.outcomes.of("segment")])
+        return placeholder(key, TITLE, outcome)
     path = result.folder / result.files.get("picture", "mesh.png")
     alt = (
         f"The mesh at site {site.name}: the skin with the probe's contact area, and a section with the bones."

@@ -106,7 +106,7 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     outcome = page.outcomes.of("fit", site.name)
     stages = [page.outcomes.of("segment")]
     stages += [each for each in page.outcomes.all if each.site == site.name]
-    pills = tuple(Pill(each.stage, *_PILL_WORDS[each.status]) for each in stages)
+    pills = tuple(_pill(each) for each in stages)
     if outcome.result is None or outcome.status == "failed":
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
@@ -122,6 +122,10 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     step = view.last
     weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
     return SiteGlance(site.name, site.place, mood, _site_sentence(view), facts, pills, weak=weak)
+
+
+def _pill(outcome: Outcome) -> Pill:
+    return Pill(outcome.stage, *(("missing", "held up") if outcome.held_by else _PILL_WORDS[outcome.status]))
 
 
 def _facts(view: FitView) -> tuple[Fact, ...]:

@@ -62,6 +62,7 @@ def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> T
     for outcome in outcomes:
         view = views.get(outcome.site)
         why = "the fit failed" if outcome.status == "failed" else "the fit has not been run"
+        why = f"{outcome.held_by} failed" if outcome.held_by else why
         cells = [each for key in (MOONEY_RIVLIN, OGDEN) for each in _four(view, key, why)]
         rows.append((Cell(str(outcome.site), lead=True), *cells))
     caption = (
