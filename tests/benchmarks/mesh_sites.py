@@ -1,6 +1,6 @@
 """Every site meshes: five residual limbs and a whole leg, eight sites each, two resolutions, and thin places.
 
-    python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N] [--size usual|coarse]
+    python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N] [--size usual|coarse] [--solve tet4|tet10]
 
 One JSON line a site is added to FILE (default: mesh-sites.jsonl in the
 temporary folder); what is there is not done again. At the end a table.
@@ -20,12 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import LimbError
-from limbcli.meshing.frame import proximal_direction, skin_point_at
+from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.model import LimbModel
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 TIBIA = 380.0  # mm: OpenLimb's lengths are in units of the intact tibia
@@ -67,19 +68,32 @@ def sites(limb: Limb, heights: tuple[float, float]) -> Iterator[tuple[str, tuple
     yield "thinnest-axial", crest, "axial"
 
 
-def one(limb: Limb, place: tuple[float, float], axis: str, sizes: Sizes) -> dict[str, object]:
+def one(
+    limb: Limb, place: tuple[float, float], axis: str, sizes: Sizes, *, solve: str | None = None
+) -> dict[str, object]:
     start, processor = time.perf_counter(), _processor()
     result: dict[str, object] = {}
     try:
         point = skin_point_at(limb, *place)
-        found = site_model(limb, tuple(point), axis, PROBE, MeshOptions(sizes=sizes))
+        options = MeshOptions(sizes=sizes, element=solve or "tet10")
+        found = site_model(limb, tuple(point), axis, PROBE, options)
         result = {"ok": True, "maker": found.maker, "notes": found.notes, **found.quality.to_json()}
         result["thinnest_mm"] = found.checks.thinnest_under_probe_mm
+        result["mesh_s"] = round(time.perf_counter() - start, 1)
+        if solve:
+            result["force_4mm_n"] = force(found.model, found.checks.thinnest_under_probe_mm)
     except LimbError as error:
         result = {"ok": False, "error": error.what}
     result["seconds"] = round(time.perf_counter() - start, 1)
     result["processor_s"] = round(_processor() - processor, 1)
     return result
+
+
+def force(model: LimbModel, thinnest: float | None) -> float:
+    """Probe force (N) at 4 mm, or at half of the tissue over bone where that is less."""
+    from limbcli.stages.mesh_study import reference_force
+
+    return reference_force(model, 4.0 if thinnest is None else min(4.0, 0.5 * thinnest))
 
 
 def _processor() -> float:
@@ -115,18 +129,23 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "mesh-sites.jsonl")
     parser.add_argument("--limit", type=int, default=10**6)
     parser.add_argument("--size", choices=sorted(RESOLUTIONS), help="only this resolution")
+    parser.add_argument("--solve", choices=("tet4", "tet10"), help="also indent by 4 mm, with this element")
     given = parser.parse_args()
     done = [json.loads(each) for each in given.out.read_text().splitlines()] if given.out.is_file() else []
     known = {(each["limb"], each["site"], each["size"]) for each in done}
-    for name, limb, heights in limbs():
-        assert abs(np.linalg.norm(proximal_direction(limb)) - 1) < 1e-9
-        for site, place, axis in sites(limb, heights):
-            for size, sizes in RESOLUTIONS.items():
-                if given.size not in (None, size) or (name, site, size) in known or len(done) >= given.limit:
-                    continue
-                done.append({"limb": name, "site": site, "size": size, **one(limb, place, axis, sizes)})
-                with given.out.open("a") as stream:
-                    stream.write(json.dumps(done[-1]) + "\n")
+    every = [
+        (k, name, limb, *site)
+        for name, limb, heights in limbs()
+        for k, site in enumerate(sites(limb, heights))
+    ]
+    for _, name, limb, site, place, axis in sorted(every, key=lambda each: -each[0]):
+        for size, sizes in RESOLUTIONS.items():
+            if given.size not in (None, size) or (name, site, size) in known or len(done) >= given.limit:
+                continue
+            done.append({"limb": name, "site": site, "size": size})
+            done[-1] |= one(limb, place, axis, sizes, solve=given.solve)
+            with given.out.open("a") as stream:
+                stream.write(json.dumps(done[-1]) + "\n")
     table(done)
 
 
