@@ -1,20 +1,92 @@
-"""Which bone is which."""
+"""Which bone is which, by size and place."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from limbcli.imaging.volume import Volume
+from limbcli.model import Array
 
 _CLEARLY_LARGER = 1.5
+_BESIDE = 0.5  # share of the shorter bone's height over which two bones run side by side
+_JOINT = 0.35  # overlap of heights up to this (of the shorter) is that of bones above each other
 
 
 def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
-    """Names by size and place; numbers where that does not tell.
+    """tibia, fibula, femur, patella where size and place tell; else numbers.
 
-    Two bones side by side in a lower leg are tibia (the larger) and fibula.
+    Side by side along the limb are tibia (the larger) and fibula; a large bone above
+    them (towards proximal) is the femur, a small one in front of the joint the patella. A
+    bone alone, or a set that fits none of this, is numbered.
 
-    bones : Volumes of bool, largest first, k along the limb
+    bones : Volumes of bool, largest first, k along the limb towards proximal
     """
-    sizes = [int(bone.values.sum()) for bone in bones]
-    if len(bones) == 2 and sizes[0] > _CLEARLY_LARGER * sizes[1]:
-        return ("tibia", "fibula")
+    if len(bones) < 2:
+        return _numbers(bones)
+    sizes = np.array([bone.values.sum() for bone in bones], float)
+    spans = [_span(bone) for bone in bones]
+    names: dict[int, str] = {}
+    lower, femur = _shank_and_thigh(sizes, spans)
+    if femur is not None:
+        names[femur] = "femur"
+    if lower:
+        names[lower[0]] = "tibia"
+    if len(lower) > 1:
+        names[lower[1]] = "fibula"
+    rest = [n for n in range(len(bones)) if n not in names]
+    if femur is not None and len(rest) == 1 and _in_front(bones[rest[0]], bones[femur]):
+        names[rest[0]] = "patella"
+        rest = []
+    if rest or not lower:
+        return _numbers(bones)
+    return tuple(names[n] for n in range(len(bones)))
+
+
+def _numbers(bones: tuple[Volume, ...]) -> tuple[str, ...]:
     return tuple(str(number) for number in range(1, len(bones) + 1))
+
+
+def _span(bone: Volume) -> tuple[int, int]:
+    filled = np.flatnonzero(bone.values.any(axis=(0, 1)))
+    return int(filled[0]), int(filled[-1]) + 1
+
+
+def _overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
+    """Common height over the shorter's."""
+    common = min(a[1], b[1]) - max(a[0], b[0])
+    return max(common, 0) / min(a[1] - a[0], b[1] - b[0])
+
+
+def _shank_and_thigh(sizes: Array, spans: list[tuple[int, int]]) -> tuple[list[int], int | None]:
+    """(tibia, fibula) and femur among the bones, by number; fewer where they are not in view."""
+    large = [n for n in range(len(sizes)) if sizes[n] > 0.25 * sizes[0]]
+    femur = None
+    tibia = large[0]
+    for other in large[1:]:
+        if _overlap(spans[tibia], spans[other]) <= _JOINT:
+            low, high = sorted((tibia, other), key=lambda n: spans[n][0])
+            tibia, femur = low, high
+            break
+    beside = [
+        n
+        for n in range(len(sizes))
+        if n not in (tibia, femur)
+        and _overlap(spans[tibia], spans[n]) >= _BESIDE
+        and sizes[tibia] > _CLEARLY_LARGER * sizes[n]
+        and (femur is None or _overlap(spans[femur], spans[n]) <= _JOINT)
+    ]
+    return ([tibia, *beside[:1]] if beside or femur is not None else []), femur
+
+
+def _in_front(bone: Volume, femur: Volume) -> bool:
+    """Whether a bone lies anterior (patient LPS: smaller y) of another's middle at its height."""
+    centre = _centre(bone, bone.values)
+    low, high = _span(bone)
+    same_height = femur.values.copy()
+    same_height[:, :, :low] = same_height[:, :, high:] = False
+    other = _centre(femur, same_height if same_height.any() else femur.values)
+    return bool(centre[1] < other[1])
+
+
+def _centre(volume: Volume, mask: np.ndarray) -> Array:
+    return volume.to_patient(np.argwhere(mask).mean(axis=0)[None])[0]

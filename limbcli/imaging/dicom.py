@@ -15,19 +15,20 @@ from typing import Any
 
 import numpy as np
 import pydicom
-from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
+from limbcli.imaging.frames import Slice, slices_of
+from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
+_PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
-_UNEVEN = 0.02  # larger relative changes of the slice distance are resampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,22 +43,6 @@ class Series:
     volume: Volume
     facts: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """One image plane: pixels (rows, columns), its first pixel's centre and directions."""
-
-    name: str
-    pixels: NDArray[np.float32]
-    position: Array
-    along_row: Array
-    along_column: Array
-    pixel_spacing: tuple[float, float]
-
-    @property
-    def normal(self) -> Array:
-        return np.cross(self.along_row, self.along_column)
 
 
 def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
@@ -79,14 +64,14 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     """
     datasets = _images(folder, progress)
     remarks = _one_series(datasets, folder)
-    slices = [_slice(dataset, name) for name, dataset in datasets]
+    slices = [each for name, dataset in datasets for each in slices_of(dataset, name)]
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)
     heights = np.array([each.position @ normal for each in slices])
     order = np.argsort(heights, kind="stable")
     slices, heights = [slices[n] for n in order], heights[order]
-    step = _slice_step(slices, heights, folder, datasets[0][1])
-    volume, notes = _stack(slices, heights, step)
+    step = _slice_step(slices, heights, folder)
+    volume, notes = stack(slices, heights, step)
     return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
 
 
@@ -104,7 +89,7 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
         dataset = _read(path)
         if dataset is None:
             continue
-        if "PixelData" in dataset:
+        if any(each in dataset for each in _PIXELS):
             found.append((path.name, dataset))
         else:
             without_pixels += 1
@@ -181,79 +166,6 @@ def _kind(dataset: Dataset) -> tuple[str, ...]:
     return tuple(str(dataset.get(name, "")) for name in names)
 
 
-def _slice(dataset: Dataset, name: str) -> Slice:
-    orientation = _numbers(dataset, "ImageOrientationPatient", 6, name)
-    position = _numbers(dataset, "ImagePositionPatient", 3, name)
-    spacing = _numbers(dataset, "PixelSpacing", 2, name)
-    along_row, along_column = orientation[:3], orientation[3:]
-    lengths = np.linalg.norm(along_row), np.linalg.norm(along_column)
-    if abs(lengths[0] - 1) > 0.01 or abs(lengths[1] - 1) > 0.01 or abs(along_row @ along_column) > 0.01:
-        raise CaseError(
-            "Image Orientation (0020,0037) is not a pair of perpendicular unit vectors",
-            where=name,
-            fix="export the series again from the scanner or the archive",
-        )
-    if min(spacing) <= 0:
-        raise CaseError(
-            f"Pixel Spacing (0028,0030) is {spacing[0]:g}, {spacing[1]:g} mm",
-            where=name,
-            fix="export the series again from the scanner or the archive",
-        )
-    return Slice(
-        name=name,
-        pixels=_signal(dataset, name),
-        position=position,
-        along_row=along_row / lengths[0],
-        along_column=along_column / lengths[1],
-        pixel_spacing=(float(spacing[0]), float(spacing[1])),
-    )
-
-
-def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
-    """A tag's numbers; a missing or broken tag is an error that names it."""
-    tag = pydicom.datadict.tag_for_keyword(keyword) or 0
-    label = f"{pydicom.datadict.dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
-    try:
-        values = np.array([float(each) for each in dataset[keyword].value], dtype=float)
-    except (KeyError, TypeError, ValueError) as error:
-        raise CaseError(
-            f"{label} is missing or not {count} numbers",
-            where=name,
-            fix="export the series again with its geometry, or convert it to a label map or surfaces",
-        ) from error
-    if len(values) != count or not np.isfinite(values).all():
-        raise CaseError(
-            f"{label} should be {count} numbers, it is {len(values)}",
-            where=name,
-            fix="export the series again with its geometry, or convert it to a label map or surfaces",
-        )
-    return values
-
-
-def _signal(dataset: Dataset, name: str) -> NDArray[np.float32]:
-    """Pixels (rows, columns) after Rescale Slope and Intercept."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            pixels = dataset.pixel_array
-    except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError) as error:
-        syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
-        raise CaseError(
-            f"the pixel data cannot be decoded (transfer syntax {getattr(syntax, 'name', 'unknown')})",
-            where=name,
-            fix="pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed",
-        ) from error
-    if pixels.ndim != 2:
-        raise CaseError(
-            f"the image has {pixels.ndim} dimensions {pixels.shape}; a grey-value slice has two",
-            where=name,
-            fix="export the series as single-frame grey-value images",
-        )
-    slope = float(dataset.get("RescaleSlope", 1) or 1)
-    intercept = float(dataset.get("RescaleIntercept", 0) or 0)
-    return pixels.astype(np.float32) * np.float32(slope) + np.float32(intercept)
-
-
 def _same_shape(slices: list[Slice], folder: Path) -> None:
     if len(slices) < 3:
         raise CaseError(
@@ -295,7 +207,7 @@ def _common_normal(slices: list[Slice], folder: Path) -> Array:
     return first.normal
 
 
-def _slice_step(slices: list[Slice], heights: Array, folder: Path, header: Dataset) -> float:
+def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
     """The usual distance between slices; doubled and missing ones are errors."""
     gaps = np.diff(heights)
     step = float(np.median(gaps))
@@ -319,37 +231,6 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path, header: Datas
             n_missing=missing,
         )
     return step
-
-
-def _stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
-    """Volume indexed [column, row, slice]; uneven distances are resampled to even ones."""
-    values = np.stack([each.pixels.T for each in slices], axis=2)
-    first, last = slices[0], slices[-1]
-    notes = []
-    gaps = np.diff(heights)
-    if np.abs(gaps / step - 1).max() > _UNEVEN:
-        notes.append(
-            f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; resampled to even ones"
-        )
-        values = _even(values, heights)
-    direction = (last.position - first.position) / (len(slices) - 1)
-    tilt = np.degrees(np.arccos(np.clip(direction @ first.normal / np.linalg.norm(direction), -1, 1)))
-    if tilt > 0.5:
-        notes.append(f"the slices are sheared by {tilt:.1f} degrees (gantry tilt); the affine keeps that")
-    affine = np.eye(4)
-    affine[:3, 0] = first.along_row * first.pixel_spacing[1]
-    affine[:3, 1] = first.along_column * first.pixel_spacing[0]
-    affine[:3, 2] = direction
-    affine[:3, 3] = first.position
-    return Volume(values, affine), tuple(notes)
-
-
-def _even(values: NDArray[np.float32], heights: Array) -> NDArray[np.float32]:
-    """Linear interpolation to as many evenly spaced slices."""
-    at = np.linspace(heights[0], heights[-1], len(heights))
-    low = np.clip(np.searchsorted(heights, at, side="right") - 1, 0, len(heights) - 2)
-    weight = ((at - heights[low]) / (heights[low + 1] - heights[low])).astype(np.float32)
-    return values[:, :, low] * (1 - weight) + values[:, :, low + 1] * weight
 
 
 def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from limbcli.imaging.intensity import Levels
 from limbcli.imaging.volume import Volume
 
 _LEAST_CONTRAST = 1.5  # fat over muscle
+_DEEP = 12.0  # mm under the skin there is muscle, ...
+_DEEP_IS_MUSCLE = 0.35  # ... so the signal there must be muscle's within this
 _LEAST_PART = 100.0  # mm^3: smaller specks of fat belong to the muscle
 
 
@@ -21,6 +23,11 @@ def fat_of(
     None where fat and muscle cannot be told apart (contrast below 1.5, or within noise).
     """
     if levels.fat < _LEAST_CONTRAST or levels.fat - 1.0 < 4.0 * levels.noise:
+        return None
+    within_slices = [volume.spacing[0], volume.spacing[1], 1e6]
+    deep = ndimage.distance_transform_edt(limb, sampling=within_slices) > _DEEP
+    core = levels.values[deep & ~bone]
+    if not len(core) or abs(float(np.median(core)) - 1.0) > _DEEP_IS_MUSCLE:
         return None
     sigma = [0.5 / volume.spacing[0], 0.5 / volume.spacing[1], 0.0]
     smooth = ndimage.gaussian_filter(levels.values, sigma)

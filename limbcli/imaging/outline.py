@@ -15,6 +15,8 @@ _ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) 
 _SKIN = (0.35, 0.45)  # bounds of the skin edge's threshold, muscle = 1
 _NOISE = 0.8  # share of the air's threshold that the skin edge's is at least
 _GHOST = 4.0  # mm: thinner things outside the limb are ghosts of vessels
+_AIR = 0.02  # share of the image that is air, at least
+_CONTRAST = 2.0  # of the limb against the air, at least
 _LEAST_VOLUME = 5e4  # mm^3
 
 
@@ -31,7 +33,10 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
     mask = largest(values > level)
     mask = filled_by_slice(mask)
     size = float(mask.sum() * volume.voxel_volume)
-    if size < _LEAST_VOLUME:
+    inside, outside = values[mask], values[~mask]
+    enough_air = len(outside) > _AIR * values.size
+    stands_out = enough_air and float(np.median(inside)) > _CONTRAST * float(np.median(outside))
+    if size < _LEAST_VOLUME or not stands_out:
         raise CaseError(
             f"no limb stands out from the background (largest part {size / 1e3:.0f} cm3)",
             where="MRI series",

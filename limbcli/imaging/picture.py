@@ -17,6 +17,7 @@ from limbcli.model import Array
 
 _COLUMNS, _ROWS = 5, 4
 _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"
+_FAT = "#58d68d"
 
 
 def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str) -> None:
@@ -71,17 +72,19 @@ def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, fl
 
 def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
     """Contours of the working masks, placed by the image's in-plane mm."""
+    if found.fat is not None:
+        _outline(axes, found.fat, grey, k, _FAT, width=0.4)
     _outline(axes, found.skin, grey, k, _SKIN)
     for number, bone in enumerate(found.bones):
         _outline(axes, bone, grey, k, _BONES[number % len(_BONES)])
     _outline(axes, grey.with_values(markers), grey, k, _MARKER)
 
 
-def _outline(axes: Axes, mask: Volume, grey: Volume, k: int, colour: str) -> None:
+def _outline(axes: Axes, mask: Volume, grey: Volume, k: int, colour: str, *, width: float = 0.9) -> None:
     section = mask.values[:, :, k]
     if not section.any():
         return
     first = grey.to_voxel(mask.affine[:3, 3][None])[0]
     ratio = mask.spacing[:2] / grey.spacing[:2]
     x, y = ((first[n] + np.arange(section.shape[n]) * ratio[n]) * grey.spacing[n] for n in range(2))
-    axes.contour(x, y, section.T.astype(float), [0.5], colors=colour, linewidths=0.9)
+    axes.contour(x, y, section.T.astype(float), [0.5], colors=colour, linewidths=width)

@@ -199,7 +199,8 @@ def _write(
     _tell_layers(case, found, surfaces["skin"], writer)
     verdict = _tell_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
-    title = f"{case.subject}: skin (yellow), bones ({', '.join(names)}); quality: {verdict}"
+    fat = ", fat (green)" if found.fat is not None else ""
+    title = f"{case.subject}: skin (yellow), bones ({', '.join(names)}){fat}; quality: {verdict}"
     contact_sheet(sheet, image, found, title=title)
 
 

@@ -20,11 +20,14 @@ SKIN, FAT, MUSCLE, CORTEX, MARROW, MARKER = 150.0, 900.0, 330.0, 30.0, 860.0, 10
 
 @dataclass(frozen=True)
 class Limb:
-    """Ellipse with fat, muscle and two round bones; z along the limb, mm. The bones end at `bone_end`."""
+    """Ellipse with fat, muscle and round bones; z along the limb, mm. The bones end at `bone_end`.
+
+    bones : (x, y, radius, wall) or (x, y, radius, wall, lowest z, highest z)
+    """
 
     half_width: float = 42.0
     half_depth: float = 36.0
-    bones: tuple[tuple[float, float, float, float], ...] = ((-4.0, -14.0, 11.0, 3.0), (16.0, 2.0, 6.5, 2.2))
+    bones: tuple[tuple[float, ...], ...] = ((-4.0, -14.0, 11.0, 3.0), (16.0, 2.0, 6.5, 2.2))
     bone_end: float = -1e9
     markers: tuple[tuple[float, float, float], ...] = ()
     marker_radius: float = 4.5
@@ -39,8 +42,9 @@ class Limb:
         for floor, name in ((0.0, "skin"), (1.6, "fat"), (6.5, "muscle")):
             signal[depth > floor] = level[name]
         label[depth > 0] = 1
-        for bx, by, radius, wall in self.bones:
-            inside = np.maximum(np.hypot(x - bx, y - by) - radius, self.bone_end - z)
+        for bx, by, radius, wall, *ends in self.bones:
+            low, high = ends or (self.bone_end, 1e9)
+            inside = np.max([np.hypot(x - bx, y - by) - radius, low - z, z - high], axis=0)
             signal[inside < 0] = level["cortex"]
             label[inside < 0] = 2
             signal[inside < -wall] = level["marrow"]

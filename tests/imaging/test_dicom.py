@@ -167,3 +167,112 @@ def test_a_truncated_file_is_told(ramp, tmp_path):
 def test_the_written_series_is_valid_dicom(ramp, tmp_path):
     path = write_dicom(tmp_path, ramp)[0]
     assert pydicom.dcmread(path).pixel_array.shape == (7, 9)
+
+
+def test_monochrome1_is_turned_over(ramp, tmp_path):
+    def turn(dataset, k):
+        dataset.PhotometricInterpretation = "MONOCHROME1"
+
+    write_dicom(tmp_path, ramp, change=turn)
+    assert np.array_equal(read_series(tmp_path).volume.values, 65535 - ramp.values)
+
+
+def test_signed_and_8_bit_values_are_read(ramp, tmp_path):
+    signed = ramp.with_values(ramp.values - 100)
+    write_dicom(tmp_path / "signed", signed, signed=True)
+    assert np.array_equal(read_series(tmp_path / "signed").volume.values, signed.values)
+    small = ramp.with_values(np.floor(ramp.values / 2))
+    write_dicom(tmp_path / "small", small, bits=8)
+    assert np.array_equal(read_series(tmp_path / "small").volume.values, small.values)
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "tag"),
+    [
+        ("PhotometricInterpretation", "RGB", "0028,0004"),
+        ("Modality", "US", "0008,0060"),
+        ("ImageOrientationPatient", ["1", "0", "0", "1", "0", "0"], "0020,0037"),
+        ("PixelSpacing", ["0", "1"], "0028,0030"),
+    ],
+)
+def test_a_wrong_tag_is_named(ramp, tmp_path, keyword, value, tag):
+    write_dicom(tmp_path, ramp, change=lambda dataset, k: setattr(dataset, keyword, value))
+    assert tag in refused(tmp_path).what
+
+
+def test_uneven_slice_distances_are_made_even_and_said(ramp, tmp_path):
+    heights = np.array([0.0, 3.0, 6.6, 9.0, 12.0])
+    normal = ramp.affine[:3, 2] / ramp.spacing[2]
+
+    def move(dataset, k):
+        dataset.ImagePositionPatient = [f"{x:.9g}" for x in ramp.affine[:3, 3] + heights[k] * normal]
+
+    write_dicom(tmp_path, ramp, change=move)
+    series = read_series(tmp_path)
+    assert any("even" in note for note in series.notes)
+    expected = ramp.values[:, :, 1] + (ramp.values[:, :, 2] - ramp.values[:, :, 1]) * 3.0 / 3.6
+    np.testing.assert_allclose(series.volume.values[:, :, 2], expected, rtol=1e-5)
+
+
+def test_gantry_tilt_is_straightened(tmp_path):
+    """A straight bar seen by sheared slices comes out straight, in its place."""
+    shape, spacing, drift = (40, 20, 8), (1.0, 1.0, 4.0), 2.0
+    values = np.zeros(shape, np.float32)
+    for k in range(shape[2]):
+        values[24 - int(drift) * k : 30 - int(drift) * k, 6:12, k] = 500
+    affine = np.diag([*spacing, 1.0])
+    affine[0, 2] = drift
+    volume = Volume(values, affine)
+    write_dicom(tmp_path, volume)
+    series = read_series(tmp_path)
+    assert any("tilt" in note for note in series.notes)
+    straight = series.volume
+    np.testing.assert_allclose(straight.affine[:3, :3], np.diag(spacing), atol=1e-6)
+    bar = straight.to_patient(np.argwhere(straight.values > 250).astype(float))
+    assert (bar[:, 0].min(), bar[:, 0].max()) == pytest.approx((24.0, 29.0))
+    assert len(bar) == (values > 250).sum()
+
+
+def enhanced(path, volume, *, frames=True):
+    """The volume as one multi-frame file, slices in a scrambled order."""
+    first = pydicom.dcmread(write_dicom(path.parent / "single", volume)[0])
+    order = [(k * 3) % volume.shape[2] for k in range(volume.shape[2])]
+    first.NumberOfFrames = len(order)
+    first.PixelData = np.stack([volume.values[:, :, k].T for k in order]).astype("<u2").tobytes()
+    orientation, measures, shared = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+    orientation.ImageOrientationPatient = first.ImageOrientationPatient
+    measures.PixelSpacing = first.PixelSpacing
+    shared.PlaneOrientationSequence, shared.PixelMeasuresSequence = [orientation], [measures]
+    groups = []
+    for k in order:
+        position, transform, group = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+        place = volume.to_patient(np.array([[0.0, 0.0, k]]))[0]
+        position.ImagePositionPatient = [f"{each:.10g}" for each in place]
+        transform.RescaleSlope, transform.RescaleIntercept = "2", "1"
+        group.PlanePositionSequence = [position]
+        group.PixelValueTransformationSequence = [transform]
+        groups.append(group)
+    for keyword in ("ImageOrientationPatient", "ImagePositionPatient", "PixelSpacing"):
+        del first[keyword]
+    if frames:
+        first.SharedFunctionalGroupsSequence = [shared]
+        first.PerFrameFunctionalGroupsSequence = groups
+    first.save_as(path)
+
+
+def test_an_enhanced_multi_frame_file_is_read(ramp, tmp_path):
+    (tmp_path / "one").mkdir()
+    enhanced(tmp_path / "one" / "all.dcm", ramp)
+    for extra in (tmp_path / "one" / "single").iterdir():
+        extra.unlink()
+    series = read_series(tmp_path / "one")
+    assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
+    np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
+
+
+def test_frames_without_places_are_told(ramp, tmp_path):
+    (tmp_path / "one").mkdir()
+    enhanced(tmp_path / "one" / "all.dcm", ramp, frames=False)
+    for extra in (tmp_path / "one" / "single").iterdir():
+        extra.unlink()
+    assert "5200,9230" in refused(tmp_path / "one").what

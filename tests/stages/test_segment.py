@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
 import pytest
 
-from limbcli.case import Case, Imaging, ModelOptions, Probe
+from limbcli.case import Case, Imaging, ModelOptions, Noise, Probe, Site
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.phantom.dicom_series import write_series
@@ -146,3 +148,75 @@ def test_a_failed_run_leaves_the_result_before_it(segmented, tmp_path):
     with pytest.raises(CaseError):
         segment(case_with(tmp_path, mri=tmp_path / "empty"), out=out)
     assert read_result(out, "segment").data == json.loads(json.dumps(first.data))
+
+
+def edit(path: Path) -> int:
+    """Turns the bones of one slice to soft tissue, as a user might in 3D Slicer; returns how many voxels."""
+    image = nib.load(path)
+    values = np.asarray(image.dataobj).copy()
+    k = int(np.argmax((values == 2).sum(axis=(0, 1))))
+    changed = int((values[:, :, k] == 2).sum())
+    values[:, :, k][values[:, :, k] == 2] = 1
+    nib.save(nib.Nifti1Image(values, image.affine), path)
+    return changed
+
+
+def copied(segmented, tmp_path) -> Path:
+    out, _, _ = segmented
+    shutil.copytree(out / "segment", tmp_path / "segment")
+    return tmp_path
+
+
+def bone_voxels(result) -> int:
+    return int((np.asarray(nib.load(result.path("labels")).dataobj) == 2).sum())
+
+
+@pytest.mark.slow
+def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_path):
+    _, first, _ = segmented
+    out = copied(segmented, tmp_path)
+    case = case_with(tmp_path, mri=series)
+    changed = edit(out / "segment" / "labels.nii.gz")
+    for _ in range(2):  # it wins again when run again
+        result = segment(case, out=out)
+        assert result.data["source"] == "edited labels"
+        assert bone_voxels(result) == bone_voxels(first) - changed
+        assert any("edited by hand" in line for line in (*result.summary, *result.warnings))
+    result = segment(case, out=out, fresh=True)
+    assert result.data["source"] == "mri"
+    assert bone_voxels(result) == bone_voxels(first)
+
+
+def test_sites_get_the_thickness_of_their_fat(segmented, series, tmp_path):
+    """The phantom's fat is 4 to 6 mm, thicker behind; skin 1.6 mm (see limbcli.phantom.anatomy)."""
+    _, first, _ = segmented
+    site = Site(
+        name="p1",
+        position=None,
+        marker=1,
+        long_axis="transverse",
+        levels=tmp_path / "levels.csv",
+        trace=None,
+        swe_maps=None,
+        density_kg_per_m3=1000.0,
+        noise=Noise(),
+    )
+    case = replace(case_with(tmp_path, labels=first.path("labels")), sites=(site,))
+    result = segment(case, out=tmp_path)
+    assert 4.0 < result.data["layers"]["p1"]["fat_mm"] < 8.0
+    assert any("fat" in line for line in result.summary)
+
+
+def test_a_label_map_without_bone_is_refused(segmented, tmp_path):
+    _, first, _ = segmented
+    image = nib.load(first.path("labels"))
+    values = np.asarray(image.dataobj).copy()
+    values[values == 2] = 1
+    nib.save(nib.Nifti1Image(values, image.affine), tmp_path / "labels.nii.gz")
+    with pytest.raises(CaseError, match="bone"):
+        segment(case_with(tmp_path, labels=tmp_path / "labels.nii.gz"), out=tmp_path)
+
+
+def test_an_unknown_seed_is_refused(series, tmp_path):
+    with pytest.raises(CaseError, match="seed"):
+        segment(case_with(tmp_path, mri=series), out=tmp_path, seeds=[("fat", (0.0, 0.0, 0.0))])

@@ -1,0 +1,179 @@
+"""One image plane after the other out of DICOM files, single-frame, multi-frame or enhanced."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pydicom
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+
+from limbcli.errors import CaseError
+from limbcli.model import Array
+
+_EXPORT = "export the series again with its geometry, or bring a label map or surfaces instead"
+_PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
+_USABLE = ("MR", "CT", "OT", "")
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """One image plane: pixels (rows, columns), its first pixel's centre and directions."""
+
+    name: str
+    pixels: NDArray[np.float32]
+    position: Array
+    along_row: Array
+    along_column: Array
+    pixel_spacing: tuple[float, float]
+
+    @property
+    def normal(self) -> Array:
+        return np.cross(self.along_row, self.along_column)
+
+
+def slices_of(dataset: Dataset, name: str) -> list[Slice]:
+    """Every plane of one file; `name` is the file's, for messages.
+
+    Raises
+    ------
+    CaseError
+        Missing geometry, pixels that cannot be decoded, colour, another modality; the
+        message names the tag.
+    """
+    _require_grey(dataset, name)
+    pixels = _decoded(dataset, name)
+    if "PerFrameFunctionalGroupsSequence" in dataset:
+        return _enhanced(dataset, pixels, name)
+    if pixels.ndim != 2:
+        raise CaseError(
+            f"the image has {pixels.shape[0]} frames, but no Per-Frame Functional Groups (5200,9230) that "
+            "tell where they lie",
+            where=name,
+            fix="export the series as enhanced MR or CT, or as one file a slice",
+        )
+    return [_plane(dataset, dataset, dataset, _rescaled(pixels, dataset, dataset, name), name)]
+
+
+def _enhanced(dataset: Dataset, pixels: NDArray, name: str) -> list[Slice]:
+    """Planes of an enhanced multi-frame object (PS3.3 C.7.6.16)."""
+    frames = dataset.PerFrameFunctionalGroupsSequence
+    pixels = pixels[None] if pixels.ndim == 2 else pixels
+    if len(frames) != len(pixels):
+        raise CaseError(
+            f"{len(pixels)} frames, but {len(frames)} items in Per-Frame Functional Groups (5200,9230)",
+            where=name,
+            fix=_EXPORT,
+        )
+    planes = []
+    for number, (frame, image) in enumerate(zip(frames, pixels, strict=True), 1):
+        title = f"{name}, frame {number}"
+        position = _group(dataset, frame, "PlanePositionSequence")
+        orientation = _group(dataset, frame, "PlaneOrientationSequence")
+        measures = _group(dataset, frame, "PixelMeasuresSequence")
+        transform = _group(dataset, frame, "PixelValueTransformationSequence")
+        merged = Dataset()
+        for part in (orientation, measures):
+            merged.update(part)
+        signal = _rescaled(image, transform, dataset, title)
+        planes.append(_plane(merged, position, measures, signal, title))
+    return planes
+
+
+def _group(dataset: Dataset, frame: Dataset, name: str) -> Dataset:
+    """A functional group's item: the frame's own, else the one shared by all, else nothing."""
+    for holder in (frame, *dataset.get("SharedFunctionalGroupsSequence", [])):
+        if name in holder and len(holder[name].value):
+            return holder[name][0]
+    return Dataset()
+
+
+def _plane(
+    orientation: Dataset, position: Dataset, measures: Dataset, pixels: NDArray[np.float32], name: str
+) -> Slice:
+    cosines = _numbers(orientation, "ImageOrientationPatient", 6, name)
+    place = _numbers(position, "ImagePositionPatient", 3, name)
+    spacing = _numbers(measures, "PixelSpacing", 2, name)
+    along_row, along_column = cosines[:3], cosines[3:]
+    lengths = np.linalg.norm(along_row), np.linalg.norm(along_column)
+    if abs(lengths[0] - 1) > 0.01 or abs(lengths[1] - 1) > 0.01 or abs(along_row @ along_column) > 0.01:
+        raise CaseError(
+            "Image Orientation (0020,0037) is not a pair of perpendicular unit vectors",
+            where=name,
+            fix=_EXPORT,
+        )
+    if min(spacing) <= 0:
+        raise CaseError(
+            f"Pixel Spacing (0028,0030) is {spacing[0]:g}, {spacing[1]:g} mm", where=name, fix=_EXPORT
+        )
+    return Slice(
+        name=name,
+        pixels=pixels,
+        position=place,
+        along_row=along_row / lengths[0],
+        along_column=along_column / lengths[1],
+        pixel_spacing=(float(spacing[0]), float(spacing[1])),
+    )
+
+
+def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
+    """A tag's numbers; a missing or broken tag is an error that names it."""
+    tag = pydicom.datadict.tag_for_keyword(keyword) or 0
+    label = f"{pydicom.datadict.dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
+    try:
+        values = np.array([float(each) for each in dataset[keyword].value], dtype=float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CaseError(f"{label} is missing or not {count} numbers", where=name, fix=_EXPORT) from error
+    if len(values) != count or not np.isfinite(values).all():
+        raise CaseError(f"{label} should be {count} numbers, it is {len(values)}", where=name, fix=_EXPORT)
+    return values
+
+
+def _require_grey(dataset: Dataset, name: str) -> None:
+    modality = str(dataset.get("Modality", "") or "")
+    if modality not in _USABLE:
+        raise CaseError(
+            f"Modality (0008,0060) is {modality}; the geometry needs MR or CT",
+            where=name,
+            fix="[imaging] mri must name the folder of an MR or CT series; a SEG belongs into labels",
+        )
+    kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
+    if not kind.startswith("MONOCHROME"):
+        raise CaseError(
+            f"Photometric Interpretation (0028,0004) is {kind}; grey values are needed",
+            where=name,
+            fix="remove screen shots and colour images from the folder",
+        )
+
+
+def _decoded(dataset: Dataset, name: str) -> NDArray:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return np.asarray(dataset.pixel_array)
+    except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
+        syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
+        raise CaseError(
+            "the pixel data (7FE0,0010) cannot be decoded "
+            f"(Transfer Syntax 0002,0010: {getattr(syntax, 'name', 'unknown')})",
+            where=name,
+            fix=_PLUGINS,
+        ) from error
+
+
+def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -> NDArray[np.float32]:
+    """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over."""
+    if str(header.get("PhotometricInterpretation", "")) == "MONOCHROME1":
+        top = 2 ** int(header.get("BitsStored", 16)) - 1
+        pixels = (-1 if int(header.get("PixelRepresentation", 0)) else top) - pixels.astype(np.int64)
+    values = []
+    for keyword, tag, default in (("RescaleSlope", "0028,1053", 1.0), ("RescaleIntercept", "0028,1052", 0.0)):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                values.append(float(transform.get(keyword, default) or default))
+        except (TypeError, ValueError) as error:
+            raise CaseError(f"{keyword} ({tag}) is no number", where=name, fix=_EXPORT) from error
+    return pixels.astype(np.float32) * np.float32(values[0]) + np.float32(values[1])

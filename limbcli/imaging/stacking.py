@@ -1,0 +1,67 @@
+"""Image planes, in order of height, to one straight and even `Volume`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.frames import Slice
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+
+_TILT = 0.5  # degrees: slices sheared by more are straightened
+_UNEVEN = 0.02  # larger relative changes of the slice distance are resampled
+
+
+def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
+    """Volume indexed [column, row, slice], straight and even."""
+    values = np.stack([each.pixels.T for each in slices], axis=2)
+    first = slices[0]
+    positions = np.array([each.position for each in slices])
+    notes = []
+    pixel = np.array([first.pixel_spacing[1], first.pixel_spacing[0]])
+    in_plane = (positions - positions[0]) @ np.stack([first.along_row, first.along_column], axis=1)
+    tilt = np.degrees(np.arctan2(np.linalg.norm(in_plane[-1] - in_plane[0]), heights[-1] - heights[0]))
+    origin = first.position
+    if tilt > _TILT:
+        notes.append(f"the slices are sheared by {tilt:.1f} degrees (gantry tilt); straightened")
+        values, shift = _straight(values, in_plane / pixel)
+        origin = origin - first.along_row * shift[0] * pixel[0] - first.along_column * shift[1] * pixel[1]
+        direction = first.normal * (heights[-1] - heights[0]) / (len(slices) - 1)
+    else:
+        direction = (positions[-1] - positions[0]) / (len(slices) - 1)
+    gaps = np.diff(heights)
+    if np.abs(gaps / step - 1).max() > _UNEVEN:
+        notes.append(f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; made even")
+        values = _even(values, heights)
+    affine = np.eye(4)
+    affine[:3, 0] = first.along_row * pixel[0]
+    affine[:3, 1] = first.along_column * pixel[1]
+    affine[:3, 2] = direction
+    affine[:3, 3] = origin
+    return Volume(values, affine), tuple(notes)
+
+
+def _straight(values: NDArray[np.float32], offset: Array) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """Each slice moved by its in-plane offset (pixels) on a grid that holds them all.
+
+    Returns the values and how many pixels the grid begins before the first slice's.
+    """
+    low = np.floor(np.minimum(offset.min(axis=0), 0)).astype(int)
+    high = np.ceil(np.maximum(offset.max(axis=0), 0)).astype(int)
+    air = float(values.min())
+    padded = np.pad(
+        values, [(-low[0], high[0]), (-low[1], high[1]), (0, 0)], mode="constant", constant_values=air
+    )
+    for k in range(values.shape[2]):
+        padded[:, :, k] = ndimage.shift(padded[:, :, k], offset[k], order=1, mode="constant", cval=air)
+    return padded, (int(-low[0]), int(-low[1]))
+
+
+def _even(values: NDArray[np.float32], heights: Array) -> NDArray[np.float32]:
+    """Linear interpolation to as many evenly spaced slices."""
+    at = np.linspace(heights[0], heights[-1], len(heights))
+    low = np.clip(np.searchsorted(heights, at, side="right") - 1, 0, len(heights) - 2)
+    weight = ((at - heights[low]) / (heights[low + 1] - heights[low])).astype(np.float32)
+    return values[:, :, low] * (1 - weight) + values[:, :, low + 1] * weight

@@ -1,0 +1,139 @@
+"""Label maps from NRRD, .seg.nrrd and DICOM SEG."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pydicom
+import pytest
+from limb_images import Limb
+from pydicom.dataset import FileDataset, FileMetaDataset
+from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage
+from scipy.spatial.transform import Rotation
+
+from limbcli.errors import CaseError
+from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.volume import RAS_FROM_LPS, Volume
+
+
+@pytest.fixture(scope="module")
+def truth():
+    turned = Rotation.from_euler("xyz", [4, -6, 9], degrees=True).as_matrix()
+    image, labels = Limb(markers=((43.5, 0.0, -8.0),)).image(
+        shape=(52, 46, 10), spacing=(2, 2, 4), rotation=turned, samples=1
+    )
+    return Volume(labels.astype(np.uint8), image.affine)
+
+
+def nrrd(path, volume, *, encoding="gzip", space="left-posterior-superior", extra="", values=None):
+    values = volume.values if values is None else values
+    affine = RAS_FROM_LPS @ volume.affine if space.startswith("right") else volume.affine
+    columns = [f"({','.join(f'{x:.9g}' for x in affine[:3, n])})" for n in range(3)]
+    columns = ["none"] * (values.ndim - 3) + columns
+    data = values.tobytes(order="F")
+    header = (
+        f"NRRD0004\n# made for a test\ntype: unsigned char\ndimension: {values.ndim}\nspace: {space}\n"
+        f"sizes: {' '.join(map(str, values.shape))}\nspace directions: {' '.join(columns)}\n"
+        f"kinds: domain domain domain\nendian: little\nencoding: {encoding}\n"
+        f"space origin: ({','.join(f'{x:.9g}' for x in affine[:3, 3])})\n{extra}\n"
+    )
+    path.write_bytes(header.encode() + (gzip.compress(data) if encoding == "gzip" else data))
+    return path
+
+
+def assert_same(found, truth):
+    assert np.array_equal(found.values, truth.values)
+    np.testing.assert_allclose(found.affine, truth.affine, atol=1e-5)
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip"])
+@pytest.mark.parametrize("space", ["left-posterior-superior", "right-anterior-superior"])
+def test_a_nrrd_label_map_is_read_in_place(truth, tmp_path, encoding, space):
+    path = nrrd(tmp_path / "labels.nrrd", truth, encoding=encoding, space=space)
+    assert_same(read_label_file(path), truth)
+
+
+def test_a_seg_nrrd_is_brought_to_our_labels_by_its_names(truth, tmp_path):
+    """Two layers that overlap: everything in the skin, and the bone inside it with another number."""
+    skin = np.where(np.isin(truth.values, (1, 2)), 1, np.where(truth.values == 3, 5, 0))
+    bone = np.where(truth.values == 2, 9, 0)
+    extra = (
+        "Segment0_Name:=Skin\nSegment0_LabelValue:=1\nSegment0_Layer:=0\n"
+        "Segment1_Name:=Tibia and fibula\nSegment1_LabelValue:=9\nSegment1_Layer:=1\n"
+        "Segment2_Name:=Marker capsules\nSegment2_LabelValue:=5\nSegment2_Layer:=0\n"
+    )
+    layers = np.stack([skin, bone]).astype(np.uint8)
+    path = nrrd(tmp_path / "s.seg.nrrd", truth, extra=extra, values=layers)
+    assert_same(read_label_file(path), truth)
+
+
+def test_segments_without_telling_names_are_refused(truth, tmp_path):
+    extra = "Segment0_Name:=Segment_1\nSegment0_LabelValue:=1\n"
+    with pytest.raises(CaseError, match="Segment_1"):
+        read_label_file(nrrd(tmp_path / "s.seg.nrrd", truth, extra=extra))
+
+
+@pytest.mark.parametrize("text", [b"no nrrd", b"NRRD0004\ntype: block\nsizes: 2\n\nx"])
+def test_a_broken_nrrd_is_refused(tmp_path, text):
+    (tmp_path / "a.nrrd").write_bytes(text)
+    with pytest.raises(CaseError, match="label map"):
+        read_label_file(tmp_path / "a.nrrd")
+
+
+def dicom_seg(path, truth, names):
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SegmentationStorage, "1.2.3.4"
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    dataset = FileDataset(str(path), {}, file_meta=meta, preamble=b"\0" * 128)
+    dataset.SOPClassUID, dataset.SOPInstanceUID, dataset.Modality = SegmentationStorage, "1.2.3.4", "SEG"
+    dataset.Rows, dataset.Columns, dataset.SegmentationType = truth.shape[1], truth.shape[0], "BINARY"
+    dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
+    dataset.BitsAllocated = dataset.BitsStored = 1
+    dataset.HighBit = dataset.PixelRepresentation = 0
+    orientation, measures, shared = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+    directions = truth.affine[:3, :3] / truth.spacing
+    orientation.ImageOrientationPatient = [f"{x:.9g}" for x in directions[:, :2].T.ravel()]
+    measures.PixelSpacing, measures.SliceThickness = [truth.spacing[1], truth.spacing[0]], truth.spacing[2]
+    shared.PlaneOrientationSequence, shared.PixelMeasuresSequence = [orientation], [measures]
+    dataset.SharedFunctionalGroupsSequence = [shared]
+    planes, groups, segments = [], [], []
+    for number, (name, value) in enumerate(names.items(), 1):
+        segment = pydicom.Dataset()
+        segment.SegmentNumber, segment.SegmentLabel = number, name
+        segments.append(segment)
+        for k in range(truth.shape[2]):
+            mask = truth.values[:, :, k] == value
+            if not mask.any():
+                continue
+            position, identity, group = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+            place = truth.to_patient(np.array([[0.0, 0.0, k]]))[0]
+            position.ImagePositionPatient = [f"{x:.10g}" for x in place]
+            identity.ReferencedSegmentNumber = number
+            group.PlanePositionSequence, group.SegmentIdentificationSequence = [position], [identity]
+            planes.append(mask.T)
+            groups.append(group)
+    dataset.SegmentSequence, dataset.PerFrameFunctionalGroupsSequence = segments, groups
+    dataset.NumberOfFrames = len(planes)
+    bits = np.packbits(np.stack(planes).ravel(), bitorder="little").tobytes()
+    dataset.PixelData = bits + b"\0" * (len(bits) % 2)
+    dataset["PixelData"].VR = "OB"
+    dataset.save_as(path, enforce_file_format=True)
+    return path
+
+
+def test_a_dicom_seg_is_brought_to_our_labels_by_its_names(truth, tmp_path):
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1, "Bone": 2, "Marker": 3})
+    found = read_label_file(path)
+    whole = np.flatnonzero((truth.values > 0).any(axis=(0, 1)))
+    assert np.array_equal(found.values, truth.values[:, :, whole[0] : whole[-1] + 1])
+    np.testing.assert_allclose(found.affine[:3, :3], truth.affine[:3, :3], atol=1e-5)
+
+
+def test_an_image_is_no_dicom_seg(truth, tmp_path):
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1, "Bone": 2})
+    dataset = pydicom.dcmread(path)
+    dataset.Modality = "MR"
+    dataset.save_as(path)
+    with pytest.raises(CaseError, match="0008,0060"):
+        read_label_file(path)

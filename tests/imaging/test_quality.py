@@ -1,0 +1,91 @@
+"""The verdict on a segmentation, and layers under a place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from limb_images import Limb
+from scipy import ndimage
+
+from limbcli.imaging.labels import segmentation_from
+from limbcli.imaging.layers import layers_at
+from limbcli.imaging.quality import assess
+from limbcli.imaging.surface import surface_of
+from limbcli.imaging.volume import Volume
+
+NAMES = ("tibia", "fibula")
+
+
+@pytest.fixture(scope="module")
+def good():
+    image, labels = Limb().image(samples=1)
+    return segmentation_from(image.with_values(labels.astype(np.uint8)))
+
+
+def with_bone(found, change):
+    values = found.bones[0].values.copy()
+    change(values)
+    return replace(found, bones=(found.bones[0].with_values(values), *found.bones[1:]))
+
+
+def test_a_good_segmentation_is_called_good(good):
+    quality = assess(good, NAMES)
+    assert quality.verdict == "good"
+    assert quality.findings == ()
+    assert quality.figures["tibia_half_thickness_mm"] == pytest.approx(11.0, abs=1.0)
+
+
+def test_a_leak_to_the_skin_is_poor(good):
+    def leak(values):
+        values[:, :, 6:10] |= good.skin.values[:, :, 6:10]
+
+    quality = assess(with_bone(good, leak), NAMES)
+    assert quality.verdict == "poor"
+    assert any("skin" in finding for finding in quality.findings)
+
+
+def test_a_hole_and_a_gap_are_seen(good):
+    def hole(values):
+        inner = np.argwhere(ndimage.binary_erosion(values, iterations=4))
+        i, j, _ = inner.mean(axis=0).astype(int)
+        values[i - 1 : i + 2, j - 1 : j + 2, 5:8] = False
+
+    def gap(values):
+        values[:, :, 8] = False
+
+    assert assess(with_bone(good, hole), NAMES).figures["tibia_holes_mm3"] == pytest.approx(27 * 4)
+    assert assess(with_bone(good, gap), NAMES).figures["tibia_gaps"] == 1
+    assert assess(with_bone(good, gap), NAMES).verdict != "good"
+
+
+def test_a_thin_spot_is_seen(good):
+    def thin(values):
+        values[:, :, 7] = ndimage.binary_erosion(values[:, :, 7], iterations=10)
+
+    assert assess(with_bone(good, thin), NAMES).verdict == "poor"
+
+
+def test_a_limb_cut_by_the_images_side_is_seen(good):
+    cut = replace(good, skin=good.skin.with_values(good.skin.values[20:]))
+    cut = replace(cut, bones=tuple(each.with_values(each.values[20:]) for each in good.bones))
+    assert assess(cut, NAMES).figures["limb_cut_share"] > 0.03
+    assert assess(cut, NAMES).verdict != "good"
+
+
+def test_fat_under_a_place_has_its_true_thickness(good):
+    """Ellipse with skin to 1.6 mm and fat to 6.5 mm (times the half depth), measured at the front."""
+    fine = np.indices((104, 92, 16)).reshape(3, -1).T
+    x, y, _ = good.skin.to_patient(fine).T
+    depth = (1 - np.hypot(x / 42.0, y / 36.0)) * 36.0
+    fat = Volume(((depth > 1.6) & (depth < 6.5)).reshape(104, 92, 16), good.skin.affine)
+    layers = layers_at(np.array([0.0, -36.0, 0.0]), surface_of(good.skin, edge=2.0), fat)
+    assert layers.fat == pytest.approx(4.9, abs=0.4)
+    assert layers.skin == pytest.approx(1.6, abs=0.5)
+    np.testing.assert_allclose(layers.point, [0.0, -36.0, 0.0], atol=1.5)
+
+
+def test_without_fat_no_thickness_is_made_up(good):
+    nothing = good.skin.with_values(np.zeros_like(good.skin.values))
+    assert layers_at(np.array([0.0, -36.0, 0.0]), surface_of(good.skin, edge=2.0), nothing) is None
