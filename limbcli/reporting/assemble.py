@@ -13,6 +13,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from limbcli.config import templates_folder
+from limbcli.errors import CaseError
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 
@@ -77,7 +78,15 @@ def _as_webp(path: Path) -> bytes:
 
 
 def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = None) -> str:
-    """A template of `templates/report/` filled in; the user's own folder is looked at first."""
+    """A template of `templates/report/` filled in; the user's own folder is looked at first.
+
+    Raises
+    ------
+    CaseError
+        If a template of the user's is faulty or asks for what is not there.
+    ToolError
+        If our templates are not found, or the user's folder does not exist.
+    """
     folders = [templates_folder() / "report"]
     if templates is not None:
         folders.insert(0, templates_folder(templates) / "report")
@@ -89,7 +98,15 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
         lstrip_blocks=True,
     )
     environment.filters["symbols"] = symbols
-    return environment.get_template(template).render(**facts)
+    try:
+        return environment.get_template(template).render(**facts)
+    except jinja2.TemplateError as error:
+        line = f", line {error.lineno}" if isinstance(error, jinja2.TemplateSyntaxError) else ""
+        raise CaseError(
+            f"the report's template fails: {error}",
+            where=f"{templates or folders[-1]}: {template}{line}",
+            fix="compare it with ours in templates/report, or leave --templates out",
+        ) from error
 
 
 def symbols(text: str) -> Markup:

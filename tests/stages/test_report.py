@@ -14,6 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from limbcli.case import Case
+from limbcli.errors import CaseError
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
@@ -374,3 +375,14 @@ def test_users_template_replaces_ours(tmp_path):
     html = result.path("page").read_text(encoding="utf-8")
     assert "rebeccapurple" in html
     assert "At a glance" in html
+
+
+@pytest.mark.parametrize("content", ["{% if %}", "{{ nothing_like_it }}"])
+def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_path, content):
+    case = make_case(tmp_path / "case")
+    (tmp_path / "mine" / "report").mkdir(parents=True)
+    (tmp_path / "mine" / "report" / "report.html.j2").write_text(content)
+    with pytest.raises(CaseError, match="template fails") as caught:
+        report(case, out=tmp_path / "out", templates=tmp_path / "mine")
+    assert "mine" in caught.value.where
+    assert not list((tmp_path / "out").iterdir())
