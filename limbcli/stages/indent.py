@@ -25,9 +25,10 @@ from limbcli.solvers.reference import ReferenceSession
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 from limbcli.units import mpa_from_kpa
 
-FIRST_PIECE, NEXT_PIECE = 7.0, 3.0
+FIRST_PIECE = 6.0
 _DEEPEST = 40.0
-_ENOUGH = 1.01  # a little more than the last level's force
+_ENOUGH = 1.02  # a little more than the last level's force
+_LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
 _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 
 
@@ -35,7 +36,7 @@ _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 class KnownTissue:
     """The truth: c = 2 mu (kPa), f_kappa = kappa' / c, m."""
 
-    c_kpa: float = 6.0
+    c_kpa: float = 8.0
     f_kappa: float = 80.0
     m: float = 6.0
 
@@ -48,11 +49,13 @@ def indent(
     window: Window = Window(),
     density_kg_per_m3: float = 1000.0,
     spacing: float = 1.0,
+    tolerance: float = 1e-6,
     progress: Progress = SILENT,
 ) -> TrueLevels:
     """What is true at every level of the protocol on a meshed site.
 
     spacing : mm between simulated depths; between them the force is PCHIP
+    tolerance : residual over the forces at play
 
     Raises
     ------
@@ -61,7 +64,8 @@ def indent(
     """
     skin_bone = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * skin_bone) if skin_bone else _DEEPEST
-    model, simulation = _press(model, tissue, protocol.max_force, cap, spacing, progress)
+    press = _Press(model, tissue, spacing, tolerance, progress)
+    model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     return true_levels(
         _indentation(model, simulation),
         OgdenTerms.of(model.materials[TISSUE]),
@@ -72,32 +76,61 @@ def indent(
     )
 
 
-def _press(
-    meshed: LimbModel, tissue: KnownTissue, force: float, cap: float, spacing: float, progress: Progress
-) -> tuple[LimbModel, Simulation]:
-    """Lengthen the simulation until the force or the depth `cap` is reached."""
-    session: ReferenceSession | None = None
-    done: tuple[LimbModel, Simulation] | None = None
-    end = min(FIRST_PIECE, cap)
-    try:
-        while True:
-            model = _loaded(meshed, tissue, depths_to(end, spacing))
-            session = session or ReferenceSession(model, progress=progress)
-            try:
-                done = model, session.solve(model, records=True).simulation
-            except SolveError as error:
-                if done is None:
-                    raise
-                text = f"the simulation ends at {done[1].probe_depth(PROBE)[-1]:.1f} mm: {error.what}"
-                progress.event("note", text=text)
-                return done
-            reached = float(done[1].probe_force(PROBE)[-1])
-            if reached >= _ENOUGH * force or end >= cap:
-                return done
-            end = min(end + NEXT_PIECE, cap)
-    finally:
-        if session is not None:
+@dataclass(frozen=True, eq=False)
+class _Press:
+    """A site's model with its tissue, to be pressed deeper and deeper."""
+
+    meshed: LimbModel
+    tissue: KnownTissue
+    spacing: float
+    tolerance: float
+    progress: Progress
+
+    def until(self, force: float, cap: float) -> tuple[LimbModel, Simulation]:
+        """Lengthen the simulation until the force or the depth `cap` is reached.
+
+        A piece that fails ends it, with what was reached before.
+        """
+        end = min(FIRST_PIECE, cap)
+        model = self._loaded(end)
+        session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance)
+        try:
+            done = session.solve(model, records=True).simulation
+            while done.probe_force(PROBE)[-1] < force and end < cap:
+                end = min(next_end(done.probe_depth(PROBE), done.probe_force(PROBE), force), cap)
+                longer = self._loaded(end)
+                try:
+                    model, done = longer, session.solve(longer, records=True).simulation
+                except SolveError as error:
+                    depth = float(done.probe_depth(PROBE)[-1])
+                    self.progress.event("note", text=f"the simulation ends at {depth:.1f} mm: {error.what}")
+                    break
+            return model, done
+        finally:
             session.close()
+
+    def _loaded(self, end: float) -> LimbModel:
+        """The model under its load; a depth has the same time in every piece.
+
+        By its time the session finds the converged state of a depth again.
+        """
+        plan = schedule(depths_to(end, self.spacing))
+        c = mpa_from_kpa(self.tissue.c_kpa)
+        return indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
+
+
+def next_end(depth: Array, force: Array, target: float) -> float:
+    """Depth at which the force will be reached if it goes on growing by the last power of depth.
+
+    >>> float(round(next_end(np.array([4.0, 5.0, 6.0]), np.array([1.6, 2.5, 3.6]), 6.4), 3))
+    8.0
+    """
+    low, high = float(force[-2]), float(force[-1])
+    if not high > low > 0:
+        return float(depth[-1]) + _LARGEST_PIECE
+    power = max(1.0, np.log(high / low) / np.log(depth[-1] / depth[-2]))
+    piece = float(depth[-1]) * ((target / high) ** (1 / power) - 1)
+    return float(depth[-1]) + min(max(piece, _LEAST_PIECE), _LARGEST_PIECE)
 
 
 def depths_to(end: float, spacing: float) -> list[float]:
@@ -109,16 +142,6 @@ def depths_to(end: float, spacing: float) -> list[float]:
     whole = [spacing * k for k in range(1, int(np.floor(end / spacing + 1e-9)) + 1)]
     found = [each for each in [spacing / 4, spacing / 2, *whole] if each < end - 0.4 * spacing]
     return [round(each, 3) for each in [*found, end]]
-
-
-def _loaded(meshed: LimbModel, tissue: KnownTissue, depths: list[float]) -> LimbModel:
-    """The model under its load; every piece is cut out of one and the same schedule.
-
-    So a depth keeps its time, by which the session finds its converged state again.
-    """
-    plan = schedule(depths)
-    c = mpa_from_kpa(tissue.c_kpa)
-    return indentation_model(meshed, plan, c=c, f_kappa=tissue.f_kappa, m=tissue.m)
 
 
 def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:

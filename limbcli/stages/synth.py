@@ -31,6 +31,10 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.stages.indent import KnownTissue, indent
 
+# Between simulated depths, mm, and residual: far below what noise hides, or as good as it gets.
+_SPACING, _FINE_SPACING = 1.5, 1.0
+_TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
+
 Alter = Callable[[LimbModel], LimbModel]
 
 
@@ -47,8 +51,8 @@ class SynthOptions:
     seed: int = 7
     noise: float = 1.0
     element: str | None = None
-    size: float | None = 3.4
-    far_size: float | None = 10.0
+    size: float | None = 4.0
+    far_size: float | None = 12.0
     margin: float | None = None
     same_mesh: bool = False
     protocol: Protocol = field(default_factory=Protocol)
@@ -170,6 +174,8 @@ def _measure_site(
         protocol=options.protocol,
         window=options.window,
         density_kg_per_m3=site.density_kg_per_m3,
+        spacing=_FINE_SPACING if options.noise == 0 else _SPACING,
+        tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
         progress=progress,
     )
     law = noise_law(site.noise).times(options.noise)
