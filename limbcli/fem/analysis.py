@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.history import Histories
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
 from limbcli.fem.system import Forces, State, System
 from limbcli.model import LimbModel, Step
@@ -47,6 +48,12 @@ class Analysis:
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
+        self._histories: Histories | None = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the response depends on the way the load went (viscoelastic materials)."""
+        return any(material.law == "viscoelastic" for material in self.model.materials.values())
 
     @property
     def newton(self) -> Newton:
@@ -66,26 +73,28 @@ class Analysis:
         """
         snapshots: list[Snapshot] = []
         state: State | None = None
+        self._histories = None
         begin = 0.0
-        n_levels = sum(len(step_times(step)) for step in self.model.steps)
+        n_levels = sum(len(step_times(step, every=self.remembers)) for step in self.model.steps)
         number = 0
         for step in self.model.steps:
             newton = self._prepare(step, state)
             state = newton.system.start
             reached: list[State] = [state]
-            self._stride = step.step_size if self.model.contacts else np.inf
-            for target in step_times(step):
+            self._stride = step.step_size if self.model.contacts and not self.remembers else np.inf
+            musts = {begin + t for t in step_times(step)}
+            if self._histories is None and self.remembers:
+                self._histories = Histories(newton.system)
+            for target in step_times(step, every=self.remembers):
                 number += 1
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
-                state = self._reach(
-                    begin + target,
-                    step,
-                    reached,
-                    level,
-                    snapshots,
-                    visit,
-                    (guesses or {}).get(begin + target),
-                )
+                known = (guesses or {}).get(begin + target)
+                state = self._reach(begin + target, step, reached, level, known)
+                must = begin + target in musts
+                snapshot = Snapshot(len(snapshots) + 1, state, self._last_forces, must)
+                snapshots.append(snapshot)
+                if visit is not None:
+                    visit(self, snapshot)
             begin += step.n_steps * step.step_size
         return snapshots
 
@@ -95,7 +104,7 @@ class Analysis:
         if self._newton is not None and self._supports == key and state is None:
             system = self._newton.system
             system.with_materials(self.model)
-            system.start = system.rest()
+            system.begin()
             return self._newton
         if self._newton is not None and self._supports == key and state is not None:
             self._newton.system.start = state
@@ -120,8 +129,6 @@ class Analysis:
         step: Step,
         reached: list[State],
         level: Level,
-        snapshots: list[Snapshot],
-        visit: Visitor | None,
         known: State | None,
     ) -> State:
         """March to a time in strides that Newton's method can take.
@@ -139,6 +146,8 @@ class Analysis:
             before = newton.counts.iterations
             try:
                 state, forces = self._solve(aim, reached, level, known, aim == target, patient=last)
+                if aim == target:
+                    state, forces = self._augmented(state, forces, level)
             except NotConverged:
                 cuts += 1
                 newton.counts.retries += 1
@@ -146,16 +155,16 @@ class Analysis:
                     raise
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 newton.slow, known = np.inf, None
+                newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
             if aim - begin >= self._stride * (1 - 1e-6) and used <= _EASY:
                 self._stride *= 1.5
             reached.append(state)
+            if self._histories is not None:
+                self._histories.accept(aim - begin, state)
             if aim == target:
-                snapshot = Snapshot(len(snapshots) + 1, state, forces, True)
-                snapshots.append(snapshot)
-                if visit is not None:
-                    visit(self, snapshot)
+                self._last_forces = forces
                 return state
 
     def _solve(
@@ -169,14 +178,29 @@ class Analysis:
         patient: bool,
     ) -> tuple[State, Forces]:
         newton = self.newton
-        tolerance = None if must else _LOOSE
+        tolerance = None if must or self.remembers else _LOOSE
+        if self._histories is not None:
+            self._histories.begin(time - reached[-1].time)
         if known is not None:
+            newton.system.recall(known.hints)
             guess = newton.system.prescribed(known, time)
         elif len(reached) >= 3:
             guess = extrapolate(newton.system, reached, time)
         else:
             guess = newton.predict(reached[-1], time)
         return newton.equilibrate(guess, level, tolerance=tolerance, patient=patient)
+
+    def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
+        """Augmentations of the contact pressure until its multipliers settle."""
+        for pair in self.system.pairs:
+            if not pair.contact.augmented:
+                continue
+            most = int(float(pair.contact.more.get("maxaug", "10")))
+            for _ in range(most):
+                if pair.augment() <= pair.contact.tolerance:
+                    break
+                state, forces = self.newton.equilibrate(state, level)
+        return state, forces
 
     def _depth(self, system: System, time: float) -> float:
         state = system.prescribed(system.start, time)
@@ -225,10 +249,20 @@ def lagrange(times: np.ndarray, time: float) -> np.ndarray:
     return weights
 
 
-def step_times(step: Step) -> list[float]:
-    """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps."""
+def step_times(step: Step, *, every: bool = False) -> list[float]:
+    """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps.
+
+    every : the equal steps of the model as well, for a response that depends on the way
+
+    >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)))
+    [0.5, 1.0]
+    """
     end = step.n_steps * step.step_size
     inner = [t for t in step.must_points if 0 < t < end * (1 - 1e-9)]
-    if step.must_points:
+    if step.must_points and not every:
         return sorted({*inner, end})
+    if every:
+        grid = [step.step_size * (k + 1) for k in range(step.n_steps - 1)]
+        known = [t for t in inner if all(abs(t - g) > 1e-9 * end for g in grid)]
+        return sorted({*grid, *known, end})
     return [step.step_size * (k + 1) for k in range(step.n_steps - 1)] + [end]

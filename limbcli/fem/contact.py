@@ -80,9 +80,24 @@ class Pair:
         for p in self.patches:
             kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, p.pairs, slots, values)
 
-    def set_penalty(self, groups: Sequence[Group], curve: CurveAt) -> None:
+    def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         for p in self.patches:
-            p.eps = penalties(self.contact, p, groups, curve)
+            p.eps = penalties(self.contact, p, groups, curve, dt)
+
+    def forget(self) -> None:
+        """As before any load: no facet touched, no multiplier."""
+        for p in self.patches:
+            p.state[:] = 0.0
+            p.state[..., kernels.FACET] = -1
+            p.multiplier[:] = 0.0
+
+    def augment(self) -> float:
+        """Take the tractions over as multipliers; the relative change of their sum of squares."""
+        before = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        for p in self.patches:
+            p.multiplier = p.state[..., kernels.TRACTION].copy()
+        after = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        return abs(after - before) / after if after else 0.0
 
 
 def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:
@@ -134,8 +149,6 @@ def _refuse(contact: Contact) -> None:
         wrong = "update_penalty"
     elif contact.friction:
         wrong = "fric_coeff"
-    elif contact.augmented:
-        wrong = "laugon AUGLAG"
     for tag, value in contact.more.items():
         on = str(value).strip() not in ("", "0", "0.0", "false")
         if on and tag not in _IGNORED:
@@ -222,17 +235,27 @@ def _cells_behind(corners: IntArray, groups: Sequence[Group], contact: Contact) 
     return group, cell
 
 
-def penalties(contact: Contact, patch: Patch, groups: Sequence[Group], curve: CurveAt) -> Array:
-    """eps (n_facets,) of a patch, MPa/mm."""
+def penalties(
+    contact: Contact, patch: Patch, groups: Sequence[Group], curve: CurveAt, dt: float = 1.0
+) -> Array:
+    """eps (n_facets,) of a patch, MPa/mm. dt : first step (s): a viscoelastic law is as stiff as in it."""
     eps = np.full(len(patch.facets), contact.penalty)
     if contact.auto_penalty:
         for k, group in enumerate(groups):
             mine = patch.group == k
             if mine.any():
                 program = group.material.program(len(group.cells), curve)
-                E = _moduli(program, patch.cell[mine], patch.normals[mine])
+                E = _moduli(program, patch.cell[mine], patch.normals[mine]) * _stiffening(group, dt)
                 eps[mine] *= E * patch.ratio[mine]
     return eps
+
+
+def _stiffening(group: Group, dt: float) -> float:
+    """Tangent of a Prony series over its elastic law's, in a step of length dt."""
+    if group.material.prony is None:
+        return 1.0
+    g0, terms = group.material.prony
+    return g0 + sum(g * -np.expm1(-dt / t) * t / dt for g, t in terms)
 
 
 def _moduli(program: Program, cells: IntArray, normals: Array) -> Array:
@@ -253,8 +276,7 @@ def penalty_derivative(
 ) -> Array:
     """d eps/d theta (n_facets,), where the law of group `number` changes as `programs` say.
 
-    E = 1 / (nn : C^-1 : nn) gives dE = E^2 nn : C^-1 dC C^-1 : nn. At F = 1 the tangent does
-    not depend on exponents, so only the linear programs count.
+    At F = 1 the tangent does not depend on exponents, so only the linear programs count.
     """
     out = np.zeros(len(patch.facets))
     mine = patch.group == number
@@ -265,7 +287,6 @@ def penalty_derivative(
     h = 1e-4
     total = np.zeros(int(mine.sum()))
     C0 = _identity_tangent(base, cells)
-    E = penalty_modulus(C0, n)
     for program in programs:
         if program.ops[0, 0] > 100:
             continue
@@ -274,7 +295,6 @@ def penalty_derivative(
         # E is smooth in C: a five-point difference is exact to round-off
         e = [penalty_modulus(C0 + k * size * C1, n) for k in (-2, -1, 1, 2)]
         total += (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * size)
-    del E
     out[mine] = contact.penalty * patch.ratio[mine] * total
     return out
 

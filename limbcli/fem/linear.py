@@ -8,6 +8,7 @@ take the upper triangle as fixed CSR arrays and new values at each `factor`.
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 import time
 from typing import Any, Protocol
@@ -181,6 +182,8 @@ _LIBRARY: list[Any] = []
 def _mkl() -> Any:
     """The MKL library with pardiso's signature set, loaded once."""
     if not _LIBRARY:
+        # threads that wait must not spin: on a busy machine that costs more than it saves
+        os.environ.setdefault("KMP_BLOCKTIME", "0")
         from pypardiso import PyPardisoSolver
 
         _LIBRARY.append(PyPardisoSolver().libmkl)

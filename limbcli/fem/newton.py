@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -170,7 +170,7 @@ class Newton:
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
             if forces.error <= target:
-                return state, forces
+                return replace(state, hints=system.hints()), forces
             if iteration == settings.max_iterations:
                 break
             if not patient and iteration >= 3 and forces.error > 0.5 * first:

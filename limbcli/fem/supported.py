@@ -23,6 +23,9 @@ def check_supported(model: LimbModel) -> None:
         if law == "biphasic":
             raise _refused("the law 'biphasic'", f"material {domain.material!r}")
         compile_material(model.materials[domain.material], domain.material)
+    for step in model.steps:
+        if step.analysis == "transient":
+            raise _refused("a transient analysis (inertia)", "steps of the model")
     for record in model.records:
         check_record(record)
 

@@ -14,6 +14,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import curves, kernels
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
+from limbcli.fem.contact_kernels import FACET
 from limbcli.fem.contact import make_pairs
 from limbcli.fem.groups import Group, Operands, make_groups
 from limbcli.fem.rigid import (
@@ -33,11 +34,13 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Displacements u (n_points, 3) of all nodes, and where the bodies are."""
+    """Displacements u (n_points, 3) of all nodes, where the bodies are, and (where converged) what
+    rigid facets the contact points are with."""
 
     time: float
     u: Array
     bodies: tuple[BodyState, ...]
+    hints: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +102,7 @@ class System:
         self.histories: list[Array] = [np.zeros((0, 1, 6))] * len(self.groups)
         self.operands: list[Operands] = []
         self.at(self.start.time)
-        for pair in self.pairs:
-            pair.set_penalty(self.groups, self.curve)
+        self._set_penalties()
 
     # ------------------------------------------------------------ set-up
 
@@ -191,8 +193,29 @@ class System:
         if fresh is not None:
             self.groups = fresh
         self.at(self.start.time)
+        self._set_penalties()
+
+    def _set_penalties(self) -> None:
         for pair in self.pairs:
-            pair.set_penalty(self.groups, self.curve)
+            pair.set_penalty(self.groups, self.curve, self.model.steps[0].step_size)
+
+    def begin(self) -> None:
+        """Back to before any load: contact and history forgotten."""
+        self.start = self.rest()
+        self.scales = [1.0] * len(self.groups)
+        self.histories = [np.zeros((0, 1, 6))] * len(self.groups)
+        for pair in self.pairs:
+            pair.forget()
+        self.at(0.0)
+
+    def hints(self) -> tuple[Array, ...]:
+        """The rigid facet that every contact point is with."""
+        return tuple(p.state[..., FACET].copy() for pair in self.pairs for p in pair.patches)
+
+    def recall(self, hints: tuple[Array, ...]) -> None:
+        patches = [p for pair in self.pairs for p in pair.patches]
+        for patch, hint in zip(patches, hints, strict=False):
+            patch.state[..., FACET] = hint
 
     def _laws_differ(self, model: LimbModel) -> bool:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)
