@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,9 @@ def add_subject(folder: Path, name: str, *, fitted: bool = True, failure: str | 
         with open_stage(out, "fit", subject=name, site="p1") as writer:
             m = {"value": 4.1, "low": 3.7, "high": 4.5, "flag": "identified"}
             step = {"c_kpa": 10.13, "m": 4.1, "kappa_kpa": 810.0, "r2": 0.9987, "rmse_n": 0.21}
-            writer.data["steps"] = {"ogden": {**step, "parameters": {"m": m}}}
+            writer.data["steps"] = {
+                "ogden": {**step, "parameters": {"m": m, "f_kappa": {"value": 80.0, "flag": "weak"}}}
+            }
     with open_stage(out, "report", subject=name) as writer:
         writer.file("page", "report.html").write_text("<!DOCTYPE html>")
         writer.data["sites"] = {"p1": {}}
@@ -43,7 +46,8 @@ def test_every_subject_has_a_row_and_a_link_that_leads_to_its_page(tmp_path):
     ]
     assert 'href="A%201/report/report.html"' in html
     assert "mesh failed: no skin &lt;there&gt;" in html
-    assert "3.70 to 4.50" in html
+    assert "3.70\u00a0to\u00a04.50" in html
+    assert re.search(r'810 <span class="why">f<sub>κ</sub>: weak</span>', html)
 
 
 def test_a_subject_without_a_report_shows_its_failure(tmp_path):

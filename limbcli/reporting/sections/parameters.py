@@ -100,16 +100,17 @@ def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     return (
         Cell(each.name),
         cell(each.value, unit=each.unit),
-        Cell(_interval(each) + unit) if each.low is not None or each.high is not None else Cell(
+        Cell(interval_words(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
         Cell(each.flag, reason=each.words),
     )  # fmt: skip
 
 
-def _interval(each: EstimateView) -> str:
-    """
-    >>> _interval(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
+def interval_words(each: EstimateView) -> str:
+    """An interval of which at least one end is known, without its unit.
+
+    >>> interval_words(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
     'above\xa03.00'
     """
     if each.low is None and each.high is not None:
