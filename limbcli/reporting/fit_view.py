@@ -54,6 +54,10 @@ class StepView:
     estimates: tuple[EstimateView, ...]
     correlation: float | None
 
+    def estimate(self, name: str) -> EstimateView | None:
+        """What is known of a parameter that was searched for."""
+        return next((each for each in self.estimates if each.name == name), None)
+
 
 @dataclass(frozen=True, eq=False)
 class FitView:

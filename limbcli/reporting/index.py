@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from limbcli.reporting.fit_view import EstimateView, FitView
+from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
 from limbcli.reporting.reportlet import Cell, Mood
-from limbcli.reporting.sections.parameters import interval_words
+from limbcli.reporting.sections.parameters import flagged, interval_words
 
 
 @dataclass(frozen=True)
@@ -31,26 +31,18 @@ class IndexRow:
         step = self.view.last if self.view else None
         if self.view is None or step is None:
             return (Cell(DASH, reason=self.state, span=6),)
-        found = {each.name: each for each in step.estimates}
-        m, f_kappa = found.get("m"), found.get("f_κ")
+        m, f_kappa = step.estimate("m"), step.estimate("f_κ")
         interval = Cell(DASH, reason="not computed")
         if m is not None and (m.low is not None or m.high is not None):
             interval = Cell(interval_words(m))
         return (
             cell(step.c_kpa),
-            _flagged(cell(step.m), m),
+            flagged(cell(step.m), m),
             interval,
-            _flagged(cell(step.kappa_kpa), f_kappa),
+            flagged(cell(step.kappa_kpa), f_kappa),
             cell(step.r2, digits=4),
             cell(step.rmse_n, digits=2),
         )
-
-
-def _flagged(shown: Cell, estimate: EstimateView | None) -> Cell:
-    """A value that the data do not hold carries the word for it."""
-    if estimate is None or estimate.is_sound:
-        return shown
-    return replace(shown, reason=f"{estimate.name}: {estimate.flag}")
 
 
 HEADINGS = (

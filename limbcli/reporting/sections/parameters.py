@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import DASH, cell, quantity, significant
 from limbcli.reporting.outcome import Outcome
@@ -77,10 +79,17 @@ def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
         return [Cell(DASH, reason=why, span=4)]
     return [
         cell(step.c_kpa),
-        cell(step.m),
-        cell(step.kappa_kpa),
+        flagged(cell(step.m), step.estimate("m")),
+        flagged(cell(step.kappa_kpa), step.estimate("f_κ")),
         cell(step.r2, digits=4, reason="the measured force does not vary"),
     ]
+
+
+def flagged(shown: Cell, estimate: EstimateView | None) -> Cell:
+    """A value that the data do not hold carries the word for it."""
+    if estimate is None or estimate.is_sound:
+        return shown
+    return replace(shown, reason=f"{estimate.name}: {estimate.flag}")
 
 
 def _details(site: str, view: FitView) -> Table:
