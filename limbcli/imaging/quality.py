@@ -55,6 +55,8 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> Quality:
     judge("limb_jump_share", _jump(limb), _JUMP, "the limb's section changes by {:.0%} within 5 mm")
     judge("limb_cut_share", _cut_off(limb.values), _BORDER, "the image's side cuts off {:.0%} of the limb")
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
+    turned = _ends_proximally(limb)
+    judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
     allowed = np.zeros(limb.shape, bool)
     for name, bone in zip(names, found.bones, strict=True):
         allowed |= bone.values
@@ -96,6 +98,15 @@ def _jump(mask: Volume) -> float:
 def _gaps(mask: NDArray[np.bool_]) -> int:
     filled = np.flatnonzero(_areas(mask))
     return int(filled[-1] - filled[0] + 1 - len(filled))
+
+
+def _ends_proximally(limb: Volume) -> int:
+    """1 where the limb is cut by the image's distal face but ends inside it proximally.
+
+    A limb in a scanner is the other way round; a wrong orientation tag turns it over.
+    """
+    areas = _areas(limb.values)
+    return int(areas[0] > 0.3 * areas.max() and areas[-1] == 0)
 
 
 def _cut_off(limb: NDArray[np.bool_]) -> float:

@@ -28,6 +28,7 @@ from limbcli.progress import SILENT, Progress
 
 SOFT_TISSUE, BONE, MARKER, FAT = 1, 2, 3, 4
 _FINEST = 1.0  # mm: coarser images are worked on at twice (or more) their resolution
+_COARSE = 2.5  # mm: sections coarser than this are said to be so
 _PARTS = 6
 
 
@@ -102,6 +103,12 @@ def segment_limb(
     notes: tuple[str, ...] = ()
     if modality != "CT":
         turned, notes = upright(turned)
+    coarsest = float(turned.spacing[:2].max())
+    if coarsest > _COARSE:
+        text = (
+            f"a pixel of the limb's cross section is up to {coarsest:.1f} mm wide: look closely at thin bones"
+        )
+        notes = (*notes, text)
     turned = one_limb(turned, wishes.side, threshold=wishes.threshold)
     work, factors = supersampled(turned)
     masks = (_on_ct if modality == "CT" else _on_mri)(work, wishes, progress)

@@ -120,3 +120,11 @@ def test_air_alone_is_refused(rng):
     noise = Volume(rng.normal(10, 2, (40, 40, 8)).astype(np.float32), np.diag([1.0, 1.0, 4.0, 1.0]))
     with pytest.raises(CaseError, match="no limb"):
         segment_limb(noise)
+
+
+def test_a_coronal_series_is_segmented_and_its_coarse_sections_are_said():
+    image, truth = Limb().image(shape=(104, 32, 48), spacing=(1.0, 3.0, 1.0))
+    found = segment_limb(image)
+    assert dice(found.labels.values > 0, truth > 0) > 0.96
+    assert dice(found.labels.values == 2, truth == 2) > 0.92  # the walls are thinner than a pixel
+    assert any("3.0 mm" in note for note in found.notes)

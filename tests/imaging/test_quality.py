@@ -89,3 +89,11 @@ def test_fat_under_a_place_has_its_true_thickness(good):
 def test_without_fat_no_thickness_is_made_up(good):
     nothing = good.skin.with_values(np.zeros_like(good.skin.values))
     assert layers_at(np.array([0.0, -36.0, 0.0]), surface_of(good.skin, edge=2.0), nothing) is None
+
+
+def test_a_limb_upside_down_is_seen(good):
+    values = good.skin.values.copy()
+    values[:, :, -3:] = False
+    bones = tuple(each.with_values(each.values & values) for each in good.bones)
+    quality = assess(replace(good, skin=good.skin.with_values(values), bones=bones), NAMES)
+    assert any("upside down" in finding for finding in quality.findings)
