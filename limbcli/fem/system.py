@@ -8,6 +8,7 @@ equations; their part of the tangent enters as a few dense columns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -301,12 +302,11 @@ class System:
         x = self.X + state.u
         for pair in self.pairs:
             touching += pair.search(x)
-            body = np.zeros(6)
-            pair.force(self.center(pair.body, state), contact, body)
-            bodies[pair.body] -= body
+            push = np.zeros(6)
+            pair.force(self.center(pair.body, state), contact, push)
+            bodies[pair.body] -= push
         nodal += contact
-        for b, body in enumerate(self.bodies):
-            self._add_tied(b, body, state, nodal, bodies)
+        self.gather_tied(state, nodal, bodies)
         self._add_springs(state, bodies)
         applied = self._applied(state.time)
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
@@ -320,11 +320,11 @@ class System:
         worst, place = np.inf, (-1, -1)
         for k, o in enumerate(self.operands):
             args = o.arguments()
-            results = self.threads.run(
-                lambda w, a, b, args=args: kernels.internal_force(a, b, state.u, *args, parts[w]),
-                len(o.cells),
-            )
-            low, cell = min(results)
+
+            def task(worker: int, begin: int, end: int, args: Any = args) -> tuple[float, int]:
+                return kernels.internal_force(begin, end, state.u, *args, parts[worker])  # type: ignore[no-any-return]
+
+            low, cell = min(self.threads.run(task, len(o.cells)))
             if low < worst:
                 worst, place = low, (k, cell)
         total = parts[0]
@@ -332,12 +332,14 @@ class System:
             total += each
         return total, worst, place
 
-    def _add_tied(self, b: int, body: Body, state: State, nodal: Array, bodies: Array) -> None:
-        if len(body.tied):
-            f = nodal[body.tied]
-            arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
-            bodies[b, :3] += f.sum(axis=0)
-            bodies[b, 3:] += np.cross(arm, f).sum(axis=0)
+    def gather_tied(self, state: State, nodal: Array, bodies: Array) -> None:
+        """Add the forces of nodes that are tied to a body to the body's forces and moments."""
+        for b, body in enumerate(self.bodies):
+            if len(body.tied):
+                f = nodal[body.tied]
+                arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
+                bodies[b, :3] += f.sum(axis=0)
+                bodies[b, 3:] += np.cross(arm, f).sum(axis=0)
 
     def _add_springs(self, state: State, bodies: Array) -> None:
         index = {body.name: b for b, body in enumerate(self.bodies)}

@@ -214,9 +214,8 @@ class ReferenceSession:
             for record in asked:
                 rows[record.file].append(record_rows(system, state, snapshot.forces, record))
             if gradients and snapshot.must:
-                pairs = [sensitivity.LawParameter(*each) for each in gradients]
-                loads = [sensitivity.partial(system, state, each) for each in pairs]
-                found = sensitivity.solve(running.newton, state, loads)
+                pairs: list[sensitivity.Parameter] = [sensitivity.LawParameter(*each) for each in gradients]
+                found = sensitivity.sensitivities(running.newton, state, snapshot.forces, pairs)
                 b = [body.name for body in system.bodies].index(self.body)
                 for name, each in zip(gradients, found, strict=True):
                     gradients[name].append(-float(each.bodies[b, 2]))

@@ -1,0 +1,158 @@
+"""What the response can be differentiated by, and how the residual depends on it.
+
+`partial` gives dR/dtheta at held displacements: nodal forces (n_points, 3) and forces and moments
+on the bodies (n_bodies, 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem import contact_kernels, kernels
+from limbcli.fem.contact import penalty_derivative
+from limbcli.fem.system import State, System
+from limbcli.materials import Program
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class LawParameter:
+    """A number of a material: "c1" of "tissue" ("0.mu" in a mixture's first part).
+
+    block : only where the region is this block (a region's own stiffness)
+    weights (n_cells,) : where given, cell e of the block moves by weights[e] theta (a map coefficient)
+    """
+
+    material: str
+    name: str
+    block: str | None = None
+    weights: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """Where a body starts: `motion` (6) per unit theta, a translation (mm) and a rotation vector
+    about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y."""
+
+    body: str
+    motion: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Places of nodes in the reference state: node n moves by directions[n] theta (a layer's
+    thickness). The residual's dependence on the places is taken by central differences of `step` mm,
+    the response's dependence on the residual exactly."""
+
+    directions: Array
+    step: float = 1e-4
+    _systems: dict[int, Any] = field(default_factory=dict)
+
+
+Parameter = LawParameter | BodyMotion | Shape
+
+
+def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
+    """dR/dtheta at held displacements."""
+    if isinstance(parameter, LawParameter):
+        return _law(system, state, parameter)
+    if isinstance(parameter, BodyMotion):
+        return _motion(system, state, parameter)
+    return _shape(system, state, parameter)
+
+
+def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
+    """Derivative programs by group; raises where no region is made of the material."""
+    found = {
+        number: group.material.derivative(
+            parameter.name, len(group.cells), system.curve, weights=parameter.weights
+        )
+        for number, group in enumerate(system.groups)
+        if group.material.name == parameter.material and parameter.block in (None, group.block)
+    }
+    if not found:
+        raise SolveError(
+            f"no region is made of {parameter.material!r}",
+            where=f"derivative with respect to {parameter.material}.{parameter.name}",
+            fix=f"use one of {sorted({g.material.name for g in system.groups})}",
+        )
+    return found
+
+
+def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, Array]:
+    nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
+    for number, found in programs(system, parameter).items():
+        _add_internal(system, state, number, found, nodal)
+        for pair in system.pairs:
+            for patch in pair.patches:
+                deps = penalty_derivative(pair.contact, patch, system.groups, number, system.curve, found)
+                if not deps.any():
+                    continue
+                on_body = np.zeros(6)
+                contact_kernels.scaled_force(
+                    patch.facets, patch.N, patch.weights, patch.state, deps,
+                    system.center(pair.body, state), nodal, on_body,
+                )  # fmt: skip
+                bodies[pair.body] -= on_body
+    system.gather_tied(state, nodal, bodies)
+    return nodal, bodies
+
+
+def _add_internal(system: System, state: State, number: int, found: list[Program], out: Array) -> None:
+    operands = system.operands[number]
+    for program in found:
+        args = operands.with_program(program).arguments()
+        parts = [np.zeros_like(out) for _ in range(system.threads.n)]
+
+        def task(worker: int, start: int, stop: int, args: Any = args, parts: Any = parts) -> None:
+            kernels.internal_force(start, stop, state.u, *args, parts[worker])
+
+        system.threads.run(task, len(operands.cells))
+        for each in parts:
+            out += each
+
+
+def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array, Array]:
+    names = [body.name for body in system.bodies]
+    if parameter.body not in names:
+        raise SolveError(
+            f"there is no rigid body {parameter.body!r}", where="derivative", fix=f"use one of {names}"
+        )
+    motions = np.zeros((len(system.bodies), 6))
+    motions[names.index(parameter.body)] = parameter.motion
+    v = system.follow(state, motions)
+    nodal, bodies = system.contact_times(state, v, motions)
+    if v.any():
+        nodal += system.tangent_times(state, v)
+    system.gather_tied(state, nodal, bodies)
+    if system.model.springs:
+        bodies += (system.spring_stiffness(state) @ motions.ravel()).reshape(-1, 6)
+    return nodal, bodies
+
+
+def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array]:
+    sides = []
+    for sign in (1.0, -1.0):
+        moved = _moved_system(system, parameter, sign)
+        moved.recall(state.hints or system.hints())
+        moved.at(state.time)
+        forces = moved.forces(state)
+        sides.append((forces.nodal, forces.bodies))
+    (n1, b1), (n0, b0) = sides
+    return (n1 - n0) / (2 * parameter.step), (b1 - b0) / (2 * parameter.step)
+
+
+def _moved_system(system: System, parameter: Shape, sign: float) -> System:
+    key = hash((id(system), sign, id(system.groups)))
+    if key not in parameter._systems:
+        mesh = system.model.mesh
+        points = mesh.points + sign * parameter.step * parameter.directions
+        model = replace(system.model, mesh=replace(mesh, points=points))
+        parameter._systems[key] = System(
+            model, supports=system.supports, drives=system.drives, threads=system.threads.n
+        )
+    return parameter._systems[key]  # type: ignore[no-any-return]
