@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -127,7 +127,9 @@ def _fill(domain: Domain, probe: ProbeShape, options: MeshOptions) -> tuple[Volu
         volume = mesh_volume(domain, probe, options.sizes)
         return volume, np.zeros(len(volume.cells), np.int64)
     core = core_of(domain, options.layers)
-    return with_layers(mesh_volume(core, probe, options.sizes), core, domain.skin, options.layers)
+    depth = sum(each.thickness for each in options.layers)
+    sizes = replace(options.sizes, reach=options.sizes.reach + depth)
+    return with_layers(mesh_volume(core, probe, sizes), core, domain.skin, options.layers)
 
 
 def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:

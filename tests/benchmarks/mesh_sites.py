@@ -53,7 +53,7 @@ def thinnest(limb: Limb, low: float, high: float) -> tuple[float, float]:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([each.points for each in limb.bones]))
-    options = [(a, h) for a in np.arange(0, 360, 6.0) for h in np.linspace(low, high, 12)]
+    options = [(a, h) for a in np.arange(0, 360, 15.0) for h in np.linspace(low, high, 5)]
     points = [skin_point_at(limb, a, h) for a, h in options]
     return options[int(np.argmin(tree.query(points)[0]))]
 

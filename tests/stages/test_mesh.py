@@ -25,8 +25,8 @@ CASE = """format = 1
 id = "S1"
 limb = "left"
 [imaging]
-skin = "skin.stl"
-bones = ["tibia.stl"]
+skin = "skin.ply"
+bones = ["tibia.ply"]
 [probe]
 name = "small"
 length_mm = 30.0
@@ -69,7 +69,7 @@ def prism(
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("case")
     for name, body in (("skin", prism(30.0, -60, 60)), ("tibia", prism(9.0, -70, 70, x=4.0))):
-        meshio.Mesh(body.points, [("triangle", body.faces)]).write(folder / f"{name}.stl")
+        meshio.Mesh(body.points, [("triangle", body.faces)]).write(folder / f"{name}.ply")
     (folder / "levels.csv").write_text("force_n,depth_mm\n0.5,0\n2,2\n")
     (folder / "case.toml").write_text(CASE)
     return folder

@@ -56,6 +56,7 @@ def case(tmp_path):
     return Case.open(tmp_path)
 
 
+@pytest.mark.slow
 def test_error_of_a_known_law_is_found(case, tmp_path):
     """A force of 5 + 0.01 h^2 N that a cut 20 mm farther would lower by 2 %."""
 
