@@ -18,6 +18,7 @@ import numpy as np
 from lxml import etree
 
 from limbcli.feb import read_loads
+from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
 from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
@@ -68,7 +69,7 @@ def read_feb(path: Path | str) -> LimbModel:
     scene = read_loads.Scene(mesh, node_maps, bodies, curve_names)
     supports, ties = read_loads.read_boundary(root.child("Boundary"), scene)
     drives, springs = read_loads.read_rigid(root.child("Rigid"), scene)
-    contacts = read_loads.read_contacts(root.child("Contact"), scene)
+    contacts = read_contacts(root.child("Contact"), scene)
     steps, must_curves = read_steps(root, scene, curves)
     read_loads.refuse_unused({**element_maps, **node_maps}, materials.used_maps | scene.used_maps, data)
     records, plot_variables = read_output(root.child("Output"), mesh, bodies, materials.by_id)

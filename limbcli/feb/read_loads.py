@@ -1,4 +1,4 @@
-"""`<LoadData>`, `<Boundary>`, `<Rigid>` and `<Contact>`."""
+"""`<LoadData>`, `<Boundary>` and `<Rigid>`."""
 
 from __future__ import annotations
 
@@ -9,28 +9,12 @@ from typing import Literal, cast
 from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
-from limbcli.model import Contact, Curve, Drive, NodeMap, RigidBody, Spring, Support
+from limbcli.model import Curve, Drive, NodeMap, RigidBody, Spring, Support
 
 _INTERPOLATIONS = ("linear", "step", "smooth")
 _EXTENSIONS = ("constant", "extrapolate", "repeat", "repeat offset")
 _DISPLACEMENTS = ("x", "y", "z")
 _RIGID_DOFS = {"Rx": "x", "Ry": "y", "Rz": "z", "Ru": "u", "Rv": "v", "Rw": "w"}
-
-# FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
-CONTACT_DEFAULTS = {
-    "penalty": 1.0,
-    "tolerance": 0.1,
-    "gaptol": 0.0,
-    "search_radius": 1.0,
-    "fric_coeff": 0.0,
-    "knmult": 0.0,
-    "search_tol": 0.01,
-}
-CONTACT_MORE = (
-    "seg_up", "tension", "minaug", "maxaug", "node_reloc", "smooth_aug", "flip_primary", "flip_secondary",
-    "shell_bottom_primary", "shell_bottom_secondary", "offset",
-    "ptol", "pressure_penalty", "contact_frac",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +163,11 @@ def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
         dofs=(tag.need("dof").choice(_DISPLACEMENTS),),
         value=amount,
         curve=scene.curve(value),
-        relative=_flag(tag, "relative"),
+        relative=flag(tag, "relative"),
     )
 
 
-def _flag(tag: Tag, name: str, *, default: bool = False) -> bool:
+def flag(tag: Tag, name: str, *, default: bool = False) -> bool:
     child = tag.child(name)
     return default if child is None else child.flag()
 
@@ -244,7 +228,7 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
         value=value.number(),
         curve=scene.curve(value),
-        relative=_flag(tag, "relative"),
+        relative=flag(tag, "relative"),
     )
 
 
@@ -263,60 +247,6 @@ def _spring(tag: Tag, scene: Scene) -> Spring:
         insertion_b=(b[0], b[1], b[2]),
         free_length=tag.need("free_length").number(),
     )
-
-
-# ---------------------------------------------------------------- Contact
-
-
-def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
-    if tag is None:
-        return ()
-    tag.allow(many=("contact",))
-    return tuple(_contact(each, scene) for each in tag)
-
-
-def _contact(tag: Tag, scene: Scene) -> Contact:
-    kind = tag.attribute("type")
-    if kind not in ("sliding-elastic", "sliding-biphasic"):
-        raise tag.problem(f"a contact of type {kind!r} is not supported", fix="use sliding-elastic")
-    switches = ("laugon", "auto_penalty", "update_penalty", "two_pass", "symmetric_stiffness")
-    tag.allow(
-        attributes=("name", "type", "surface_pair"), children=(*switches, *CONTACT_DEFAULTS, *CONTACT_MORE)
-    )
-    pair = tag.attribute("surface_pair")
-    if pair not in scene.mesh.pairs:
-        raise tag.problem(f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name")
-    primary, secondary = scene.mesh.pairs[pair]
-    numbers = dict(CONTACT_DEFAULTS)
-    for name in CONTACT_DEFAULTS:
-        child = tag.child(name)
-        if child is not None:
-            numbers[name] = child.number()
-    return Contact(
-        primary=primary,
-        secondary=secondary,
-        name=tag.optional("name") or pair,
-        kind=cast(Literal["sliding-elastic", "sliding-biphasic"], kind),
-        penalty=numbers["penalty"],
-        auto_penalty=_flag(tag, "auto_penalty"),
-        update_penalty=_flag(tag, "update_penalty"),
-        augmented=_is_augmented(tag.child("laugon")),
-        tolerance=numbers["tolerance"],
-        gap_tolerance=numbers["gaptol"],
-        search_radius=numbers["search_radius"],
-        friction=numbers["fric_coeff"],
-        symmetric=_flag(tag, "symmetric_stiffness", default=True),
-        two_pass=_flag(tag, "two_pass"),
-        knmult=numbers["knmult"],
-        search_tolerance=numbers["search_tol"],
-        more={each.name: each.text for each in tag if each.name in CONTACT_MORE},
-    )
-
-
-def _is_augmented(tag: Tag | None) -> bool:
-    if tag is None:
-        return False
-    return tag.choice(("PENALTY", "AUGLAG", "0", "1")) in ("AUGLAG", "1")
 
 
 def tie(bodies: Mapping[str, RigidBody], ties: list[tuple[str, str]]) -> dict[str, RigidBody]:

@@ -20,7 +20,6 @@ def febio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     path = tmp_path / "febio4"
     path.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{DATA / 'fake_febio.py'}' \"$@\"\n")
     path.chmod(0o755)
-    monkeypatch.setenv("FAKE_FEBIO_DATA", str(DATA))
     return str(path)
 
 

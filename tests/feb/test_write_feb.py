@@ -242,6 +242,7 @@ def test_what_febio_cannot_take_is_refused(
 # ---------------------------------------------------------------- against the stored models of FEBio
 
 
+@pytest.mark.slow
 def test_every_golden_model_comes_back_exactly(golden: Path, tmp_path: Path) -> None:
     files = sorted(golden.rglob("*.feb*"))
     assert len(files) > 50

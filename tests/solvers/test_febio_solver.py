@@ -26,7 +26,6 @@ def binary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path.parent.mkdir()
     path.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{DATA / 'fake_febio.py'}' \"$@\"\n")
     path.chmod(0o755)
-    monkeypatch.setenv("FAKE_FEBIO_DATA", str(DATA))
     monkeypatch.delenv("LIMBCLI_FEBIO", raising=False)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     return path

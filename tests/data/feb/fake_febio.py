@@ -10,7 +10,7 @@ import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-DATA = Path(os.environ["FAKE_FEBIO_DATA"])
+DATA = Path(__file__).resolve().parent
 TIMES = (0.0, 0.25, 0.5, 1.0)
 
 
@@ -69,4 +69,5 @@ def main() -> int:
     return 0
 
 
-sys.exit(main())
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""`<Contact>`: the soft primary surface against the rigid secondary one."""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+from limbcli.feb.read_loads import Scene, flag
+from limbcli.feb.xml import Tag
+from limbcli.model import Contact
+
+# FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
+CONTACT_DEFAULTS = {
+    "penalty": 1.0,
+    "tolerance": 0.1,
+    "gaptol": 0.0,
+    "search_radius": 1.0,
+    "fric_coeff": 0.0,
+    "knmult": 0.0,
+    "search_tol": 0.01,
+}
+CONTACT_MORE = (
+    "seg_up", "tension", "minaug", "maxaug", "node_reloc", "smooth_aug", "flip_primary", "flip_secondary",
+    "shell_bottom_primary", "shell_bottom_secondary", "offset",
+    "ptol", "pressure_penalty", "contact_frac",
+)  # fmt: skip
+
+
+def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
+    if tag is None:
+        return ()
+    tag.allow(many=("contact",))
+    return tuple(_contact(each, scene) for each in tag)
+
+
+def _contact(tag: Tag, scene: Scene) -> Contact:
+    kind = tag.attribute("type")
+    if kind not in ("sliding-elastic", "sliding-biphasic"):
+        raise tag.problem(f"a contact of type {kind!r} is not supported", fix="use sliding-elastic")
+    switches = ("laugon", "auto_penalty", "update_penalty", "two_pass", "symmetric_stiffness")
+    tag.allow(
+        attributes=("name", "type", "surface_pair"), children=(*switches, *CONTACT_DEFAULTS, *CONTACT_MORE)
+    )
+    pair = tag.attribute("surface_pair")
+    if pair not in scene.mesh.pairs:
+        raise tag.problem(f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name")
+    primary, secondary = scene.mesh.pairs[pair]
+    numbers = dict(CONTACT_DEFAULTS)
+    for name in CONTACT_DEFAULTS:
+        child = tag.child(name)
+        if child is not None:
+            numbers[name] = child.number()
+    return Contact(
+        primary=primary,
+        secondary=secondary,
+        name=tag.optional("name") or pair,
+        kind=cast(Literal["sliding-elastic", "sliding-biphasic"], kind),
+        penalty=numbers["penalty"],
+        auto_penalty=flag(tag, "auto_penalty"),
+        update_penalty=flag(tag, "update_penalty"),
+        augmented=_is_augmented(tag.child("laugon")),
+        tolerance=numbers["tolerance"],
+        gap_tolerance=numbers["gaptol"],
+        search_radius=numbers["search_radius"],
+        friction=numbers["fric_coeff"],
+        symmetric=flag(tag, "symmetric_stiffness", default=True),
+        two_pass=flag(tag, "two_pass"),
+        knmult=numbers["knmult"],
+        search_tolerance=numbers["search_tol"],
+        more={each.name: each.text for each in tag if each.name in CONTACT_MORE},
+    )
+
+
+def _is_augmented(tag: Tag | None) -> bool:
+    if tag is None:
+        return False
+    return tag.choice(("PENALTY", "AUGLAG", "0", "1")) in ("AUGLAG", "1")
