@@ -21,7 +21,7 @@ from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
-_EASY = 6  # iterations up to which the next stride may be longer
+_EASY = 3  # iterations up to which the next stride may be longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,9 @@ class Analysis:
                 newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
-            if aim - begin >= self._stride * (1 - 1e-6) and used <= _EASY:
+            cuts = 0
+            easy = _EASY + (2 if aim == target else 0)
+            if aim - begin >= self._stride * (1 - 1e-6) and used <= easy:
                 self._stride *= 1.5
             reached.append(state)
             if self._histories is not None:
