@@ -6,11 +6,13 @@
 The force-depth curves come from a simulation on the truth surfaces, on a mesh of
 its own (see `stages.synth`), with noise added. The same seed gives the same folder.
 `cases/phantom` also carries an `expected.toml` for `limbcli batch --expect`, in
-the format of `stages.expect`.
+the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, tolerance = 1.5}`,
+`r2 = {min = 0.98}` and so on. Making the folder again keeps it.
 """
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,6 +31,7 @@ from limbcli.phantom.mri import Volume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
+from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.synth import (
     SiteMeasurement,
     SynthOptions,
@@ -87,7 +90,14 @@ def phantom(
         if measured:
             _write_case(subject, work, options, measured[0].law, measured=True)
         _write_truth(subject, work, options, measured)
+        _keep(folder / EXPECTED_FILE, work)
     return _result(folder, subject, volume, measured, options)
+
+
+def _keep(path: Path, work: Path) -> None:
+    """What a user expects of the case outlives its being made again."""
+    if path.is_file():
+        shutil.copyfile(path, work / path.name)
 
 
 def _check_target(folder: Path, *, force: bool) -> None:

@@ -66,6 +66,15 @@ def test_an_existing_folder_is_replaced_only_with_force_and_only_if_synthetic(fo
     assert (mine / "case.toml").read_text() == "format = 1\n"
 
 
+def test_making_it_again_keeps_what_is_expected_of_it(tmp_path):
+    phantom(tmp_path / "x", options=BARE)
+    (tmp_path / "x" / "expected.toml").write_text("[site.p1]\n")
+    (tmp_path / "x" / "stray.txt").write_text("old")
+    phantom(tmp_path / "x", options=BARE, force=True)
+    assert (tmp_path / "x" / "expected.toml").read_text() == "[site.p1]\n"
+    assert not (tmp_path / "x" / "stray.txt").exists()
+
+
 def test_an_unknown_site_is_named(tmp_path):
     with pytest.raises(CaseError, match="no site 'p9'"):
         phantom(tmp_path / "x", options=PhantomOptions(site_names=("p9",), synth=None))
