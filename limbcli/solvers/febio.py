@@ -28,7 +28,7 @@ _GRACE_S = 3.0
 _VERSION_TIMEOUT_S = 10.0
 _VERSION_BYTES = 20_000
 _SCREEN_FILE = "febio-screen.txt"
-_LEFTOVERS = ("*.xplt", "*.dmp", _SCREEN_FILE)
+_LEFTOVERS = (".xplt", ".dmp")  # the plot and restart files: large, and not asked for
 
 
 @dataclass
@@ -100,16 +100,17 @@ class FebioSolver:
         log = feb.parent / LOG_FILE
         for stale in [log, *(feb.parent / record.file for record in outline.records)]:
             stale.unlink(missing_ok=True)
-        with (feb.parent / _SCREEN_FILE).open("w+", errors="replace") as screen:
+        shown = feb.parent / _SCREEN_FILE
+        with shown.open("w+", errors="replace") as screen:
             process = self._start(feb, screen)
             try:
                 _watch(process, _LogWatcher(log, outline, progress), time_limit_s)
             finally:
                 _stop(process)
+                for ending in _LEFTOVERS:
+                    feb.with_suffix(ending).unlink(missing_ok=True)
             _judge(log, outline, process.returncode, screen)
-        for pattern in _LEFTOVERS:
-            for path in feb.parent.glob(pattern):
-                path.unlink(missing_ok=True)
+        shown.unlink()
 
     def read(self, feb: Path) -> Simulation:
         """What a finished run left beside its model file."""

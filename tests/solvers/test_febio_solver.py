@@ -71,6 +71,14 @@ def test_a_complete_run_is_read(binary: Path, feb: Path) -> None:
     assert newton[-1]["step"] == newton[-1]["n_steps"] == 3
 
 
+def test_only_what_was_asked_for_is_left(binary: Path, feb: Path) -> None:
+    (feb.parent / "mine.xplt").write_bytes(b"of another run")
+    FebioSolver(binary).run(feb, progress=SILENT)
+    assert {path.name for path in feb.parent.iterdir()} == {
+        "model.feb", "model.log", "rigid_body.csv", "nodes.csv", "elements.csv", "mine.xplt", "threads.txt",
+    }  # fmt: skip
+
+
 def test_the_version_is_asked_for(binary: Path) -> None:
     assert FebioSolver(binary).version() == "4.9.1"
 

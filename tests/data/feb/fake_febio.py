@@ -49,6 +49,7 @@ def main() -> int:
     model = Path(sys.argv[sys.argv.index("-i") + 1]).resolve()
     log = model.parent / sys.argv[sys.argv.index("-o") + 1]
     (model.parent / "threads.txt").write_text(os.environ["OMP_NUM_THREADS"])
+    model.with_suffix(".xplt").write_bytes(b"plot")
     if mode == "no log":
         print("error while loading shared libraries: libmkl_rt.so")
         return 127
