@@ -81,8 +81,11 @@ class FitView:
 def read_fit_view(result: StageResult) -> FitView:
     """The fit of one site, from the data of its result."""
     data = result.data
+    locks = "tet4" in str(data.get("element", ""))
     steps = tuple(
-        _step(key, content) for key, content in data.get("steps", {}).items() if isinstance(content, Mapping)
+        _step(key, content, locks=locks)
+        for key, content in data.get("steps", {}).items()
+        if isinstance(content, Mapping)
     )
     noise = data.get("noise")
     solver = " ".join(str(data[key]) for key in ("solver", "solver_version") if data.get(key))
@@ -104,7 +107,7 @@ def read_fit_view(result: StageResult) -> FitView:
 _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}
 
 
-def _step(key: str, content: Mapping[str, Any]) -> StepView:
+def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
     return StepView(
         key,
         STEP_NAMES.get(key, key),
@@ -118,13 +121,20 @@ def _step(key: str, content: Mapping[str, Any]) -> StepView:
         _count(content.get("n_solves")),
         number(content.get("seconds")),
         str(content.get("reason") or ""),
-        tuple(_estimate(name, each) for name, each in content.get("parameters", {}).items()),
+        tuple(_estimate(name, each, locks=locks) for name, each in content.get("parameters", {}).items()),
         number(content.get("correlation")),
     )
 
 
-def _estimate(name: str, content: Mapping[str, Any]) -> EstimateView:
+OF_THE_MESH = "of this tet4 mesh, not of the tissue"
+
+
+def _estimate(name: str, content: Mapping[str, Any], *, locks: bool) -> EstimateView:
+    """`locks`: with four-node tetrahedra even a narrow f_kappa tells of the mesh."""
     symbol, unit = _UNITS.get(name, (name, ""))
+    flag = str(content.get("flag") or DASH)
+    if locks and name == "f_kappa" and flag == "identified":
+        flag = OF_THE_MESH
     return EstimateView(
         symbol,
         number(content.get("value")),
@@ -132,7 +142,7 @@ def _estimate(name: str, content: Mapping[str, Any]) -> EstimateView:
         number(content.get("low")),
         number(content.get("high")),
         str(content.get("interval_reason") or "not computed"),
-        str(content.get("flag") or DASH),
+        flag,
         str(content.get("words") or ""),
         number(content.get("standard_error")),
     )

@@ -334,7 +334,7 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
     sentence = overview(gather(case, out=out)).sentence
-    assert "Not identified, so not to be relied on: f_κ at p1." in sentence
+    assert "Not to be relied on as properties of the tissue: f_κ at p1." in sentence
     path = out / "fit" / "p1" / "fit.json"
     path.write_text(path.read_text().replace('"weak"', '"identified"'))
     assert "Every parameter searched for is identified." in overview(gather(case, out=out)).sentence
@@ -354,6 +354,17 @@ def test_what_a_parameter_rests_on_is_warned_of(tmp_path, kind, words):
     assert any(words in text for text in parameters(gather(case, out=out)).warned)
     add_fit(out, "p1")
     assert not any(words in text for text in parameters(gather(case, out=out)).warned)
+
+
+def test_a_narrow_f_kappa_of_tet4_is_still_not_the_tissues(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", element="tet4")
+    path = out / "fit" / "p1" / "fit.json"
+    path.write_text(path.read_text().replace('"weak"', '"identified"'))
+    glance = overview(gather(case, out=out))
+    assert "f_κ at p1" in glance.sentence
+    assert any("of this tet4 mesh" in fact.remark for fact in glance.sites[0].facts)
+    assert any("property of this mesh" in each.text for each in glance.warnings)
 
 
 def test_unreadable_levels_and_records_become_words(tmp_path):

@@ -9,6 +9,7 @@ from limbcli.reporting.numbers import DASH, quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Mood
+from limbcli.reporting.sections.parameters import parameter_warnings
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def overview(page: Page) -> Overview:
     sites = tuple(_site(page, site) for site in page.sites)
     warnings = [Warned("report", text) for text in page.notices]
     warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
+    warnings += [Warned("parameters", text) for text in parameter_warnings(page)]
     warnings += [Warned(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
@@ -93,7 +95,7 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     if fitted and not weak:
         text += " Every parameter searched for is identified."
     if weak:
-        text += f" Not identified, so not to be relied on: {'; '.join(weak)}."
+        text += f" Not to be relied on as properties of the tissue: {'; '.join(weak)}."
     if failures:
         text += f" Failed: {', '.join(each.label for each in failures)}."
     if n_warnings:

@@ -26,7 +26,7 @@ TET10_WORDS = (
 def parameters(page: Page) -> Reportlet:
     """The table of the papers, a row a site; below it intervals and flags in plain words."""
     outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
-    views = {each.site: read_fit_view(each.result) for each in outcomes if each.result}
+    views = _views(page)
     notes, warned = _notes(views)
     details = tuple(_details(str(site), view) for site, view in views.items())
     return Reportlet(
@@ -41,6 +41,16 @@ def parameters(page: Page) -> Reportlet:
         notes=tuple(notes),
         warned=tuple(warned),
     )
+
+
+def parameter_warnings(page: Page) -> list[str]:
+    """What stands between these numbers and the tissue: locking, noise that was assumed or exceeded."""
+    return _notes(_views(page))[1]
+
+
+def _views(page: Page) -> dict[str | None, FitView]:
+    outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
+    return {each.site: read_fit_view(each.result) for each in outcomes if each.result}
 
 
 def _mood(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Mood:
