@@ -23,4 +23,5 @@ def principal_stretches(deformation_gradient: Array) -> Array:
     >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
     array([2. , 1. , 0.5])
     """
-    return np.linalg.svd(deformation_gradient, compute_uv=False)
+    stretches = np.linalg.svd(deformation_gradient, compute_uv=False)
+    return np.asarray(stretches, dtype=np.float64)
