@@ -52,6 +52,8 @@ def _exponents(kernel: int) -> dict[int, tuple[int, int]]:
     return {2 + 2 * k: (kernel, k) for k in range(MAX_TERMS)}
 
 
+_FIXED = (0, 0)  # a number that is no parameter, or that only switches
+
 _OGDEN: dict[str, float | None] = {"kappa": None, "c1": None, "m1": None}
 _OGDEN |= {f"{letter}{k}": 0.0 for k in range(2, MAX_TERMS + 1) for letter in "cm"}
 
@@ -71,6 +73,7 @@ LEAVES: Mapping[str, Law] = {
         dispatch.UNCOUPLED,
         {"c1": None, "c2": 0.0, "kappa": None},
         lambda v: [v["kappa"], 4.0 * v["c1"], 2.0, 4.0 * v["c2"], -2.0],
+        {2: _FIXED, 4: _FIXED},
         extra=lambda v: 2,
         positive=("kappa",),
     ),
@@ -91,7 +94,7 @@ LEAVES: Mapping[str, Law] = {
         dispatch.FIBER,
         {"ksi": None, "alpha": 0.0, "beta": 2.0, "mu": 0.0, "lam0": 1.0},
         lambda v: [v["ksi"], v["alpha"], v["beta"], v["mu"], v["lam0"]],
-        {1: (dispatch.FIBER_D, 1), 2: (dispatch.FIBER_D, 2), 4: (0, 0)},
+        {1: (dispatch.FIBER_D, 1), 2: (dispatch.FIBER_D, 2), 4: _FIXED},
         fiber=True,
     ),
     "active_contraction": Law(dispatch.CONTRACTION, {"T0": None}, lambda v: [v["T0"]], fiber=True),

@@ -1,0 +1,195 @@
+"""Every law: stress from energy, tangent from stress, derivatives by parameters, closed forms, FEBio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import SolveError
+from limbcli.feb.records import read_records
+from limbcli.materials import LAWS, compile_material, ogden_type
+from limbcli.materials.energy import program_energy
+from limbcli.materials.stress import _evaluate, cauchy_stress, penalty_modulus, second_piola_kirchhoff
+from limbcli.model import Material
+
+UNIT = (0.0, 0.8, 0.6)
+MATERIALS = {
+    "ogden": ogden_type(c=0.005, f_kappa=20.0, m=3.2),
+    "ogden six terms": Material(
+        "ogden",
+        {f"c{k}": 0.001 * k for k in range(1, 7)}
+        | {f"m{k}": (-1.0) ** k * (0.7 + k) for k in range(1, 7)}
+        | {"kappa": 0.05},
+    ),
+    "neo_hooke": Material("neo_hooke", {"mu": 0.002, "lambda": 0.03}),
+    "mooney_rivlin": Material("mooney_rivlin", {"c1": 0.002, "c2": 0.001, "kappa": 0.1}),
+    "ogden_uncoupled": Material(
+        "ogden_uncoupled", {"c1": 0.002, "m1": 3.0, "c2": 0.001, "m2": -4.0, "kappa": 0.1}
+    ),
+    "holmes_mow": Material("holmes_mow", {"mu": 0.002, "lambda": 0.01, "beta": 0.6}),
+    "fiber_exp_pow": Material(
+        "fiber_exp_pow", {"ksi": 0.003, "alpha": 0.4, "beta": 2.5, "mu": 0.004, "fiber": UNIT}
+    ),
+    "active_contraction": Material("active_contraction", {"T0": 0.003, "fiber": UNIT}),
+    "mixture": Material(
+        "mixture",
+        {},
+        (
+            ogden_type(c=0.005, f_kappa=20.0, m=2.0),
+            Material("fiber_exp_pow", {"ksi": 0.003, "alpha": 0.0, "beta": 2.0, "mu": 0.004, "fiber": UNIT}),
+        ),
+    ),
+}
+
+
+@pytest.fixture
+def states(rng: np.random.Generator) -> np.ndarray:
+    """Random F with the fibre stretched (its law has a kink at no stretch)."""
+    F = np.eye(3) + 0.15 * rng.standard_normal((12, 3, 3))
+    a = np.array(UNIT)
+    return F[np.linalg.norm(F @ a, axis=1) > 1.05]
+
+
+def directions(rng: np.random.Generator, F: np.ndarray) -> np.ndarray:
+    E = rng.standard_normal(F.shape)
+    return E + np.swapaxes(E, 1, 2)
+
+
+def program(material: Material, n: int):
+    return compile_material(material, "m").program(n, lambda name: 1.0)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_stress_is_derivative_of_energy(name: str, states: np.ndarray, rng: np.random.Generator) -> None:
+    material = MATERIALS[name]
+    S, _ = second_piola_kirchhoff(material, states)
+    p = program(material, len(states))
+    dF = rng.standard_normal(states.shape)
+    h = 1e-6
+    up, down = (program_energy(p.ops, p.par, (states + sign * h * dF)[:, None])[:, 0] for sign in (1, -1))
+    expected = np.einsum("nij,nij->n", states @ S, dF)
+    # contraction's energy T0/2 (I4 - 1) and the others': differences of 1e-6 leave about 1e-8 relative
+    np.testing.assert_allclose((up - down) / (2 * h), expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_tangent_is_derivative_of_stress(name: str, states: np.ndarray, rng: np.random.Generator) -> None:
+    material = MATERIALS[name]
+    _, CC = second_piola_kirchhoff(material, states)
+    E = directions(rng, states)
+    h = 1e-6
+    dF = h * np.swapaxes(np.linalg.inv(states), 1, 2) @ E
+    up, down = (second_piola_kirchhoff(material, states + sign * dF)[0] for sign in (1, -1))
+    expected = np.einsum("nijkl,nkl->nij", CC, E)
+    np.testing.assert_allclose((up - down) / (2 * h), expected, atol=1e-6 * max(abs(expected).max(), 1e-6))
+
+
+@pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-3, 1e-5, 1e-8, 1e-12, 0.0])
+@pytest.mark.parametrize("name", ["ogden", "ogden_uncoupled"])
+def test_tangent_holds_where_stretches_meet(name: str, gap: float, rng: np.random.Generator) -> None:
+    Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    F = (Q @ np.diag([1.1, 1.1 + gap, 0.9]) @ Q.T)[None]
+    _, CC = second_piola_kirchhoff(MATERIALS[name], F)
+    E = directions(rng, F)
+    h = 1e-5
+    dF = h * np.swapaxes(np.linalg.inv(F), 1, 2) @ E
+    up, down = (second_piola_kirchhoff(MATERIALS[name], F + sign * dF)[0] for sign in (1, -1))
+    expected = np.einsum("nijkl,nkl->nij", CC, E)
+    np.testing.assert_allclose((up - down) / (2 * h), expected, atol=1e-7 * abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["ogden", "mixture", "holmes_mow"])
+def test_stress_does_not_see_a_rotation(name: str, states: np.ndarray, rng: np.random.Generator) -> None:
+    Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    Q *= np.sign(np.linalg.det(Q))
+    S, _ = second_piola_kirchhoff(MATERIALS[name], states)
+    turned, _ = second_piola_kirchhoff(MATERIALS[name], Q @ states)
+    np.testing.assert_allclose(turned, S, atol=1e-12 * abs(S).max() + 1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter"),
+    [
+        ("ogden", "c1"), ("ogden", "m1"), ("ogden", "m2"), ("ogden", "kappa"),
+        ("neo_hooke", "mu"), ("neo_hooke", "lambda"),
+        ("mooney_rivlin", "c1"), ("mooney_rivlin", "c2"), ("mooney_rivlin", "kappa"),
+        ("ogden_uncoupled", "c2"), ("ogden_uncoupled", "m1"),
+        ("holmes_mow", "mu"), ("holmes_mow", "lambda"), ("holmes_mow", "beta"),
+        ("fiber_exp_pow", "ksi"), ("fiber_exp_pow", "alpha"), ("fiber_exp_pow", "beta"), ("fiber_exp_pow", "mu"),
+        ("active_contraction", "T0"),
+    ],
+)  # fmt: skip
+def test_parameter_derivative_of_stress(name: str, parameter: str, states: np.ndarray) -> None:
+    material = MATERIALS[name]
+    value = material.parameters[parameter]
+    h = 1e-5 * max(abs(value), 1e-3)
+    up, down = (
+        second_piola_kirchhoff(material.with_parameters(**{parameter: value + s * h}), states)[0]
+        for s in (1, -1)
+    )
+    total = np.zeros((len(states), 6))
+    for each in compile_material(material, "m").derivative(parameter, len(states), lambda name: 1.0):
+        S, CC = np.zeros((len(states), 6)), np.zeros((len(states), 6, 6))
+        _evaluate(states, each.ops, each.par, S, CC, False)
+        total += S if each.factor is None else S * each.factor[:, None]
+    numeric = ((up - down) / (2 * h))[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+    np.testing.assert_allclose(total, numeric, atol=1e-6 * abs(numeric).max())
+
+
+def test_uniaxial_ogden_agrees_with_its_closed_form() -> None:
+    c, kappa, m = 0.005, 0.5, 8.0
+    F = np.diag([1.2879749417, 1.2879749417, 0.6])[None]
+    stress = cauchy_stress(ogden_type(c=c, f_kappa=kappa / c, m=m), F)[0]
+    J = np.linalg.det(F[0])
+    axial = (c / (2 * m) * (0.6**m - 0.6**-m)) / J + kappa * (J - 1)
+    assert stress[2, 2] == pytest.approx(axial, rel=1e-12)
+    assert abs(stress[0, 0]) < 1e-9  # the lateral stretch is the one that frees the sides
+
+
+def test_penalty_modulus_along_an_axis_is_youngs() -> None:
+    material = ogden_type(c=0.005, f_kappa=20.0, m=2.0)
+    mu, lam = 0.0025, 0.1
+    S, CC = np.zeros((1, 6)), np.zeros((1, 6, 6))
+    p = program(material, 1)
+    _evaluate(np.eye(3)[None], p.ops, p.par, S, CC, True)
+    E = mu * (3 * lam + 2 * mu) / (lam + mu)
+    assert penalty_modulus(CC, np.array([[0.0, 0.0, 1.0]]))[0] == pytest.approx(E, rel=1e-10)
+    assert penalty_modulus(CC, np.array([[0.0, 0.6, 0.8]]))[0] < 0.7 * E
+
+
+def test_every_law_is_tested_or_a_wrapper() -> None:
+    assert set(LAWS) - set(MATERIALS) == {"viscoelastic", "prestrain"}
+
+
+@pytest.mark.parametrize(
+    ("material", "word"),
+    [
+        (Material("biphasic", {}), "biphasic"),
+        (Material("ogden", {"c1": 0.1, "m1": 2.0}), "kappa"),
+        (Material("ogden", {"c1": 0.1, "m1": 2.0, "kappa": 1.0, "q": 1.0}), "'q'"),
+        (Material("ogden", {"c1": 0.1, "m1": 0.0, "kappa": 1.0}), "exponent"),
+        (Material("ogden", {"c1": 0.1, "m1": 2.0, "kappa": -1.0}), "not positive"),
+        (Material("mixture", {}), "without solids"),
+        (Material("fiber_exp_pow", {"ksi": 1.0}), "fiber"),
+    ],
+)
+def test_a_wrong_material_is_refused_by_name(material: Material, word: str) -> None:
+    with pytest.raises(SolveError, match=word):
+        compile_material(material, "tissue")
+
+
+@pytest.mark.parametrize("folder", ["cube-law-m8-fk100", "cube-law-m1.389-fk113", "cube-law-m8-fk1"])
+def test_stress_agrees_with_febio_on_36_deformations(golden: Path, folder: str) -> None:
+    from limbcli.feb.read import read_feb
+
+    model = read_feb(golden / folder / "model.feb")
+    table = read_records(golden / folder / "elements.csv").values[-1][:36]
+    F = table[:, 7:16].reshape(-1, 3, 3)
+    ours = cauchy_stress(model.materials["tissue"], F)
+    theirs = table[:, 1:7]
+    ours6 = ours[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+    # F has 12 digits, and kappa J multiplies their round-off: 1e-11 * 0.5 MPa
+    error = abs(ours6 - theirs).max(axis=1) / np.maximum(abs(theirs).max(axis=1), 1e-4)
+    assert error.max() < 1e-6
