@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, plain_rows
 from limbcli.reporting.page import Page
@@ -30,7 +31,7 @@ def segmentation(page: Page) -> Reportlet:
     return Reportlet(
         KEY,
         TITLE,
-        "warning" if result.warnings else "fine",
+        "warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
         pictures=pictures,
         tables=tables,
         more=more if figures else (),
@@ -42,6 +43,12 @@ def segmentation(page: Page) -> Reportlet:
         notes=result.summary,
         warned=result.warnings,
     )
+
+
+def _verdict(data: Mapping[str, Any]) -> str:
+    """What the segmentation says of itself, or nothing."""
+    quality = data.get("quality")
+    return str(quality.get("verdict", "")) if isinstance(quality, Mapping) else ""
 
 
 def _markers(markers: object) -> Table | None:
