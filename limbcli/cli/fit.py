@@ -43,6 +43,28 @@ def command(
     time_limit_s: Annotated[
         float | None, typer.Option("--time-limit-s", help="Of each FEBio run.", show_default=False)
     ] = None,
+    objective: Annotated[
+        str,
+        typer.Option(help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue."),
+    ] = "force",
+    law: Annotated[
+        str,
+        typer.Option(help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow."),
+    ] = "ogden",
+    compare_laws: Annotated[
+        bool, typer.Option("--compare-laws", help="Joint only: every law, by the error of left-out levels.")
+    ] = False,
+    gain_deviation: Annotated[
+        float | None,
+        typer.Option(
+            "--gain-deviation-fraction",
+            help="Joint only: numerical error of the force; default: by element and size.",
+            show_default=False,
+        ),
+    ] = None,
+    compare_element: Annotated[
+        bool, typer.Option("--compare-element", help="tet4 and tet10 side by side on the same mesh.")
+    ] = False,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,

@@ -76,6 +76,27 @@ def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
     return Sample(sampled, sampled_slopes, weights)
 
 
+def pchip_inverse(knots: Array, values: Array, wanted: Array) -> Array:
+    """Places within the knots where the curve through growing values takes the values `wanted`.
+
+    >>> pchip_inverse(np.arange(4.0), 2 * np.arange(4.0), np.array([0.0, 3.0, 9.0])).round(9)
+    array([0. , 1.5, 3. ])
+    """
+    h = np.diff(knots)
+    tangents, _ = _tangents(h, np.diff(values) / h)
+    growing = np.maximum.accumulate(values)
+    cell = np.clip(np.searchsorted(growing, wanted, side="right") - 1, 0, len(h) - 1)
+    first, last, width = values[cell], values[cell + 1], h[cell]
+    at_first, at_last = tangents[cell] * width, tangents[cell + 1] * width
+    square, cube = 3 * (last - first) - 2 * at_first - at_last, at_first + at_last - 2 * (last - first)
+    low, high = np.zeros(len(wanted)), np.ones(len(wanted))
+    for _ in range(44):
+        s = 0.5 * (low + high)
+        below = first + s * (at_first + s * (square + s * cube)) < wanted
+        low, high = np.where(below, s, low), np.where(below, high, s)
+    return np.asarray(knots[cell] + 0.5 * (low + high) * width)
+
+
 def _tangents(h: Array, secants: Array) -> tuple[Array, Array]:
     """Knot slopes (n,) and their derivative with respect to the secants (n, n - 1)."""
     n = len(h) + 1

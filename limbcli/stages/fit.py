@@ -67,7 +67,7 @@ def fit(
     """Identify the tissue parameters of each site with the model that `build-feb` wrote.
 
     Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
-    fitted.feb and the records of its run.
+    parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run.
 
     Raises
     ------
@@ -90,11 +90,29 @@ def fit(
     return results
 
 
+def check_choice(objective: str, *, compare_element: bool, solver: str) -> None:
+    """Whether these options go together.
+
+    Raises
+    ------
+    CaseError
+        If the objective is unknown, or FEBio is asked for what only the reference solver does.
+    """
+    if objective not in ("force", "joint"):
+        raise CaseError(f"there is no objective {objective!r}", where="--objective", fix="use force or joint")
+    if solver == "febio" and (objective == "joint" or compare_element):
+        raise CaseError(
+            "this needs derivatives that FEBio does not give",
+            where="--solver febio",
+            fix="leave --solver out: the reference solver does it",
+        )
+
+
 def _fit_site(
     site: Site, out: Path, writer: StageWriter, solver: Solver, options: FitOptions, progress: Progress
 ) -> None:
     clock = time.perf_counter()
-    model = _model(site, out, writer)
+    model = built_model(site, out, writer)
     levels = read_levels(site.levels)
     data = force_depth_data(levels, site)
     stiffness, c_source = initial_stiffness(levels, site, options)
@@ -116,8 +134,12 @@ def _fit_site(
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
 
 
-def _model(site: Site, out: Path, writer: StageWriter) -> LimbModel:
-    """What build-feb wrote for this site, if it was made from this measurement."""
+def built_model(site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
+    """What build-feb wrote for this site, if it was made from this measurement.
+
+    label : goes before the names of the inputs recorded, where several sites are used
+    """
+    prefix = f"{label}/" if label else ""
     built = read_result(out, "build-feb", site=site.name)
     feb = built.folder / "model.feb"
     used = built.provenance.get("inputs_sha256", {})
@@ -127,8 +149,8 @@ def _model(site: Site, out: Path, writer: StageWriter) -> LimbModel:
             where=str(site.levels),
             fix="run `limbcli build-feb` again, then `limbcli fit`",
         )
-    writer.used("model", feb)
-    writer.used("levels", site.levels)
+    writer.used(f"{prefix}model", feb)
+    writer.used(f"{prefix}levels", site.levels)
     writer.warnings.extend(built.warnings)
     return read_feb(feb)
 

@@ -21,7 +21,9 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.reference import ReferenceSession
-from limbcli.stages.build_feb import TISSUE
+from limbcli.stages.fit_laws import FitLaw
+from limbcli.stages.fit_speeds import mean_speeds
+from limbcli.stages.indentation_model import TISSUE
 
 SIDE_BY_SIDE = 2
 _SAME_TIME = 1e-6
@@ -68,9 +70,9 @@ class ReferenceCurve:
     `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve.
     """
 
-    def __init__(self, model: LimbModel, *, c: float, progress: Progress = SILENT):
+    def __init__(self, model: LimbModel, *, c: float, threads: int = 2, progress: Progress = SILENT):
         self._model, self._c = model, c
-        self._session = ReferenceSession(model, progress=progress)
+        self._session = ReferenceSession(model, progress=progress, threads=threads)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
 
@@ -91,6 +93,55 @@ class ReferenceCurve:
         by_kappa, by_m1, by_m2 = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1", "m2"))
         self.depths = result.must_points.depths
         return Prediction(result.must_points.forces, np.column_stack([self._c * by_kappa, by_m1 - by_m2]))
+
+    def close(self) -> None:
+        self._session.close()
+
+
+class LawCurve:
+    """Forces and mean wave speeds at the levels for any law, as a function of its shape.
+
+    Values are (forces (n_levels,), speeds (n_levels,)), or forces alone without `speeds`;
+    forces have exact derivatives, speeds none. `depths` (n_levels,) mm after a solve.
+    """
+
+    def __init__(
+        self, model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: float, speeds: bool = True,
+        threads: int = 2, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self._model, self._law, self._c, self._speeds = model, law, c, speeds
+        self._density = density_kg_per_m3
+        start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
+        self._session = ReferenceSession(start, progress=progress, threads=threads)
+        self.depths: Array = np.zeros(0)
+        self.n_solves = 0
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        material = self._law.material(self._c, theta)
+        searched = self._law.searched(self._c, theta)
+        model = self._model.with_material(TISSUE, material)
+        try:
+            result = self._session.solve(
+                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds
+            )
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                where=f"reference solver, law {self._law.name}",
+                fix="check the depths in levels.csv, or choose another law",
+            ) from error
+        points = result.must_points
+        self.depths = points.depths
+        by_shape = sum(
+            np.outer(result.force_gradient[(TISSUE, name)], slope) for name, slope in searched.items()
+        )
+        if not self._speeds:
+            return Prediction(points.forces, np.asarray(by_shape))
+        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        speeds = mean_speeds(model, result.simulation, material, rows, density_kg_per_m3=self._density)
+        unknown = np.full((len(speeds), len(theta)), np.nan)
+        return Prediction(np.r_[points.forces, speeds], np.vstack([np.asarray(by_shape), unknown]))
 
     def close(self) -> None:
         self._session.close()

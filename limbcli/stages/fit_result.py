@@ -28,6 +28,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
+from limbcli.stages.fit_exports import leave_exports, parameter_rows
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
@@ -103,6 +104,10 @@ def leave_result(
         )
         _warn_unsolved(best, writer)
     write_curves(found, writer.file("curves", "curves.csv"))
+    rows = [
+        row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
+    ]
+    leave_exports(writer, rows, writer.data, fitted)
     draw_fit(found, site, writer)
     _summarise(found, last, writer)
 

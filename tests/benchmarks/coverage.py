@@ -28,7 +28,7 @@ from limbcli.meshing.elements import with_element
 from limbcli.model_io import load_model
 from limbcli.phantom.protocol import depth_at_force
 from limbcli.solvers.reference import ReferenceSession
-from limbcli.stages.build_feb import indentation_model
+from limbcli.stages.indentation_model import indentation_model
 from limbcli.stages.fit import START
 from limbcli.stages.fit_curves import ReferenceCurve
 from limbcli.units import mpa_from_kpa
@@ -58,7 +58,7 @@ def one_seed(seed, model, truth, forces, depths):
     simulated = np.unique(depth[depth > least_level()])
     start = indentation_model(model, schedule(list(simulated)), c=c, f_kappa=100.0, m=2.0)
     clock, work = time.perf_counter(), time.process_time()
-    curve = ReferenceCurve(start, c=c)
+    curve = ReferenceCurve(start, c=c, threads=1)
     memory = Memory(curve)
     memory(START, (0, 1))
     cold, cold_work = time.perf_counter() - clock, time.process_time() - work

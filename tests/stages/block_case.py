@@ -32,7 +32,8 @@ from limbcli.model import (
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.solvers.reference import ReferenceSession
-from limbcli.stages.build_feb import build_feb, indentation_model
+from limbcli.stages.build_feb import build_feb
+from limbcli.stages.indentation_model import indentation_model
 
 PROBE = ProbeShape(20.0, 10.0, 3.0)
 _HEX_TO_TETS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
@@ -127,7 +128,7 @@ def true_curve(element: str, depths: np.ndarray, *, c: float, f_kappa: float, m:
 
 def make_case(
     folder: Path, out: Path, depths: np.ndarray, forces: np.ndarray, *, c: float, element: str = "tet4",
-    build: bool = True,
+    build: bool = True, speeds: np.ndarray | None = None,
 ) -> Case:  # fmt: skip
     """A case folder with this measurement; mesh and build-feb are done in `out`."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -136,7 +137,9 @@ def make_case(
         (folder / name).write_text("solid empty\nendsolid empty\n")
     speed = np.sqrt(c * 1e6 / 2 / 1000.0)
     rows = [f"0,0,{speed:.12g},0.1,100"]
-    rows += [f"{f:.12g},{d:.12g},,," for d, f in zip(depths, forces, strict=True)]
+    for k, (depth, force) in enumerate(zip(depths, forces, strict=True)):
+        reading = ",," if speeds is None else f"{speeds[k]:.12g},0.1,100"
+        rows.append(f"{force:.12g},{depth:.12g},{reading}")
     header = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels"
     (folder / "levels.csv").write_text("\n".join([header, *rows]) + "\n")
     case = Case.open(folder)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lxml import etree
+from scipy.io import loadmat
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
@@ -99,6 +101,20 @@ def test_curves_hold_measured_and_simulated_forces(fitted, forces):
     measured = [(float(r["measured_n"]), float(r["ogden_n"])) for r in rows if r["measured_n"]]
     np.testing.assert_allclose([m for m, _ in measured], np.r_[0.0, forces], rtol=1e-5)
     np.testing.assert_allclose([o for _, o in measured], np.r_[0.0, forces], rtol=2e-3, atol=1e-9)
+
+
+def test_results_are_left_for_other_programs(fitted):
+    result = fitted[0]
+    with result.path("parameters").open() as stream:
+        rows = {(row["step"], row["parameter"]): row for row in csv.DictReader(stream)}
+    assert float(rows["ogden", "m"]["value"]) == pytest.approx(result.data["m"], rel=1e-6)
+    assert rows["mooney-rivlin", "f_kappa"]["flag"]
+    mat = loadmat(result.path("mat"), simplify_cells=True)["fit"]
+    assert mat["f_kappa"] == pytest.approx(result.data["f_kappa"])
+    assert mat["steps"]["mooney_rivlin"]["m"] == 2.0
+    snippet = etree.fromstring(result.path("material").read_text().split("-->")[1].strip())
+    assert snippet.get("type") == "Ogden unconstrained"
+    assert float(snippet.findtext("m1")) == pytest.approx(result.data["m"], rel=1e-9)
 
 
 def test_progress_and_summary_speak(fitted):

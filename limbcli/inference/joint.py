@@ -1,0 +1,323 @@
+"""Joint likelihood: depth at given force, and shear-wave speed, of one or several sites.
+
+Force is controlled and depth is the noisy reading, so the residual is a depth: measured
+minus the depth at which the simulation reaches the measured force. A level's wave speed
+enters by its logarithm, at the simulated depth of that force. All sites share c and the
+law's other parameters ("shape"); each has a gain of its own for the numerical error of
+its mesh. At fixed shape every stress is proportional to c, so forces go with c and speeds
+with its root: only the shape costs simulations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import FitError
+from limbcli.inference.adaptive import Intervals, adaptive_profiles
+from limbcli.inference.emulator import Emulator
+from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.parameter import Parameter
+from limbcli.inference.prediction import Curve, Memory
+from limbcli.inference.residual import Objective, Residual
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+C_SPAN = 10.0  # c may differ from its start value by this factor
+_LEAST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class SiteData:
+    """One site's measurement beside its simulation's levels.
+
+    knots (n_knots,) mm: depths of the simulated levels, increasing
+    force, depth (n,): levels past first touch; speed_force (n_speeds,) N with ln speed
+    (n_speeds,) and its deviation, first touch included; all deviations one standard deviation
+    gain_deviation : of the simulated force, relative (mesh, element)
+    """
+
+    name: str
+    knots: Array
+    force: Array
+    depth: Array
+    force_deviation: float
+    depth_deviation: float
+    speed_force: Array
+    log_speed: Array
+    speed_deviation: Array
+    gain_deviation: float = 0.0
+
+    def without(self, levels: NDArray[np.bool_]) -> SiteData:
+        """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
+        gone = np.isin(self.speed_force, self.force[levels])
+        keep, speeds = ~levels, ~gone
+        return SiteData(
+            self.name, self.knots, self.force[keep], self.depth[keep], self.force_deviation,
+            self.depth_deviation, self.speed_force[speeds], self.log_speed[speeds],
+            self.speed_deviation[speeds], self.gain_deviation,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SitePrediction:
+    """depth (n,) mm at the measured forces, log_speed (n_speeds,), with d / d (ln c, ln gain, ln shape)."""
+
+    depth: Array
+    depth_slope: Array
+    stiffness: Array
+    log_speed: Array
+    log_speed_slope: Array
+
+
+def predict_site(
+    curve: Curve, data: SiteData, shape: Array, *, c_ratio: float, gain: float, log_speed_0: float
+) -> SitePrediction:
+    """What a site's simulation says of its measurement.
+
+    curve : shape -> (forces at the knots (N), speeds at the knots (m/s)), (2 n_knots,), for
+        c_ratio 1 and gain 1; forces alone where the data hold no speed
+    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho))
+    stiffness (n,) : dF/dd at the forces, N/mm
+    """
+    n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
+    assert answer.jacobian is not None
+    by_log = answer.jacobian * shape
+    knots = np.r_[0.0, data.knots]
+    force = np.r_[0.0, answer.values[:n]] * c_ratio * gain
+    force_by = np.vstack([np.zeros(len(shape)), by_log[:n]]) * c_ratio * gain
+    wanted, m = np.r_[data.force, data.speed_force], len(data.force)
+    reached = invert(knots, force, wanted)
+    stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
+    depth, at, at_by = reached[:m], reached[m:], reached_by[m:]
+    if not len(data.speed_force):
+        none = np.zeros((0, 2 + len(shape)))
+        return SitePrediction(depth, reached_by[:m], stiffness[:m], np.zeros(0), none)
+    speed = np.r_[log_speed_0, np.log(answer.values[n:])]
+    speed_by = np.vstack([np.zeros(len(shape)), by_log[n:] / answer.values[n:, None]])
+    sample = pchip_sample(knots, speed, np.clip(at, 0.0, knots[-1]))
+    slope = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
+    log_speed = sample.values + 0.5 * np.log(c_ratio)
+    log_speed_by = slope[:, None] * at_by
+    log_speed_by[:, 2:] += sample.weights @ speed_by
+    log_speed_by[:, 0] += 0.5
+    return SitePrediction(depth, reached_by[:m], stiffness[:m], log_speed, log_speed_by)
+
+
+def invert(knots: Array, force: Array, wanted: Array) -> Array:
+    """Depths at which the PCHIP curve through (knots, force) reaches `wanted`; linear beyond its end.
+
+    >>> invert(np.arange(4.0), 2 * np.arange(4.0), np.array([-1.0, 0.0, 3.0, 8.0]))
+    array([0. , 0. , 1.5, 4. ])
+    """
+    depth = pchip_inverse(knots, force, wanted)
+    end = (force[-1] - force[-2]) / (knots[-1] - knots[-2])
+    beyond = wanted > force[-1]
+    if beyond.any() and end > 0.0:
+        depth = np.where(beyond, knots[-1] + (wanted - force[-1]) / end, depth)
+    return np.where(wanted <= 0.0, 0.0, depth)
+
+
+def _implicit(
+    knots: Array, force: Array, force_by: Array, depth: Array, wanted: Array
+) -> tuple[Array, Array]:
+    """dF/dd (n,) at the depths, and d depth / d (ln c, ln gain, ln shape): -(dF/dtheta) / (dF/dd)."""
+    inside = np.clip(depth, 0.0, knots[-1])
+    sample = pchip_sample(knots, force, inside)
+    end = (force[-1] - force[-2]) / (knots[-1] - knots[-2])
+    slope = np.where(depth > knots[-1], end, sample.slopes)
+    floor = 1e-3 * float(force.max()) / float(knots[-1])
+    slope = np.maximum(slope, floor)
+    by_shape = sample.weights @ force_by
+    rise = np.column_stack([wanted, wanted, by_shape])
+    moved = -rise / slope[:, None]
+    moved[wanted <= 0.0] = 0.0
+    return slope, moved
+
+
+@dataclass(frozen=True, eq=False)
+class JointTask:
+    """What is fitted: curves and data by site, the shape's parameters, c's start and the unloaded speed.
+
+    c0 : MPa, the c of the curves; log_speed_0: ln sqrt(c0 / (2 rho)) in m/s, by site
+    c_deviation : of ln c, a prior round c0; None where the speeds themselves say it
+    """
+
+    curves: Sequence[Memory]
+    data: Sequence[SiteData]
+    shape: Sequence[Parameter]
+    c0: float
+    log_speed_0: Sequence[float]
+    c_deviation: float | None = None
+
+
+class JointProblem:
+    """theta = (c, shape..., a gain for each site whose gain is uncertain), for `adaptive_profiles`."""
+
+    def __init__(self, task: JointTask, starts: Sequence[Array]):
+        self.task = task
+        self.n_shape = len(task.shape)
+        self.gained = [k for k, each in enumerate(task.data) if each.gain_deviation > 0.0]
+        self.parameters = [
+            Parameter("c", task.c0, task.c0 / C_SPAN, task.c0 * C_SPAN, "log"),
+            *(each.in_logs() for each in task.shape),
+            *(Parameter(f"gain {task.data[k].name}", 1.0, 0.2, 5.0, "log") for k in self.gained),
+        ]
+        self.profiled = tuple(range(1 + self.n_shape))
+        self.emulators = [Emulator(each) for each in task.curves]
+        self._starts = list(starts)
+        n_data = sum(len(each.force) + len(each.log_speed) for each in task.data)
+        self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
+        self._weights = [self._depth_deviation(k) for k in range(len(task.data))]
+
+    # ------------------------------------------------------------ residuals
+
+    def predict(self, k: int, theta: Array, *, data: SiteData | None = None) -> SitePrediction:
+        """Site k at theta, on the stand-ins."""
+        return predict_site(
+            self.emulators[k], data or self.task.data[k], self.solved_at(theta),
+            c_ratio=float(theta[0]) / self.task.c0, gain=self._gain(k, theta),
+            log_speed_0=self.task.log_speed_0[k],
+        )  # fmt: skip
+
+    def objective(self) -> Objective:
+        def residual(theta: Array, derivative: bool = True) -> Residual:
+            rows, slopes = [], []
+            for k, data in enumerate(self.task.data):
+                found = self.predict(k, theta)
+                rows += [(data.depth - found.depth) / self._weights[k]]
+                slopes += [self._spread(-found.depth_slope / self._weights[k][:, None], k, theta)]
+                rows += [(data.log_speed - found.log_speed) / data.speed_deviation]
+                slopes += [self._spread(-found.log_speed_slope / data.speed_deviation[:, None], k, theta)]
+            priors, prior_slopes = self._priors(theta)
+            return Residual(np.concatenate([*rows, priors]), np.vstack([*slopes, prior_slopes]))
+
+        return residual
+
+    def _spread(self, slope: Array, k: int, theta: Array) -> Array:
+        """Columns (ln c, ln gain, ln shape) of a site to columns of theta."""
+        wide = np.zeros((len(slope), len(theta)))
+        wide[:, 0] = slope[:, 0] / theta[0]
+        wide[:, 1 : 1 + self.n_shape] = slope[:, 2:] / theta[1 : 1 + self.n_shape]
+        if k in self.gained:
+            place = 1 + self.n_shape + self.gained.index(k)
+            wide[:, place] = slope[:, 1] / theta[place]
+        return wide
+
+    def _priors(self, theta: Array) -> tuple[Array, Array]:
+        places = [1 + self.n_shape + j for j in range(len(self.gained))]
+        deviations = [self.task.data[k].gain_deviation for k in self.gained]
+        centres = [1.0] * len(places)
+        if self.task.c_deviation is not None:
+            places, deviations = [0, *places], [max(self.task.c_deviation, _LEAST), *deviations]
+            centres = [self.task.c0, *centres]
+        values = np.array(
+            [np.log(theta[p] / m) / s for p, m, s in zip(places, centres, deviations, strict=True)]
+        )
+        slopes = np.zeros((len(places), len(theta)))
+        for row, (place, deviation) in enumerate(zip(places, deviations, strict=True)):
+            slopes[row, place] = 1.0 / (theta[place] * deviation)
+        return values, slopes
+
+    def _gain(self, k: int, theta: Array) -> float:
+        return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
+
+    def _depth_deviation(self, k: int) -> Array:
+        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
+        data = self.task.data[k]
+        slope = self.predict(k, self.starts()[0]).stiffness
+        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+
+    # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def starts(self) -> list[Array]:
+        return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]
+
+    def doubt(self, theta: Array) -> float:
+        shape, total = self.solved_at(theta), 0.0
+        for k, data in enumerate(self.task.data):
+            n, deviation = len(data.knots), self.emulators[k].deviation(shape)
+            found = self.predict(k, theta)
+            force = np.interp(found.depth, data.knots, deviation[:n]) * data.force / found.stiffness
+            total += float(np.sum((force / self._weights[k]) ** 2))
+            if len(data.log_speed):
+                at = np.interp(data.speed_force, data.force, found.depth)
+                speed = np.interp(at, data.knots, deviation[n:]) * (data.speed_force > 0.0)
+                total += float(np.sum((speed / data.speed_deviation) ** 2))
+        return float(np.sqrt(total))
+
+    def distance(self, theta: Array) -> float:
+        return max(each.distance(self.solved_at(theta)) for each in self.emulators)
+
+    def solve(self, theta: Array) -> None:
+        shape = self.solved_at(theta)
+        for curve, emulator in zip(self.task.curves, self.emulators, strict=True):
+            curve(shape, tuple(range(self.n_shape)))
+            emulator.refresh()
+
+    def within_reach(self, theta: Array) -> Array:
+        solved = np.array([each for each, _ in self.task.curves[0].solved])
+        near = theta.copy()
+        for k, parameter in enumerate(self.task.shape):
+            low, high = solved[:, k].min(), solved[:, k].max()
+            near[1 + k] = np.clip(theta[1 + k], low / parameter.stride, high * parameter.stride)
+        return near
+
+    def solved_at(self, theta: Array) -> Array:
+        return np.asarray(theta[1 : 1 + self.n_shape])
+
+
+def joint_fit(
+    task: JointTask, starts: Sequence[Array], *, max_solves: int = 16, progress: Progress = SILENT
+) -> tuple[JointProblem, Intervals]:
+    """Most likely c and shape, with their profiles.
+
+    starts : several (c, shape...); the curves must hold at least two solved points each
+
+    Raises
+    ------
+    FitError
+        If there is nothing to fit, or no start leads anywhere.
+    """
+    n_levels, n_parameters = sum(len(each.force) for each in task.data), 1 + len(task.shape)
+    if n_levels < n_parameters:
+        raise FitError(
+            f"{n_levels} loaded levels for {n_parameters} parameters",
+            where=", ".join(each.name for each in task.data),
+            fix="measure more levels, or choose a law with fewer parameters (--law mooney-rivlin)",
+        )
+    problem = JointProblem(task, starts)
+    return problem, adaptive_profiles(problem, max_solves=max_solves, progress=progress)
+
+
+def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3) -> tuple[float, float]:
+    """Root mean square error of left-out depths (mm) and of left-out ln speeds, every n-th level in turn.
+
+    The rest of the levels is fitted again each time (on the stand-ins), so a law with more
+    parameters is not favoured. NaN where there are no speeds.
+    """
+    from limbcli.inference.profile import best_of
+
+    depth_errors, speed_errors = [], []
+    for fold in range(n_folds):
+        left = [np.arange(len(each.force)) % n_folds == fold for each in problem.task.data]
+        kept = [each.without(out) for each, out in zip(problem.task.data, left, strict=True)]
+        task = JointTask(
+            problem.task.curves, kept, problem.task.shape, problem.task.c0, problem.task.log_speed_0,
+            problem.task.c_deviation,
+        )  # fmt: skip
+        part = JointProblem(task, [found.best[: 1 + problem.n_shape]])
+        best = best_of(part.objective(), part.parameters, [found.best, *part.starts()])
+        for k, (data, out) in enumerate(zip(problem.task.data, left, strict=True)):
+            seen = problem.predict(k, best.theta)
+            depth_errors.append((data.depth - seen.depth)[out])
+            gone = np.isin(data.speed_force, data.force[out])
+            speed_errors.append((data.log_speed - seen.log_speed)[gone])
+    depth, speed = np.concatenate(depth_errors), np.concatenate(speed_errors)
+    return (
+        float(np.sqrt(np.mean(depth**2))),
+        float(np.sqrt(np.mean(speed**2))) if len(speed) else float("nan"),
+    )

@@ -1,0 +1,173 @@
+"""fit --compare-element: the same mesh in tet4 and in tet10, and what of f_kappa is the mesh.
+
+Linear tetrahedra lock: with them f_kappa sets how stiff the mesh is, not how compressible
+the tissue. Shown by forces at the same parameters, f_kappa swept, and by both fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.inference.identify import FittedStep, two_step
+from limbcli.inference.prediction import Memory
+from limbcli.measurement.indentation import read_levels
+from limbcli.meshing.elements import with_element
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.fit import START, FitOptions, built_model, force_depth_data, initial_stiffness
+from limbcli.stages.fit_curves import ReferenceCurve
+from limbcli.stages.fit_exports import write_table
+from limbcli.units import kpa_from_mpa
+
+STAGE = "fit-elements"
+ELEMENTS = ("tet4", "tet10")
+SWEEP = (10.0, 100.0, 650.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ElementFit:
+    """One element's answers: depths (n,) mm, forces (n,) N at f_kappa 100, m 2 and after the fit,
+    the last force over the sweep of f_kappa, and the two steps.
+    """
+
+    element: str
+    depths: Array
+    start_force: Array
+    sweep_force: Array
+    steps: tuple[FittedStep, FittedStep]
+    fitted_force: Array
+    n_unknowns: int
+
+
+def compare_elements(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """Fit each site with both elements, with the reference solver.
+
+    Raises
+    ------
+    MeshError
+        If the mesh is not of tetrahedra; else as `fit`.
+    """
+    results = []
+    for site in case.selected(sites):
+        progress.event("stage", name=STAGE, site=site.name)
+        with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            _compare_site(site, out, writer, options or FitOptions(), progress)
+        assert writer.result is not None
+        results.append(writer.result)
+    return results
+
+
+def _compare_site(
+    site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
+) -> None:
+    model = built_model(site, out, writer)
+    levels = read_levels(site.levels)
+    stiffness, source = initial_stiffness(levels, site, options)
+    data = force_depth_data(levels, site)
+    found = []
+    for element in ELEMENTS:
+        progress.event("note", text=f"{element} of the same mesh")
+        same = with_element(model, element)
+        curve = ReferenceCurve(same, c=stiffness.c, progress=progress)
+        try:
+            memory = Memory(curve)
+            start = memory(START, (0, 1)).values
+            sweep = [memory(np.array([f_kappa, 2.0]), (0, 1)).values[-1] for f_kappa in SWEEP]
+            steps = two_step(memory, curve.depths, data, tolerance=options.tolerance, progress=progress)
+            forces = memory(steps[-1].theta).values
+        finally:
+            curve.close()
+        found.append(
+            ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, _unknowns(same))
+        )
+    _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
+
+
+def _unknowns(model: LimbModel) -> int:
+    """Free displacements: of nodes of solid cells that no support holds whole."""
+    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+    held = [model.mesh.node_sets[s.node_set] for s in model.supports if len(s.dofs) == 3]
+    return 3 * len(np.setdiff1d(nodes, np.concatenate(held) if held else np.zeros(0, np.int64)))
+
+
+def _leave(
+    writer: StageWriter, found: list[ElementFit], c_kpa: float, source: str, depth: Array, force: Array
+) -> None:
+    linear, quadratic = found
+    ratio = linear.start_force / quadratic.start_force
+    rows = [_row(each) for each in found]
+    rise = {each.element: float(each.sweep_force[-1] / each.sweep_force[0]) for each in found}
+    writer.data.update(
+        c_kpa=c_kpa, c_source=source, elements={row["element"]: row for row in rows},
+        force_ratio_tet4_over_tet10=float(ratio[-1]),
+        force_rise_f_kappa_10_to_650=rise,
+        f_kappa_ratio_tet10_over_tet4=rows[1]["f_kappa"] / rows[0]["f_kappa"],
+    )  # fmt: skip
+    write_table(
+        writer.file("forces", "forces.csv"),
+        {
+            "depth_mm": linear.depths,
+            **{f"{each.element}_start_n": each.start_force for each in found},
+            **{f"{each.element}_fitted_n": each.fitted_force for each in found},
+        },
+    )
+    columns = ("element", "n_unknowns", "f_kappa", "m", "f_kappa_mooney_rivlin", "r2", "rmse_n")
+    write_table(writer.file("table", "elements.csv"), {name: [row[name] for row in rows] for name in columns})
+    _draw(writer, found, depth, force)
+    writer.summary += [
+        f"{row['element']}: f_kappa {row['f_kappa']:.4g}, m {row['m']:.4g}, RMSE {row['rmse_n']:.3f} N "
+        f"({row['n_unknowns']} unknowns)"
+        for row in rows
+    ]
+    writer.summary.append(
+        f"at f_kappa 100 and m 2 tet4 is {ratio[-1]:.2f} times as stiff as tet10 at the last level"
+    )
+    writer.summary.append(
+        f"f_kappa 10 to 650 raises the last force {rise['tet4']:.2f} times with tet4, "
+        f"{rise['tet10']:.2f} times with tet10: that much of tet4's f_kappa is the mesh"
+    )
+
+
+def _row(each: ElementFit) -> dict[str, Any]:
+    first, last = each.steps
+    return {
+        "element": each.element, "n_unknowns": each.n_unknowns,
+        "f_kappa": float(last.theta[0]), "m": float(last.theta[1]),
+        "f_kappa_mooney_rivlin": float(first.theta[0]), "r2": last.r2, "rmse_n": last.rmse,
+        "sweep_f_kappa": list(SWEEP), "sweep_last_force_n": [float(x) for x in each.sweep_force],
+    }  # fmt: skip
+
+
+def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Array) -> None:
+    """elements.png: forces at the same parameters and after each fit; the last force over f_kappa."""
+    with style():
+        figure = new_figure(7.6, 3.2)
+        left, right = figure.subplots(1, 2)
+        left.plot(depth, force, "o", ms=4, color=INK, label="measured")
+        for each, colour in zip(found, (BLUE, VERMILION), strict=True):
+            depths = np.r_[0.0, each.depths]
+            left.plot(
+                depths, np.r_[0.0, each.start_force], ":", color=colour, label=f"{each.element}, f_κ 100, m 2"
+            )
+            left.plot(depths, np.r_[0.0, each.fitted_force], color=colour, label=f"{each.element}, fitted")
+            right.plot(SWEEP, each.sweep_force / each.sweep_force[0], "o-", color=colour, label=each.element)
+        right.axhline(1.0, color=QUIET, lw=0.8)
+        left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
+        right.set(xlabel="f_κ [–]", ylabel="last force over that at f_κ 10 [–]", xscale="log")
+        left.legend(fontsize=8)
+        right.legend(fontsize=8)
+        figure.savefig(writer.file("picture", "elements.png"))

@@ -1,0 +1,153 @@
+"""The joint fit and the comparison of elements, on a block whose parameters are known."""
+
+import csv
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from limbcli.errors import CaseError
+from limbcli.feb.settings import schedule
+from limbcli.stages.fit import check_choice
+from limbcli.stages.fit_curves import LawCurve
+from limbcli.stages.fit_elements import compare_elements
+from limbcli.stages.fit_joint import JointOptions, fit_joint, gain_deviation
+from limbcli.stages.fit_laws import LAWS, law_named
+from limbcli.stages.indentation_model import indentation_model
+
+
+def _load(name: str):
+    path = Path(__file__).with_name(f"{name}.py")
+    spec = importlib.util.spec_from_file_location(f"limbcli_test_{name}", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+block = _load("block_case")
+C, SHAPE = 0.008, np.array([20.0, 5.0])
+DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
+
+
+def law_curve(name="ogden", **options):
+    model = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=C, f_kappa=100.0, m=2.0)
+    return LawCurve(model, LAWS[name], c=C, density_kg_per_m3=1000.0, **options)
+
+
+@pytest.fixture(scope="module")
+def measured() -> np.ndarray:
+    curve = law_curve()
+    values = curve(SHAPE, (0, 1)).values
+    curve.close()
+    return values
+
+
+@pytest.fixture(scope="module")
+def case_and_out(measured, tmp_path_factory):
+    root = tmp_path_factory.mktemp("joint")
+    forces, speeds = np.split(measured, 2)
+    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=C, speeds=speeds)
+    return case, root / "out"
+
+
+@pytest.fixture(scope="module")
+def joint(case_and_out):
+    case, out = case_and_out
+    return fit_joint(case, out=out, joint=JointOptions(max_solves=4))
+
+
+def test_tissue_is_recovered_with_c_free(joint):
+    assert joint.data["c_kpa"] == pytest.approx(8.0, rel=0.01)
+    assert joint.data["f_kappa"] == pytest.approx(20.0, rel=0.03)
+    assert joint.data["m"] == pytest.approx(5.0, rel=0.03)
+    assert joint.data["chi_square"] < 0.05
+    assert joint.data["n_freedom"] == 4 + 5 - 3
+
+
+def test_every_parameter_has_interval_flag_and_words(joint):
+    for name, each in joint.data["parameters"].items():
+        low, high = joint.data["interval_95"][name]
+        assert low is None or low < each["value"]
+        assert high is None or each["value"] < high
+        assert each["flag"]
+        assert each["words"].endswith(".")
+
+
+def test_levels_and_exports_are_left(joint):
+    with joint.path("levels_p1").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["quantity"] for row in rows} == {"depth_mm", "speed_m_per_s"}
+    for row in rows:
+        assert float(row["predicted"]) == pytest.approx(float(row["measured"]), rel=0.01)
+    assert loadmat(joint.path("mat"), simplify_cells=True)["fit"]["m"] == pytest.approx(joint.data["m"])
+    for name in ("picture", "profiles", "material", "parameters"):
+        assert joint.path(name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_derivatives_of_every_law_are_those_of_differences(name):
+    curve = law_curve(name, speeds=False)
+    shape = np.array([each.start for each in LAWS[name].shape])
+    exact = curve(shape, tuple(range(len(shape))))
+    for k in range(len(shape)):
+        up, down = shape.copy(), shape.copy()
+        up[k], down[k] = 1.002 * shape[k], shape[k] / 1.002
+        rise = (curve(up).values - curve(down).values) / (up[k] - down[k])
+        scale = np.abs(exact.jacobian[:, k]).max()
+        np.testing.assert_allclose(exact.jacobian[:, k], rise, atol=0.02 * scale)
+    curve.close()
+
+
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_forces_are_proportional_to_c_at_fixed_shape(name):
+    """What lets c move without a simulation."""
+    model = indentation_model(block.block_model(), schedule([0.9, 1.8]), c=C, f_kappa=100.0, m=2.0)
+    shape, forces = np.array([each.start for each in LAWS[name].shape]), []
+    for c in (0.008, 0.012):
+        curve = LawCurve(model, LAWS[name], c=c, density_kg_per_m3=1000.0, speeds=False)
+        forces.append(curve(shape).values)
+        curve.close()
+    np.testing.assert_allclose(forces[1], 1.5 * forces[0], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_laws_are_compared_by_what_they_did_not_see(case_and_out, tmp_path):
+    case, out = case_and_out
+    result = fit_joint(case, out=out, joint=JointOptions(compare_laws=True, max_solves=2))
+    errors = {row["law"]: row["held_out_depth_mm"] for row in result.data["laws"]}
+    assert errors["ogden"] < 0.5 * errors["mooney-rivlin"]
+    assert errors["ogden"] < 0.5 * errors["neo-hooke"]
+    assert list(errors.values()) == sorted(errors.values())
+    assert result.path("laws").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_elements_are_compared_and_the_mesh_is_named(case_and_out):
+    case, out = case_and_out
+    result = compare_elements(case, out=out)[0]
+    elements = result.data["elements"]
+    assert elements["tet4"]["f_kappa"] == pytest.approx(20.0, rel=0.02)
+    assert elements["tet10"]["n_unknowns"] > 5 * elements["tet4"]["n_unknowns"]
+    assert result.data["force_ratio_tet4_over_tet10"] > 1.5, "tet4 locks"
+    rise = result.data["force_rise_f_kappa_10_to_650"]
+    assert rise["tet4"] > 2 * rise["tet10"]
+    assert result.path("picture").stat().st_size > 0
+
+
+def test_wrong_choices_are_refused_with_a_fix():
+    with pytest.raises(CaseError, match="did you mean 'ogden'"):
+        law_named("ogdn")
+    with pytest.raises(CaseError, match="force or joint"):
+        check_choice("both", compare_element=False, solver="auto")
+    with pytest.raises(CaseError, match="reference solver does it"):
+        check_choice("joint", compare_element=False, solver="febio")
+
+
+def test_numerical_error_goes_with_element_and_size():
+    quadratic, linear = block.block_model("tet10"), block.block_model("tet4")
+    assert gain_deviation(linear, None) > 2 * gain_deviation(quadratic, None) > 0.0
+    assert gain_deviation(linear, 0.07) == 0.07
