@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"model", "case", "case_schema", "config", "units", "errors", "progress", "files", "results",
           "problems", "model_io"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
-ALLOWED = {
+ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},
     "materials": set(),
     "feb": {"materials"},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -64,19 +65,25 @@ for _name, _module in COMMANDS.items():
 def main(arguments: list[str] | None = None) -> None:
     """Run; every foreseen error becomes a message and its family's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
         report_error(error, as_json="--json" in arguments)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print(
-            "interrupted; nothing half-written was kept. The same command finishes the job.", file=sys.stderr
-        )
-        sys.exit(INTERRUPTED)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            text = "interrupted; nothing half-written was kept. The same command finishes the job."
+            print(text, file=sys.stderr)
+        raise
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    """A polite kill cleans up as Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def report_error(error: LimbError, *, as_json: bool) -> None:

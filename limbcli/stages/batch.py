@@ -117,7 +117,7 @@ class _Run:
         raw, options, common = self.case.raw, self.options, self._common()
         site = self.case.site(name)
         table = next(each for each in raw["site"] if each["name"] == name)
-        solver = {"solver": options.solver, "febio": options.febio}
+        solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
         measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
         templates = [options.templates] if options.templates else []
         steps: list[tuple[str, tuple[object, ...], Callable[[], object]]] = [

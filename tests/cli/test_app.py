@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -64,3 +65,26 @@ def test_unknown_option_is_a_usage_error():
     result = limbcli("segment", "x", "--nonsense")
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
+    code = (
+        "import sys, time; from pathlib import Path; from limbcli.cli import app, check;"
+        "from limbcli.files import atomic_folder\n"
+        "def slow(case, **_):\n"
+        "    with atomic_folder(case / 'stage') as work:\n"
+        "        (work / 'half').write_text('x'); print('ready', flush=True); time.sleep(60)\n"
+        "import limbcli.stages.check as module; module.check = slow\n"
+        f"app.main(['check', {str(tmp_path)!r}])"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(sent)
+    _, errors_text = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "interrupted" in errors_text
+    assert list(tmp_path.iterdir()) == []
