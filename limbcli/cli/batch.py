@@ -39,7 +39,8 @@ def command(
     """All stages of one or more cases, from images to report; redoes only what changed.
 
     With one CASE, --out is its output folder; with several, the folder that holds
-    one output folder a case. The last line printed is the report of the last case.
+    one output folder a case, and an index page. The last line printed is the report
+    (of several cases, the index).
     """
     from limbcli.config import default_out
     from limbcli.stages.batch import BatchOptions
@@ -52,6 +53,12 @@ def command(
         entries.append(_one(case, target, options, progress, expect=expect, as_json=json))
     if json:
         emit_json([each for each, _ in entries])
+    if len(cases) > 1:
+        from limbcli.stages.report_index import report_index
+
+        index = report_index(out or default_out(cases[0]).parent, progress=progress)
+        if not json:
+            print(index.page)
     failed = [(entry["case"], code) for entry, code in entries if code]
     if failed:
         names = ", ".join(str(name) for name, _ in failed)

@@ -68,14 +68,22 @@ class CaseOutcome:
 def batch(
     folder: Path, *, out: Path, options: BatchOptions | None = None, progress: Progress = SILENT
 ) -> CaseOutcome:
-    """Run one case through all stages.
+    """Run one case through all stages; whatever fails is in the outcome and on its page.
 
     Raises
     ------
     CaseError
-        If the case folder itself cannot be used (no report can be made of it).
+        If there is no such folder.
     """
-    case = Case.open(folder)
+    from limbcli.stages.report_failure import report_failure
+
+    try:
+        case = Case.open(folder)
+    except CaseError as error:
+        if not folder.is_dir():
+            raise
+        page = report_failure(folder, error, out=out).path("page")
+        return CaseOutcome(folder, out, failures=[Failure("check", None, error)], report=page)
     return _Run(case, out, options or BatchOptions(), progress).all()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from limbcli.case import Case
-from limbcli.errors import MeshError
+from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage
 from limbcli.stages import batch as module
 from limbcli.stages.batch import BatchOptions, batch
@@ -99,3 +99,14 @@ def test_failure_is_tried_again_next_time(tmp_path: Path, calls: list[str]):
     assert calls == [*[f"{s} p2" for s in STAGES], "report"]
     assert not outcome.failures
     assert not (out / "mesh" / "p2" / "error.json").exists()
+
+
+def test_case_that_cannot_be_read_gets_a_page_and_a_mistyped_one_an_error(tmp_path: Path):
+    case = two_sites(tmp_path / "case")
+    (case / "p1.csv").unlink()
+    outcome = batch(case, out=tmp_path / "out")
+    assert [(each.stage, each.error.exit_code) for each in outcome.failures] == [("check", 2)]
+    assert outcome.report is not None
+    assert "p1.csv" in outcome.report.read_text(encoding="utf-8")
+    with pytest.raises(CaseError, match="there is no case folder"):
+        batch(tmp_path / "nowhere", out=tmp_path / "out")
