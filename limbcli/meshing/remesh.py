@@ -72,7 +72,7 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
 
 
-def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.015) -> Array:
+def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03) -> Array:
     """How far (mm) facets may leave the true surface: little under the probe, more far from it."""
     points = domain.skin.grid.points()
     beside = probe.distance_in_plan(points[..., 0], points[..., 1])
@@ -90,7 +90,7 @@ def _bend_limit(field: Field, sag: Array, far: float, *, least: float = 2.5) -> 
     return np.clip(limit, min(least, far), far)
 
 
-def _cleft_limit(domain: Domain, far: float, *, share: float = 2.6) -> Array:
+def _cleft_limit(domain: Domain, far: float, *, share: float = 4.0) -> Array:
     """Edge length allowed by narrow tissue or thin bone: `share` of half the width, on its middle."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
