@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import JsonOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.options import JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.synth_options import (
     CStiffOpt,
     FKappaOpt,
@@ -28,6 +28,17 @@ FolderArg = Annotated[Path, typer.Argument(metavar="DIR", help="Case folder to m
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Another seed is another subject.")]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if it is a synthetic subject.")]
 NameOpt = Annotated[str, typer.Option("--id", metavar="NAME", help="The subject's id.")]
+PlaceOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--site",
+        "-s",
+        metavar="NAME",
+        help="p1: at the back, by marker, across; p2: over the fibula, by position, along."
+        " May be repeated; default: p1.",
+        show_default=False,
+    ),
+]
 BareOpt = Annotated[bool, typer.Option("--no-measurement", help="Geometry only: levels.csv stays empty.")]
 
 
@@ -36,7 +47,7 @@ def command(
     seed: SeedOpt = 7,
     force: ForceOpt = False,
     name: NameOpt = "phantom",
-    site: SiteOpt = None,
+    site: PlaceOpt = None,
     no_measurement: BareOpt = False,
     c_kpa: CStiffOpt = 8.0,
     f_kappa: FKappaOpt = 80.0,
@@ -56,9 +67,8 @@ def command(
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
     from limbcli.phantom.protocol import Protocol
-    from limbcli.phantom.subject import PLACES
     from limbcli.stages.indent import KnownTissue
-    from limbcli.stages.phantom import PhantomOptions, phantom
+    from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
     from limbcli.stages.synth import SynthOptions
 
     plan = SynthOptions(
@@ -75,7 +85,7 @@ def command(
     options = PhantomOptions(
         seed=seed,
         subject_id=name,
-        site_names=tuple(site) if site else tuple(each.name for each in PLACES),
+        site_names=tuple(site) if site else USUAL_SITES,
         element=element or "tet10",
         synth=None if no_measurement else plan,
     )

@@ -42,11 +42,12 @@ from limbcli.stages.synth import (
 
 TRUTH = "truth"
 LABELS = "labels.nii.gz"
+USUAL_SITES = ("p1",)
 
 
 @dataclass(frozen=True)
 class PhantomOptions:
-    """What to make. voxel : mm; site_names : some of `subject.PLACES`.
+    """What to make. voxel : mm; site_names : some of `subject.PLACES` (one keeps a trial short).
 
     element : that case.toml asks for; synth : how to simulate and measure, None for a case
     without measurements (its seed is this one's); noise : what case.toml states, before the
@@ -56,7 +57,7 @@ class PhantomOptions:
     seed: int = 7
     subject_id: str = "phantom"
     voxel: tuple[float, float, float] = (1.0, 1.0, 4.0)
-    site_names: tuple[str, ...] = tuple(each.name for each in PLACES)
+    site_names: tuple[str, ...] = USUAL_SITES
     element: str = "tet10"
     noise: NoiseLaw = field(default_factory=NoiseLaw)
     synth: SynthOptions | None = field(default_factory=SynthOptions)

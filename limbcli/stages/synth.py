@@ -31,8 +31,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.stages.indent import KnownTissue, indent
 
-# Between simulated depths, mm, and residual: far below what noise hides, or as good as it gets.
-_SPACING, _FINE_SPACING = 1.5, 1.0
+# Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
 
 Alter = Callable[[LimbModel], LimbModel]
@@ -174,7 +173,6 @@ def _measure_site(
         protocol=options.protocol,
         window=options.window,
         density_kg_per_m3=site.density_kg_per_m3,
-        spacing=_FINE_SPACING if options.noise == 0 else _SPACING,
         tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
         progress=progress,
     )

@@ -12,7 +12,7 @@ from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
 
-BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), synth=None)
+BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), site_names=("p1", "p2"), synth=None)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from limbcli.stages.synth import SynthOptions, synth, truth_file
 
 TISSUE = KnownTissue(c_kpa=6.0, f_kappa=20.0, m=6.0)
 EXACT = SynthOptions(
-    tissue=TISSUE, noise=0.0, same_mesh=True, element="tet4", protocol=Protocol(max_force=12.0, hold=1.0)
+    tissue=TISSUE, noise=0.0, same_mesh=True, element="tet4", protocol=Protocol(max_force=10.0, hold=1.0)
 )
 
 
@@ -55,7 +55,7 @@ def test_depths_begin_closely_and_end_where_asked():
 @pytest.mark.slow
 def test_levels_are_the_force_steps_and_speeds_start_at_the_ground_modulus(exact):
     levels = read_levels(exact / "p1" / "levels.csv")
-    assert levels.force == pytest.approx(2.0 * np.arange(7), abs=1e-9)
+    assert levels.force == pytest.approx(2.0 * np.arange(6), abs=1e-9)
     assert np.all(np.diff(levels.depth) > 0)
     assert levels.swe_mean_m_per_s[0] == pytest.approx(np.sqrt(3.0), rel=1e-4)
     assert np.all(np.diff(levels.swe_mean_m_per_s) > 0.02)
@@ -67,7 +67,7 @@ def test_levels_are_the_force_steps_and_speeds_start_at_the_ground_modulus(exact
 def test_truth_lies_beside_the_new_case_and_not_in_it(exact):
     truth = tomllib.loads(truth_file(exact).read_text())
     assert truth["tissue"] == {"c_kpa": 6.0, "f_kappa": 20.0, "m": 6.0}
-    assert truth["site"][0]["force_n"][-1] == 12.0
+    assert truth["site"][0]["force_n"][-1] == 10.0
     assert not list(exact.rglob("*truth*"))
     assert Case.open(exact).sites[0].noise.depth == 0.0
 
