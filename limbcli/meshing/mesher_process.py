@@ -80,6 +80,7 @@ def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Ar
         nobisect=True,
         quiet=True,
         nowarning=True,
+        nomergefacet=True,
         opt_max_flip_level=9,
         opt_scheme=7,
         opt_iterations=5,

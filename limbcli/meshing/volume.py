@@ -124,7 +124,7 @@ def _with_tetgen(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str
         except MeshError as error:
             tale.append(error.what)
             continue
-        found = _improved(raw, graded.surface.faces, graded.labels, domain)
+        found = _improved(raw, *labelled_boundary(raw, graded, domain), domain)
         score = _score(found, probe)
         if best is None or score > best[0]:
             best = score, found
@@ -133,6 +133,29 @@ def _with_tetgen(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str
     if best is None:
         raise MeshError(tale.pop(), where="volume mesh", fix="ask for a finer mesh (--size-mm)")
     return best[1]
+
+
+def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: Domain) -> tuple[IntArray, IntArray]:
+    """The cells' own boundary faces and their labels.
+
+    TetGen may turn edges between facets in one plane; such faces are named by their place.
+    """
+    faces = boundary_faces(raw.cells)
+    base = len(raw.points)
+    ours, theirs = (_face_keys(each, base) for each in (graded.surface.faces, faces))
+    order = np.argsort(ours)
+    at = np.minimum(np.searchsorted(ours[order], theirs), len(ours) - 1)
+    same = ours[order][at] == theirs
+    labels = np.where(same, graded.labels[order[at]], 0)
+    if not same.all():
+        labels[~same] = face_labels(Triangles(raw.points, faces[~same]), domain)
+    return faces, labels
+
+
+def _face_keys(faces: IntArray, base: int) -> IntArray:
+    """One number for each face, the same for the same three nodes in any order."""
+    a, b, c = np.sort(faces, axis=1).T
+    return (a * base + b) * base + c
 
 
 def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Domain) -> VolumeMesh:

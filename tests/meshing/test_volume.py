@@ -7,11 +7,14 @@ import pytest
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.meshing import mesher_process, volume
-from limbcli.meshing.domain import Domain
+from limbcli.meshing.distance import Field, Grid
+from limbcli.meshing.domain import CUT, SKIN, Domain
+from limbcli.meshing.mending import Plane
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.remesh import Sizes
-from limbcli.meshing.surfaces import join
+from limbcli.meshing.remesh import Boundary, Sizes
+from limbcli.meshing.surfaces import Triangles, join
+from limbcli.meshing.tetrahedra import Tetrahedra
 
 PROBE = ProbeShape(40.0, 14.0, 3.0)
 
@@ -72,6 +75,23 @@ def test_poor_cells_lead_to_the_next_way(monkeypatch):
     found = volume.mesh_volume(empty_domain(), PROBE, Sizes(2.0, 8.0))
     assert calls == [2.0, 1.5]
     assert "smallest dihedral angle only" in found.notes[0]
+
+
+def test_turned_edges_on_a_cut_are_named_by_their_place():
+    """A square cut face whose diagonal the mesher turned keeps the label of the cut."""
+    square = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [5, 5, -8]])
+    cells = np.array([[0, 1, 4, 2], [0, 2, 4, 3]])
+    sides = [each for each in volume.boundary_faces(cells).tolist() if 4 in each]
+    ours = np.array([[0, 1, 3], [1, 2, 3], *sides])
+    grid = Grid(np.full(3, -20.0), 10.0, (5, 5, 5))
+    far = Field(grid, np.full((5, 5, 5), -100.0))
+    domain = Domain(far, None, (Plane(np.array([0.0, 0, 1]), 0.0),), ())
+    graded = Boundary(Triangles(square, ours), np.array([CUT, CUT, SKIN, SKIN, SKIN, SKIN]))
+    faces, labels = volume.labelled_boundary(Tetrahedra(square, cells, "TetGen"), graded, domain)
+    assert len(faces) == 6
+    flat = (square[faces][:, :, 2] == 0).all(axis=1)
+    assert (labels[flat] == CUT).all()
+    assert flat.sum() == 2
 
 
 def test_boundary_of_two_cells_is_six_outward_faces():
