@@ -14,6 +14,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.history import Histories
+from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
 from limbcli.fem.system import Forces, State, System
 from limbcli.model import LimbModel, Step
@@ -148,11 +149,12 @@ class Analysis:
                 state, forces = self._solve(aim, reached, level, known, aim == target, patient=last)
                 if aim == target:
                     state, forces = self._augmented(state, forces, level)
-            except NotConverged:
+            except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 newton.counts.retries += 1
-                if last or 0.5 * (begin + aim) <= begin:
-                    raise
+                newton.inverse = None if isinstance(error, SingularMatrix) else newton.inverse
+                if last or 0.5 * (begin + aim) <= begin or _hopeless(error, reached):
+                    raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 newton.slow, known = np.inf, None
                 newton.system.recall(reached[-1].hints)
@@ -222,6 +224,29 @@ class Analysis:
     def close(self) -> None:
         if self._newton is not None:
             self._newton.close()
+
+
+def _hopeless(error: SolveError, reached: list[State]) -> bool:
+    """No factor of the unloaded tissue: shorter steps will not give one."""
+    return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0
+
+
+def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> SolveError:
+    """The error with the level it belongs to."""
+    if isinstance(error, NotConverged):
+        return error
+    cause = (
+        "a part of the tissue, or a rigid body, can move freely"
+        if n_reached == 0
+        else "the tissue is losing its stability: a cell is about to turn inside out, or contact was lost"
+    )
+    return SolveError(
+        f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm): {error.what}",
+        where=f"{error.where}; {cause}",
+        fix=error.fix if n_reached == 0 else "use more load steps; look at the mesh and the supports",
+        level=level.number,
+        depth=level.depth,
+    )
 
 
 def extrapolate(system: System, reached: list[State], time: float) -> State:

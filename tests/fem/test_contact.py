@@ -1,0 +1,202 @@
+"""Contact with a rigid body: exact tangent, balance, FEBio's own forces, free and tied bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_models import block, punch
+
+from limbcli.errors import SolveError
+from limbcli.feb.read import read_feb
+from limbcli.feb.records import read_records
+from limbcli.fem.analysis import Analysis
+from limbcli.fem.contact import make_pairs
+from limbcli.fem.newton import Settings
+from limbcli.fem.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
+from limbcli.fem.system import State, System
+from limbcli.fem.tangent import assemble
+from limbcli.model import Drive, LimbModel, RigidBody, Spring, Support
+
+QUICK = Settings(tolerance=1e-8, threads=1)
+
+
+def free_probe(model: LimbModel) -> LimbModel:
+    return replace(model, drives=(Drive("probe", "z", "force", -0.01, "ramp"),))
+
+
+def on_a_spring(model: LimbModel) -> LimbModel:
+    """The base tied to a bone that hangs on a spring; all of the bone's motions free."""
+    bone = RigidBody("bone", (6.0, 5.0, -8.0), node_sets=("z0",))
+    ground = RigidBody("ground", (6.0, 5.0, -30.0))
+    spring = Spring("support", "ground", "bone", 0.05, (6.0, 5.0, -20.0), (6.0, 5.5, -8.0), 12.0)
+    held = tuple(Drive("ground", dof, "fixed") for dof in ("x", "y", "z", "u", "v", "w"))
+    return replace(
+        model,
+        bodies=(*model.bodies, bone, ground),
+        springs=(spring,),
+        supports=(),
+        drives=model.drives + held,
+    )
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+@pytest.mark.parametrize("change", [lambda m: m, free_probe, on_a_spring])
+def test_tangent_agrees_with_differences(kind: str, change, rng: np.random.Generator) -> None:
+    """With the non-symmetric contact terms, rotations of bodies, tied nodes and springs."""
+    system = System(change(punch(kind, (3, 2, 2))), threads=1)
+    state = system.prescribed(system.rest(), 0.1)
+    step = 2e-2 * rng.standard_normal(system.n_unknowns)
+    state = system.moved(state, step)
+    forces = system.forces(state)
+    assert forces.n_touching > 3
+    direction = rng.standard_normal(system.n_unknowns)
+    direction[system.n_tissue :] *= 0.1
+    exact = assemble(system, state, forces.nodal).times(state, direction)
+    h = 1e-7
+    up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
+    np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
+
+
+def test_probe_force_balances_the_base() -> None:
+    model = punch("tet4")
+    last = Analysis(model, QUICK).run()[-1]
+    base = last.forces.nodal[model.mesh.node_sets["z0"]].sum(axis=0)
+    assert last.forces.bodies[0, 2] < 0  # pressed down from outside
+    np.testing.assert_allclose(base + last.forces.bodies[0, :3], 0, atol=1e-6 * abs(base[2]))
+
+
+def test_force_control_is_the_inverse_of_displacement_control() -> None:
+    model = punch("tet4", depth=0.6)
+    pressed = Analysis(model, QUICK).run()[-1]
+    force = pressed.forces.bodies[0, 2]
+    drives = tuple(d for d in model.drives if d.dof != "z") + (Drive("probe", "z", "force", force, "ramp"),)
+    driven = Analysis(replace(model, drives=drives), QUICK).run()[-1]
+    assert driven.state.bodies[0].shift[2] == pytest.approx(pressed.state.bodies[0].shift[2], rel=1e-5)
+
+
+def test_turned_scene_gives_turned_force(rng: np.random.Generator) -> None:
+    """Everything rotated, probe and its way too: the force rotates with it."""
+    model = punch("tet4", (3, 2, 2), depth=0.4, levels=1)
+    Q = rotation_matrix(np.array([0.4, -0.3, 0.2]))
+    center = np.array(model.bodies[0].center_of_mass)
+    body = replace(model.bodies[0], center_of_mass=tuple(Q @ center))
+    way = Q @ np.array([0.0, 0.0, model.drives[-1].value])
+    drives = tuple(Drive("probe", d, "displacement", float(way[k]), "ramp") for k, d in enumerate("xyz"))
+    drives += tuple(Drive("probe", d, "fixed") for d in "uvw")
+    mesh = replace(model.mesh, points=model.mesh.points @ Q.T)
+    turned = replace(model, mesh=mesh, bodies=(body,), drives=drives)
+    # facets with normals off the axes get another automatic penalty: give both a plain one
+    plain = replace(model.contacts[0], auto_penalty=False, penalty=0.05)
+    first, second = (
+        Analysis(replace(m, contacts=(plain,)), QUICK).run()[-1].forces.bodies[0] for m in (model, turned)
+    )
+    np.testing.assert_allclose(second[:3], Q @ first[:3], atol=1e-5 * abs(first[2]))
+
+
+def test_rotation_vector_inverts_rotation_matrix() -> None:
+    vector = np.array([0.3, -0.7, 0.2])
+    np.testing.assert_allclose(rotation_vector(rotation_matrix(vector)), vector, atol=1e-14)
+
+
+def test_spring_is_in_balance_and_pulls() -> None:
+    model = on_a_spring(punch("tet4"))
+    system = System(model, threads=1)
+    both = {b.name: (b, BodyState(np.array([0.0, 0.0, 0.1]), np.eye(3))) for b in system.bodies}
+    both["ground"] = (both["ground"][0], BodyState(np.zeros(3), np.eye(3)))
+    on_a, on_b, _ = spring_forces(model.springs[0], both)
+    np.testing.assert_allclose(on_a[:3], -on_b[:3])
+    line = np.array([0.0, 0.5, 12.1])
+    tension = 0.05 * (np.linalg.norm(line) - 12.0)
+    np.testing.assert_allclose(on_b[:3], -tension * line / np.linalg.norm(line), rtol=1e-12)
+
+
+def test_one_and_two_threads_agree() -> None:
+    one, two = (
+        Analysis(
+            punch("tet10", (3, 2, 2), depth=0.3, levels=1), replace(QUICK, tolerance=1e-11, threads=n)
+        ).run()[-1]
+        for n in (1, 2)
+    )
+    np.testing.assert_allclose(one.state.u, two.state.u, atol=1e-9)
+    assert one.forces.bodies[0, 2] == pytest.approx(two.forces.bodies[0, 2], rel=1e-9)
+
+
+def test_probe_without_contact_that_is_free_is_named() -> None:
+    model = punch("tet4", (2, 2, 2))
+    points = model.mesh.points.copy()
+    points[-4:, 2] += 3.0  # lifted off the skin
+    drives = tuple(d for d in model.drives if d.dof != "z") + (Drive("probe", "z", "force", -0.1, "ramp"),)
+    lifted = replace(model, mesh=replace(model.mesh, points=points), drives=drives)
+    with pytest.raises(SolveError, match="'probe' moves freely along 'z'"):
+        Analysis(lifted, QUICK).run()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"two_pass": True}, "two_pass"),
+        ({"friction": 0.3}, "fric_coeff"),
+        ({"more": {"tension": "1"}}, "tension"),
+        ({"secondary": "contact"}, "not part of one rigid body"),
+    ],
+)
+def test_contact_that_is_not_supported_is_named(change: dict, word: str) -> None:
+    model = punch("tet4", (2, 2, 2))
+    model = replace(model, contacts=(replace(model.contacts[0], **change),))
+    system = System(replace(model, contacts=()), threads=1)
+    with pytest.raises(SolveError, match=word):
+        make_pairs(model, system.groups, system.bodies)
+
+
+def test_facets_need_cells_behind_them() -> None:
+    model = punch("tet4", (2, 2, 2))
+    other = block("tet4", (2, 2, 2), (12.0, 10.0, 8.0)).mesh.blocks[0]
+    mesh = replace(model.mesh, blocks=(replace(other, cells=other.cells[:6]), model.mesh.blocks[1]))
+    with pytest.raises(SolveError, match="no cell behind"):
+        System(replace(model, mesh=mesh, supports=(Support("z1", ("x", "y", "z")),)), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("folder", "tolerance"),
+    [
+        ("punch-tet4", 1e-8),
+        ("punch-tet4-penalty-x10", 1e-8),
+        ("punch-tet4-tilt7", 1e-8),
+        ("punch-tet10-quarter", 1e-8),
+        ("punch-tet10-deep", 1e-8),
+        ("effect-map", 1e-8),
+        ("effect-skin", 1e-8),
+        ("effect-fibre", 1e-8),
+        ("effect-contraction", 1e-8),
+        ("punch-tet10-tilt7", 1e-5),
+        ("punch-tet4-feb-probe", 1e-3),  # lines that meet two facets at once: FEBio keeps an earlier one
+    ],
+)
+def test_force_from_febios_displacements_is_febios(golden: Path, folder: str, tolerance: float) -> None:
+    """The contact law alone, point by point: force and moments from the logged displacements."""
+    model = read_feb(next((golden / folder).glob("model.feb*")))
+    nodes = next((golden / folder).glob("nodes.csv*"))
+    if nodes.suffix == ".gz":
+        import gzip
+
+        text = gzip.decompress(nodes.read_bytes()).decode()
+        table = np.array(
+            [line.split(",") for line in text.splitlines() if not line.startswith("*")], dtype=float
+        )
+        time = float(next(line for line in text.splitlines() if line.startswith("*Time")).split("=")[1])
+    else:
+        found = read_records(nodes)
+        table, time = np.column_stack([found.ids, found.values[-1]]), found.times[-1]
+    body = read_records(golden / folder / "rigid_body.csv")
+    expected = body.values[np.argmin(abs(body.times - time))][0, 6:12]
+    system = System(model, threads=1)
+    system.at(time)
+    state = system.prescribed(system.rest(), time)
+    u = state.u.copy()
+    u[: len(table)] = table[:, 1:4]
+    ours = system.forces(system._followed(State(time, u, state.bodies))).bodies[0]
+    np.testing.assert_allclose(ours[:3], expected[:3], atol=tolerance * abs(expected[2]))
+    np.testing.assert_allclose(ours[3:], expected[3:], atol=100 * tolerance * abs(expected[2]))
