@@ -112,6 +112,7 @@ def test_truth_is_recovered_from_exact_data(stand_in):
     assert found.chi_square < 0.05
 
 
+@pytest.mark.slow
 def test_speeds_and_a_second_site_narrow_the_interval(stand_in):
     rng = np.random.default_rng(7)
     one = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
@@ -136,6 +137,7 @@ def test_what_cannot_be_seen_stays_open(stand_in):
     assert not found.profiles["m"].open_high
 
 
+@pytest.mark.slow
 def test_an_uncertain_gain_widens_what_the_force_says(stand_in):
     rng = np.random.default_rng(7)
     sure = measurement(stand_in, c=C0, f_kappa=4.0, m=4.0, rng=rng)
@@ -147,6 +149,7 @@ def test_an_uncertain_gain_widens_what_the_force_says(stand_in):
     assert lows[1] < 0.8 * lows[0]
 
 
+@pytest.mark.slow
 def test_held_out_levels_prefer_the_law_that_made_the_data(stand_in):
     data = measurement(stand_in, c=C0, f_kappa=50.0, m=7.0, rng=np.random.default_rng(7))
     full, best = joint_fit(task(stand_in, [data]), STARTS, max_solves=6)

@@ -11,7 +11,7 @@ from scipy.io import loadmat
 
 from limbcli.errors import CaseError
 from limbcli.feb.settings import schedule
-from limbcli.stages.fit import check_choice
+from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint, gain_deviation
@@ -128,9 +128,9 @@ def test_laws_are_compared_by_what_they_did_not_see(case_and_out, tmp_path):
 @pytest.mark.slow
 def test_elements_are_compared_and_the_mesh_is_named(case_and_out):
     case, out = case_and_out
-    result = compare_elements(case, out=out)[0]
+    result = compare_elements(case, out=out, options=FitOptions(tolerance=0.05))[0]
     elements = result.data["elements"]
-    assert elements["tet4"]["f_kappa"] == pytest.approx(20.0, rel=0.02)
+    assert elements["tet4"]["f_kappa"] == pytest.approx(20.0, rel=0.05)
     assert elements["tet10"]["n_unknowns"] > 5 * elements["tet4"]["n_unknowns"]
     assert result.data["force_ratio_tet4_over_tet10"] > 1.5, "tet4 locks"
     rise = result.data["force_rise_f_kappa_10_to_650"]
