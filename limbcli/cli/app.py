@@ -33,6 +33,7 @@ COMMANDS = {
     "build-feb": "build_feb",
     "run": "run",
     "fit": "fit",
+    "diagnose": "diagnose",
     "report": "report",
     "batch": "batch",
     "phantom": "phantom",

@@ -20,7 +20,7 @@ from limbcli.diagnostics.blindspots import BlindSpot, blind_spot
 from limbcli.diagnostics.calibrate import N_DRAWS, Family, score_family
 from limbcli.diagnostics.explain import Refit, best_pairs, compare, joint_trial
 from limbcli.diagnostics.groups import PREFIX, group_trials, predicted_without
-from limbcli.diagnostics.heldout import held_out_error
+from limbcli.diagnostics.heldout import fell, held_out_error
 from limbcli.diagnostics.linear import Linearised, Whitener
 from limbcli.diagnostics.nextstep import NextStep, rank_proposals
 from limbcli.diagnostics.placebo import library_percentile, placebo_percentile
@@ -236,13 +236,12 @@ class _Run:
 
     def _is_closed(self, refit: Refit) -> bool:
         before, after = held_out_error(self.data, self.base), held_out_error(self.data, refit.fitted)
-        fell = "all" not in before or "all" not in after or after["all"] < before["all"]
-        if not fell or self._percentile(refit) <= CLOSED_PERCENTILE:
+        if not fell(before, after) or self._percentile(refit) <= CLOSED_PERCENTILE:
             return False
         return len(refit.explanation) == 1 or self._library_percentile(refit) > CLOSED_PERCENTILE
 
     def _library_percentile(self, refit: Refit) -> float:
-        """The placebos of an explanation by several effects are picked out of as many combinations as it was."""
+        """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
         n, size = len(self.trials), len(refit.explanation)
         n_parameters = refit.fitted.jacobian.shape[1] - self.base.jacobian.shape[1]
         return library_percentile(

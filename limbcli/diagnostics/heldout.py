@@ -9,13 +9,15 @@ import numpy as np
 from limbcli.diagnostics.bench import Data, Fitted, Mask
 from limbcli.model import Array
 
+_TOO_WIDE = 3.0
+
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     """Root mean square of (held-out data - prediction) / deviation, block by block, and over all.
 
     Each block is left out in turn, the parameters (the effects' too) are refitted to the rest
-    to first order about the full fit, and the block is predicted. A block that holds all
-    that tells a parameter is skipped.
+    to first order about the full fit, and the block is predicted. A block that holds what tells
+    a parameter, so that the rest predicts it no better than to three deviations, is skipped.
     """
     residual = data.y - fitted.prediction
     covariance, J = data.noise.covariance, fitted.jacobian
@@ -25,13 +27,28 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
         keep = ~mask
         inverse = np.linalg.inv(covariance[np.ix_(keep, keep)])
         normal = J[keep].T @ inverse @ J[keep]
-        step = np.linalg.lstsq(normal, J[keep].T @ inverse @ residual[keep], rcond=1e-10)[0]
+        spread = np.einsum("ij,jk,ik->i", J[mask], np.linalg.pinv(normal, rcond=1e-14), J[mask])
+        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > _TOO_WIDE:
+            continue
+        step = np.linalg.lstsq(normal, J[keep].T @ inverse @ residual[keep], rcond=1e-14)[0]
         error = (residual[mask] - J[mask] @ step) / data.deviation[mask]
         found[name] = float(np.sqrt(np.mean(error**2)))
         squares.append(error**2)
     if squares:
         found["all"] = float(np.sqrt(np.mean(np.concatenate(squares))))
     return found
+
+
+def fell(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Whether the error fell, over the blocks that both models can predict; True where there are none.
+
+    >>> fell({"a": 2.0, "b": 1.0, "all": 1.6}, {"a": 1.0, "all": 1.0})
+    True
+    """
+    both = [name for name in before if name in after and name != "all"]
+    if not both:
+        return True
+    return sum(after[name] ** 2 for name in both) < sum(before[name] ** 2 for name in both)
 
 
 def _usable(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:

@@ -1,0 +1,53 @@
+"""`limbcli diagnose CASE`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.terminal import emit, terminal
+
+
+def command(
+    case: CaseArg,
+    out: OutOpt = None,
+    site: SiteOpt = None,
+    effects: Annotated[
+        list[str] | None,
+        typer.Option("--effects", metavar="NAME", help="Only this effect (may be repeated); default: all."),
+    ] = None,
+    effect_file: Annotated[
+        Path | None,
+        typer.Option("--effect-file", metavar="FILE", help="An effect of your own.", show_default=False),
+    ] = None,
+    max_effects: Annotated[int, typer.Option(min=1, max=3, help="Effects added in turn, at most.")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 7,
+    size_mm: Annotated[float, typer.Option("--size-mm", help="Working mesh under the probe.")] = 5.0,
+    far_size_mm: Annotated[float, typer.Option("--far-size-mm", help="Working mesh far from it.")] = 14.0,
+    interventions: Annotated[
+        bool, typer.Option(help="Try crop and contact first (a few more simulations).")
+    ] = True,
+    templates: TemplatesOpt = None,
+    json: JsonOpt = False,
+    quiet: QuietOpt = False,
+    verbose: VerboseOpt = 0,
+) -> None:
+    """Where model and measurement disagree, what is missing, and what to measure next."""
+    from limbcli.case import Case
+    from limbcli.config import default_out
+    from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+
+    options = DiagnoseOptions(
+        effects=tuple(effects or ()), effect_file=effect_file, max_effects=max_effects, seed=seed,
+        size=size_mm, far_size=far_size_mm, templates=templates, interventions=interventions,
+    )  # fmt: skip
+    progress = terminal(quiet=quiet, verbose=verbose)
+    emit(
+        diagnose(
+            Case.open(case), out=out or default_out(case), sites=site, options=options, progress=progress
+        ),
+        as_json=json,
+    )

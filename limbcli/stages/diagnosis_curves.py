@@ -1,0 +1,317 @@
+"""Simulated curves of a site for any law and effects: solved once, kept on disk, told by their ingredients.
+
+Stiffnesses are shares of c, so that force and modulus are proportional to c: one
+reference c is solved. A diagnosis works on a mesh coarser than the site's own; where the site's
+own mesh was run, the ratio of the two corrects force and speed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.effects.base import Effect, Theta
+from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
+from limbcli.effects.reading import Curves
+from limbcli.effects.tissue import thickness
+from limbcli.effects.waves import log_speed
+from limbcli.errors import LimbError, MeasurementError, SolveError
+from limbcli.feb.settings import schedule
+from limbcli.files import atomic_file
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.swe_prediction import Window, predict_map
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.reference import ReferenceSession
+from limbcli.stages.fit_curves import with_tissue
+from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
+
+Ingredients = tuple[tuple[Effect, Theta], ...]
+_CENTER = ("x", "y", "z")
+_GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
+_FILE = "windows.csv"
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The scanner's region cut into parts: the whole of it first, then `across` x `down` cells."""
+
+    window: Window = field(default_factory=Window)
+    across: int = 3
+    down: int = 3
+
+    @property
+    def depths(self) -> Array:
+        """Middle of each part below the face (mm), the whole first."""
+        w = self.window
+        edges = np.linspace(w.depth_from, w.depth_to, self.down + 1)
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        return np.concatenate([[0.5 * (w.depth_from + w.depth_to)], np.repeat(middles, self.across)])
+
+    def names(self) -> list[str]:
+        sides = ["left", "middle", "right"] if self.across == 3 else [str(k) for k in range(self.across)]
+        levels = ["shallow", "mid-depth", "deep"] if self.down == 3 else [str(k) for k in range(self.down)]
+        return ["whole", *(f"{depth} {side}" for depth in levels for side in sides)]
+
+    def members(self, places: Array, face: float) -> list[IntArray]:
+        """The cells, at `places` (n_cells, 3) mm, in every part of the window below a face at this height."""
+        w, depth = self.window, face - places[:, 2]
+        near = (np.abs(places[:, 0]) <= w.half_width) & (np.abs(places[:, 1]) <= 2 * w.elevation)
+        near &= (depth >= w.depth_from) & (depth <= w.depth_to)
+        part = self._part(places[:, 0], depth)
+        return [
+            np.flatnonzero(near),
+            *(np.flatnonzero(near & (part == k)) for k in range(self.across * self.down)),
+        ]
+
+    def _part(self, lateral: Array, depth: Array) -> IntArray:
+        w = self.window
+        column = np.floor((lateral + w.half_width) / (2 * w.half_width + 1e-9) * self.across)
+        row = np.floor((depth - w.depth_from) / (w.depth_to - w.depth_from + 1e-9) * self.down)
+        return np.asarray(row * self.across + column).astype(np.int64)
+
+    def log_means(self, swe: SweMap) -> tuple[Array, Array]:
+        """ln of the mean speed and the pixel count of every part: (1 + across * down,) each."""
+        part = self._part(swe.lateral, swe.depth)
+        means, counts = [np.log(swe.speed_m_per_s.mean())], [len(swe)]
+        for k in range(self.across * self.down):
+            inside = part == k
+            counts.append(int(inside.sum()))
+            means.append(np.log(swe.speed_m_per_s[inside].mean()) if inside.sum() >= 4 else np.nan)
+        return np.array(means), np.array(counts)
+
+
+def _volumes(model: LimbModel) -> Array:
+    """(n_cells,) mm^3 of the tissue's tetrahedra or hexahedra (by their corners)."""
+    block = model.mesh.solid_blocks[0]
+    x = model.mesh.points[block.cells]
+    parts: tuple[tuple[int, int, int, int], ...] = ((0, 1, 2, 3),)
+    if block.kind == "hex8":
+        parts = ((0, 1, 3, 4), (1, 2, 3, 6), (1, 3, 4, 6), (1, 4, 5, 6), (3, 4, 6, 7))
+    total = np.zeros(len(x))
+    for a, b, c, d in parts:
+        total += (
+            np.abs(np.linalg.det(np.stack([x[:, b] - x[:, a], x[:, c] - x[:, a], x[:, d] - x[:, a]], axis=1)))
+            / 6
+        )
+    return total
+
+
+class CurveBook:
+    """Curves of one site on one working mesh.
+
+    Parameters
+    ----------
+    meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
+    c : MPa, the reference stiffness; keep : folder of curves already solved
+    """
+
+    def __init__(
+        self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
+        density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
+        progress: Progress = SILENT, tolerance: float = 1e-5, threads: int = 2,
+    ):  # fmt: skip
+        plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
+        model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
+        self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + _first_cell(model)
+        self.near = window_cells(model, depths[-1]) - _first_cell(model)
+        record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
+        self.model = replace(model, records=(*model.records[:1], record))
+        self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
+        self.keep, self.progress = keep, progress
+        self.tolerance, self.threads = tolerance, threads
+        self.n_solves = 0
+        self._session: ReferenceSession | None = None
+        self._known: dict[str, Curves] = {}
+        self._kinematics: dict[str, Kinematics] = {}
+        self._fingerprint = _fingerprint(self.model, depths, c, f_kappa, windows)
+
+    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
+        """The curves with exponent m and these effects (at their parameter values) in the model.
+
+        Raises
+        ------
+        SolveError
+            If the simulation fails; the failure is remembered too.
+        """
+        key = self._key(m, ingredients)
+        if key not in self._known:
+            self._known[key] = self._load(key) or self._solve(key, m, ingredients)
+        return self._known[key]
+
+    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
+        """To first order, what effects of the law add to ln force (n,) and ln speed (n, n_parts).
+
+        From the deformation solved without them: no simulation. At depth 0 the force's share is that
+        of the first level.
+        """
+        kinematics = self.kinematics(m)
+        plain, changed = self.model_with(m, ()), self.model_with(m, ingredients)
+        ratio = frozen_force(changed, kinematics)[1:] / frozen_force(plain, kinematics)[1:]
+        if not np.all(ratio > 0):
+            raise SolveError("the effect turns the force's sign", where="diagnose", fix="smaller steps")
+        speeds = [frozen_speed(each, kinematics, density_kg_per_m3=self.density) for each in (changed, plain)]
+        added = np.log(ratio)
+        return np.concatenate([added[:1], added]), speeds[0] - speeds[1]
+
+    def kinematics(self, m: float) -> Kinematics:
+        """The deformation of every tissue cell in the model without effects."""
+        key = self._key(m, ())
+        if key not in self._kinematics:
+            self.curves(m)
+            if key not in self._kinematics and self.keep is not None:
+                self._kinematics[key] = self._load_kinematics(key)
+        return self._kinematics[key]
+
+    def model_with(self, m: float, ingredients: Ingredients, *, c: float | None = None) -> LimbModel:
+        model = with_tissue(self.model, c=c or self.c, f_kappa=self.f_kappa, m=m)
+        for effect, theta in ingredients:
+            model = effect.apply(model, theta)
+        return model
+
+    def close(self) -> None:
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    # ------------------------------------------------------------
+
+    def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
+        self.n_solves += 1
+        model = self.model_with(m, ingredients)
+        same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
+        try:
+            session = self._shared() if same_mesh else self._fresh(model)
+            try:
+                result = session.solve(model, records=True)
+            finally:
+                if not same_mesh:
+                    session.close()
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
+            ) from error
+        table = result.simulation.elements[_FILE]
+        found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
+        offset = float(model.info.get("depth_offset_mm", 0.0))
+        curves = self._read(
+            model, result.must_points.depths + offset, result.must_points.forces, table.values[found]
+        )
+        if not ingredients:
+            self._kinematics[key] = self._deformation(model, curves.depth, table.values[found])
+            self._store_deformation(key, table.values[found])
+        self._store(key, curves)
+        return curves
+
+    def _deformation(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
+        n = len(self.cells)
+        F = np.concatenate([np.broadcast_to(np.eye(3), (1, n, 3, 3)), values[:, :, 3:].reshape(-1, n, 3, 3)])
+        places = np.concatenate([_centers(model, self.cells)[None], values[:, :, :3]])
+        parts = [self.windows.members(at, -d) for at, d in zip(places, depth, strict=True)]
+        return Kinematics(depth, F, _volumes(model), tuple(zip(*parts, strict=True)))
+
+    def _store_deformation(self, key: str, values: Array) -> None:
+        if self.keep is not None:
+            with atomic_file(self.keep / f"{key}-cells.npz") as path:
+                np.savez(path, values=values.astype(np.float32))
+
+    def _load_kinematics(self, key: str) -> Kinematics:
+        assert self.keep is not None
+        with np.load(self.keep / f"{key}-cells.npz") as stored:
+            values = stored["values"].astype(float)
+        return self._deformation(self.model, self._known[key].depth, values)
+
+    def _shared(self) -> ReferenceSession:
+        if self._session is None:
+            self._session = self._fresh(self.model)
+        return self._session
+
+    def _fresh(self, model: LimbModel) -> ReferenceSession:
+        return ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, threads=self.threads)
+
+    def _read(self, model: LimbModel, depths: Array, forces: Array, values: Array) -> Curves:
+        rest = np.zeros((len(self.near), 12))
+        rest[:, :3] = _centers(model, self.cells)[self.near]
+        rest[:, [3, 7, 11]] = 1.0
+        rows = [self._speeds(model, 0.0, rest)]
+        rows += [self._speeds(model, d, table[self.near]) for d, table in zip(depths, values, strict=True)]
+        return Curves(
+            np.concatenate([[0.0], depths]), np.concatenate([[0.0], forces]), np.array(rows),
+            self.windows.depths, thickness(model),
+        )  # fmt: skip
+
+    def _speeds(self, model: LimbModel, depth: float, table: Array) -> Array:
+        F = table[:, 3:].reshape(-1, 3, 3)
+        speed = np.exp(log_speed(model, TISSUE, F, self.near, density_kg_per_m3=self.density))
+        try:
+            swe = predict_map(table[:, :3], speed, face_height=-depth, window=self.windows.window)
+        except MeasurementError:
+            return np.full(len(self.windows.depths), np.nan)
+        return self.windows.log_means(swe)[0]
+
+    def _key(self, m: float, ingredients: Ingredients) -> str:
+        parts = [
+            [effect.name, {k: round(float(v), 9) for k, v in sorted(theta.items())}]
+            for effect, theta in ingredients
+        ]
+        text = json.dumps([self._fingerprint, round(m, 9), parts], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+    def _load(self, key: str) -> Curves | None:
+        if self.keep is None:
+            return None
+        path = self.keep / f"{key}.npz"
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path) as stored:
+                return Curves(
+                    stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
+                    float(stored["thickness"]),
+                )  # fmt: skip
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def _store(self, key: str, curves: Curves) -> None:
+        if self.keep is None:
+            return
+        with atomic_file(self.keep / f"{key}.npz") as path:
+            np.savez(
+                path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
+                window_depth=curves.window_depth, thickness=curves.thickness,
+            )  # fmt: skip
+
+
+def _touches_loads(effect: Effect) -> bool:
+    """Contact, supports and bodies are set up with a session; only materials may change in it."""
+    return effect.name in ("friction", "contact", "crop", "support-motion")
+
+
+def _first_cell(model: LimbModel) -> int:
+    first = 0
+    for block in model.mesh.blocks:
+        if block.is_solid:
+            return first
+        first += len(block.cells)
+    return first
+
+
+def _centers(model: LimbModel, cells: IntArray) -> Array:
+    block = model.mesh.solid_blocks[0]
+    return np.asarray(model.mesh.points[block.cells].mean(axis=1)[cells - _first_cell(model)])
+
+
+def _fingerprint(
+    model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows
+) -> str:
+    digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
+    digest.update(json.dumps([[round(float(d), 6) for d in depths], c, f_kappa, repr(windows)]).encode())
+    return digest.hexdigest()[:16]
+
+
+__all__ = ["CurveBook", "Ingredients", "LimbError", "Windows"]

@@ -1,0 +1,242 @@
+"""The measurement of a site as the diagnosis takes it: stacked channels, their noise, their parts.
+
+Depth is the noisy reading, force and speeds are compared at the measured depth; its error then
+moves force, speeds and travel of a level together, which the covariance holds:
+residual of the force -K e_d, of ln speed -s e_d, of the travel -e_d (K, s: measured slopes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.case import Noise as StatedNoise
+from limbcli.diagnostics.bench import Data
+from limbcli.diagnostics.noise import Noise, NoisePart, common, independent
+from limbcli.effects.reading import Curves, Protocol, Reading, read
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.model import Array, IntArray
+from limbcli.stages.diagnosis_curves import Windows
+
+COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
+MAP_ERROR = 0.03  # of a part's mean speed: the model's resolution (assumed)
+TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
+THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
+_PIXELS_PER_CELL = 9.0  # pixels that a smoothing of 3 mm makes one
+_FEWEST_SPEEDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One datum: channel, level, part of the window (or -1)."""
+
+    channel: str
+    level: int
+    part: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class SiteData:
+    """What was measured at one site, and how a prediction is laid out beside it."""
+
+    name: str
+    protocol: Protocol
+    rows: tuple[Row, ...]
+    data: Data
+    channels: tuple[str, ...] = ()
+    missing: tuple[str, ...] = field(default=())
+
+    def predict(self, curves: Curves, reading: Reading) -> Array:
+        """The prediction (n,) of every datum."""
+        shown = read(curves, self.protocol, reading)
+        out = np.empty(len(self.rows))
+        for k, row in enumerate(self.rows):
+            if row.channel == "force":
+                out[k] = shown.force[row.level]
+            elif row.channel in ("swe", "map"):
+                out[k] = shown.log_speed[row.level, row.part]
+            elif row.channel == "travel":
+                out[k] = shown.travel[row.level]
+            else:
+                out[k] = shown.thickness
+        return out
+
+
+def site_data(
+    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
+    model_error: list[tuple[str, Array, Array]] | None = None,
+) -> SiteData:  # fmt: skip
+    """Stack the channels that this measurement has.
+
+    model_error : (name, error of ln force (n_levels,), of ln speed (n_levels, n_parts)): known
+        differences between meshes, each one deviation of a common unknown
+    """
+    keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
+    protocol = Protocol(levels.force[keep], levels.depth[keep], levels.hold[keep])
+    rows, y, own = _force(protocol, noise)
+    for more in (
+        _speeds(levels, keep, noise, windows, maps),
+        _travel(levels, keep),
+        _skin_bone(levels, keep),
+    ):
+        rows, y, own = rows + more[0], y + more[1], own + more[2]
+    parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, model_error or [])
+    channel = tuple(row.channel for row in rows)
+    order = np.array([float(row.level) for row in rows])
+    data = Data(
+        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, len(keep), windows), _blocks(rows)
+    )
+    present = tuple(dict.fromkeys(channel))
+    extra = ("swe",) if "map" in present else ()
+    held = ("hold",) if np.nanmax(np.append(protocol.hold, 0.0)) > 0 else ()
+    channels = (*present, *extra, *held)
+    wanted = ("force", "swe", "map", "travel", "skin-bone", "hold")
+    return SiteData(
+        name, protocol, tuple(rows), data, channels, tuple(c for c in wanted if c not in channels)
+    )
+
+
+Stacked = tuple[list[Row], list[float], list[float]]
+
+
+def _force(protocol: Protocol, noise: StatedNoise) -> Stacked:
+    """Every level but those at 0 N and 0 mm, which are so by definition."""
+    used = [k for k in range(len(protocol)) if protocol.force[k] != 0.0 or protocol.depth[k] != 0.0]
+    return (
+        [Row("force", k) for k in used],
+        [float(protocol.force[k]) for k in used],
+        [noise.force] * len(used),
+    )
+
+
+def _speeds(
+    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None
+) -> Stacked:
+    rows: list[Row] = []
+    y: list[float] = []
+    own: list[float] = []
+    if maps is not None and len(maps) == len(levels):
+        for level, number in enumerate(keep.tolist()):
+            means, counts = windows.log_means(maps[number])
+            for part in range(1, len(means)):
+                if np.isfinite(means[part]):
+                    rows.append(Row("map", level, part))
+                    y.append(float(means[part]))
+                    independent_cells = max(counts[part] / _PIXELS_PER_CELL, 1.0)
+                    own.append(
+                        float(np.hypot(MAP_ERROR, noise.swe_pixel_fraction / np.sqrt(independent_cells)))
+                    )
+        return rows, y, own
+    speeds = levels.swe_mean_m_per_s[keep]
+    if np.isfinite(speeds).sum() < _FEWEST_SPEEDS:
+        return rows, y, own
+    for level in np.flatnonzero(np.isfinite(speeds)).tolist():
+        pixels = levels.swe_pixels[int(keep[level])]
+        cells = max(pixels / _PIXELS_PER_CELL, 1.0) if np.isfinite(pixels) else 1.0
+        rows.append(Row("swe", int(level), 0))
+        y.append(float(np.log(speeds[level])))
+        own.append(float(np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(cells))))
+    return rows, y, own
+
+
+def _travel(levels: Levels, keep: IntArray) -> Stacked:
+    travel = levels.probe_travel[keep]
+    used = [int(k) for k in np.flatnonzero(np.isfinite(travel))]
+    return [Row("travel", k) for k in used], [float(travel[k]) for k in used], [TRAVEL_DEVIATION] * len(used)
+
+
+def _skin_bone(levels: Levels, keep: IntArray) -> Stacked:
+    first = levels.skin_bone[int(keep[0])] if len(keep) else np.nan
+    if not np.isfinite(first):
+        return [], [], []
+    return [Row("skin-bone", 0)], [float(first)], [THICKNESS_DEVIATION]
+
+
+def _noise(
+    protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
+    model_error: list[tuple[str, Array, Array]],
+) -> list[NoisePart]:  # fmt: skip
+    source = noise.source
+    parts = [independent("measurement: own error of each reading", own, source=source)]
+    slope = depth_slopes(protocol, rows, y)
+    levels = np.array([row.level for row in rows])
+    exact = [k for k in range(len(protocol)) if protocol.force[k] == 0.0 and protocol.depth[k] == 0.0]
+    by_depth = np.zeros((len(rows), len(rows)))
+    for level in range(len(protocol)):
+        direction = np.where((levels == level) & (level not in exact), slope, 0.0) * noise.depth
+        by_depth += np.outer(direction, direction)
+    parts.append(NoisePart("measurement: depth, in all channels of a level", by_depth, source))
+    is_map = np.array([row.channel == "map" for row in rows])
+    if is_map.any():
+        common_to_level = np.zeros((len(rows), len(rows)))
+        for level in range(len(protocol)):
+            direction = np.where(is_map & (levels == level), noise.swe_level_fraction, 0.0)
+            common_to_level += np.outer(direction, direction)
+        parts.append(NoisePart("measurement: speeds of a level", common_to_level, source))
+    speeds = np.array([row.channel in ("swe", "map") for row in rows], dtype=float)
+    if speeds.any():
+        parts.append(common("gain of all speeds", COMMON_GAIN * speeds, source="assumed"))
+    for name, log_force, log_speed in model_error:
+        parts.append(common(name, _model_direction(rows, y, log_force, log_speed), source="computed"))
+    return parts
+
+
+def _model_direction(rows: tuple[Row, ...], y: Array, log_force: Array, log_speed: Array) -> Array:
+    out = np.zeros(len(rows))
+    for k, row in enumerate(rows):
+        if row.channel == "force":
+            out[k] = y[k] * log_force[row.level]
+        elif row.channel in ("swe", "map"):
+            out[k] = np.nan_to_num(log_speed[row.level, row.part])
+    return out
+
+
+def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
+    """How each datum changes with depth (n,), from smooth curves through the measured values."""
+    out = np.zeros(len(rows))
+    groups: dict[tuple[str, int], list[int]] = {}
+    for k, row in enumerate(rows):
+        groups.setdefault((row.channel, row.part), []).append(k)
+    for (channel, _), members in groups.items():
+        depth = protocol.depth[[rows[k].level for k in members]]
+        if channel == "travel":
+            out[members] = 1.0
+        elif channel != "skin-bone" and len(members) >= 3 and np.ptp(depth) > 0:
+            degree = 2 if channel == "force" and len(members) > 3 else 1
+            curve = np.polynomial.Polynomial.fit(depth, y[members], degree)
+            slope = curve.deriv()(depth)
+            out[members] = np.maximum(slope, 0.0) if channel == "force" else slope
+    return out
+
+
+def _groups(rows: list[Row], n_levels: int, windows: Windows) -> dict[str, np.ndarray]:
+    """Channels; thirds of the levels by channel; parts of the window."""
+    groups: dict[str, np.ndarray] = {}
+    names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
+             "skin-bone": "skin-bone distance"}  # fmt: skip
+    level = np.array([row.level for row in rows])
+    for channel in dict.fromkeys(row.channel for row in rows):
+        mask = np.array([row.channel == channel for row in rows])
+        groups[names[channel]] = mask
+        if channel in ("force", "swe", "map"):
+            for k, label in enumerate(("first", "middle", "last")):
+                third = (level * 3 // max(n_levels, 1)) == k
+                groups[f"{names[channel]}, {label} third of the levels"] = mask & third
+    for part, label in enumerate(windows.names()):
+        mask = np.array([row.channel == "map" and row.part == part for row in rows])
+        if mask.any() and part:
+            groups[f"speed maps, {label}"] = mask
+    return groups
+
+
+def _blocks(rows: list[Row]) -> dict[str, np.ndarray]:
+    level = np.array([row.level for row in rows])
+    blocks = {f"levels {k + 1}, {k + 4}, ...": level % 3 == k for k in range(3)}
+    channels = list(dict.fromkeys(row.channel for row in rows))
+    if len(channels) > 1:
+        for channel in channels:
+            if channel in ("swe", "map", "force"):
+                blocks[f"channel {channel}"] = np.array([row.channel == channel for row in rows])
+    return blocks

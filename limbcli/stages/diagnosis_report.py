@@ -1,0 +1,131 @@
+"""The diagnosis as plain data, and its pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from limbcli.diagnostics.groups import PREFIX
+from limbcli.diagnostics.nextstep import best_step
+from limbcli.diagnostics.score import Direction
+from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.effects.base import Effect
+from limbcli.stages.diagnosis_data import SiteData
+
+
+def diagnosis_json(found: Diagnosis, site: SiteData, effects: dict[str, Effect]) -> dict[str, Any]:
+    """Everything, with plain values; units in the keys."""
+    family = found.family
+    where = [
+        {"part": t.name.removeprefix(PREFIX), "p": t.p, "p_adjusted": t.p_adjusted,
+         "z_rms_predicted_from_the_rest": _z_rms(found, t.name)}
+        for t in family.tests if t.name.startswith(PREFIX)
+    ]  # fmt: skip
+    candidates = [
+        {"name": t.name, "sentence": found.facts[t.name].sentence, "kind": found.facts[t.name].kind,
+         "score": t.score.statistic, "p": t.p, "p_adjusted": t.p_adjusted,
+         "estimate": _estimate(t.score.direction, t.score.eta, effects.get(t.name)),
+         "at": t.score.direction.point}
+        for t in family.tests if t.name in found.facts
+    ]  # fmt: skip
+    best = best_step(found.next_steps)
+    return {
+        "site": site.name,
+        "verdict": found.verdict,
+        "reason": found.reason,
+        "noise": {
+            "is_relative": found.relative,
+            "parts": site.data.noise.provenance(),
+            "scatter_over_stated": found.roughness.ratio if found.roughness else None,
+        },
+        "channels": list(site.channels),
+        "channels_missing": list(site.missing),
+        "overall": vars(family.overall) if family.overall else None,
+        "where": where,
+        "candidates": sorted(candidates, key=lambda c: (c["p_adjusted"], -c["score"])),
+        "refits": [_refit(each) for each in found.refits],
+        "confidence_set": [list(each) for each in found.confidence_set],
+        "look_alike_cosines": dict(found.angles),
+        "added": list(found.chosen),
+        "gap_closed": found.closed,
+        "shrink": [{**vars(stage), "chi2_per_nu": stage.chi2_per_nu} for stage in found.shrink],
+        "blind_spots": [
+            {**vars(spot), "undetectable_at_typical_size": spot.is_undetectable, "matters": spot.matters}
+            for spot in found.blind_spots
+        ],
+        "next_measurement": {
+            "recommended": best[0] if best else None,
+            "power_for_its_worst_pair": best[1] if best else None,
+            "menu": [vars(step) for step in found.next_steps],
+        },
+        "not_evaluated": dict(found.not_evaluated),
+        "left_out": dict(found.left_out),
+        "seed": found.seed,
+    }
+
+
+def _estimate(direction: Direction, eta: np.ndarray, effect: Effect | None) -> dict[str, float]:
+    """First-order estimates as parameter values (null + eta)."""
+    null = effect.null if effect else {}
+    return {n: float(null.get(n, 0.0) + x) for n, x in zip(direction.names, eta, strict=True)}
+
+
+def _refit(refit: Any) -> dict[str, Any]:
+    return {
+        "explanation": list(refit.explanation), "chi2": refit.state.chi2, "nu": refit.state.nu,
+        "smallest_adjusted_p_left": refit.family.smallest, "deviance_gap": refit.gap,
+        "deviance_gap_allowed": refit.gap_allowed, "values": dict(refit.fitted.values),
+        "at_bound": list(refit.fitted.at_bound), "in_set": refit.in_set,
+    }  # fmt: skip
+
+
+def gap_picture(found: Diagnosis, site: SiteData, path: Path) -> None:
+    """Measured minus predicted over depth, in deviations, before and after, channel by channel."""
+    channels = [c for c in ("force", "swe", "map", "travel") if c in site.data.channel]
+    figure = Figure(figsize=(4.2 * len(channels), 3.6), layout="constrained")
+    axes = figure.subplots(1, len(channels), squeeze=False)[0]
+    depth = np.array([site.protocol.depth[row.level] for row in site.rows])
+    stages = [(found.base, "base model", "#7a7a7a", "o")]
+    if found.shrink and len(found.shrink) > 1:
+        last = found.shrink[-1].explanation
+        final = next(r.fitted for r in found.refits if r.explanation == last)
+        stages.append((final, "with " + " + ".join(last), "#0072b2", "s"))
+    for ax, channel in zip(axes, channels, strict=True):
+        mask = np.array([each == channel for each in site.data.channel])
+        ax.axhspan(-2, 2, color="#eef1f4", zorder=0)
+        ax.axhline(0, color="#22303c", lw=0.8)
+        for fitted, label, color, marker in stages:
+            z = (site.data.y - fitted.prediction)[mask] / site.data.deviation[mask]
+            ax.plot(depth[mask], z, marker, ms=4, color=color, label=label, alpha=0.85)
+        ax.set_xlabel("depth (mm)")
+        ax.set_title({"force": "force", "swe": "mean wave speed", "map": "wave-speed map",
+                      "travel": "probe travel"}[channel])  # fmt: skip
+    axes[0].set_ylabel("measured - predicted\n(standard deviations)")
+    axes[0].legend(fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def candidates_picture(found: Diagnosis, path: Path) -> None:
+    """Adjusted p of every candidate, and how visible it is here."""
+    tests = sorted((t for t in found.family.tests if t.name in found.facts), key=lambda t: -t.p_adjusted)
+    figure = Figure(figsize=(8.4, 0.28 * max(len(tests), 4) + 1.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = [t.name for t in tests]
+    color = ["#d55e00" if t.p_adjusted < 0.05 else "#9aa5b1" for t in tests]
+    left.barh(names, [-np.log10(max(t.p_adjusted, 1e-6)) for t in tests], color=color)
+    left.axvline(-np.log10(0.05), color="#22303c", lw=0.8, ls="--")
+    left.set_xlabel("-log10 of adjusted p (dashed: 0.05)")
+    spots = {spot.name: spot for spot in found.blind_spots}
+    sizes = [min(spots[n].detectable_times_typical, 10.0) if n in spots else np.nan for n in names]
+    right.barh(names, sizes, color="#56b4e9")
+    right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
+    right.set_xlabel("size seen with 80 % power\n(in plausible sizes; right of dashed: blind)")
+    figure.savefig(path, dpi=150)
+
+
+def _z_rms(found: Diagnosis, test: str) -> float | None:
+    z = found.held_out_z.get(test.removeprefix(PREFIX))
+    return z[0] if z else None
