@@ -27,6 +27,7 @@ from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
+_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
 
@@ -131,7 +132,7 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
     if len(uids) == 1:
         return ()
     kinds = Counter(_kind(dataset) for _, dataset in datasets)
-    if len(uids) == len(datasets) and len(kinds) == 1:
+    if len(kinds) == 1 and len(uids) > _OWN_UIDS * len(datasets):
         return ("every image has a Series Instance UID (0020,000E) of its own; taken as one series",)
     if len(uids) == len(datasets):
         listed = ", ".join(

@@ -14,6 +14,7 @@ from limbcli.model import Array
 SHADING_LENGTH = 25.0  # mm: the bias field of a coil varies over more than this
 _WORK_SPACING = 3.0  # mm: the field is estimated on a coarse grid
 _ROUNDS = 8
+_DEEP = 12.0  # mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +82,10 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> Levels:
     floor = 0.3 * np.median(coarse[inside])
     use = inside & (coarse > floor)
     log_signal = np.log(np.maximum(coarse, floor))
-    split = otsu(log_signal[use])
-    levels = np.array(
-        [
-            np.median(log_signal[use & (log_signal < split)]),
-            np.median(log_signal[use & (log_signal >= split)]),
-        ]
-    )
-    field = np.zeros_like(log_signal)
+    field = _slope(log_signal, use & _deep(inside, volume.spacing * step))
+    split = otsu((log_signal - field)[use])
+    low, high = use & (log_signal - field < split), use & (log_signal - field >= split)
+    levels = np.array([np.median((log_signal - field)[each]) for each in (low, high)])
     for _ in range(_ROUNDS):
         flat = log_signal - field
         fat = np.abs(flat - levels[1]) < np.abs(flat - levels[0])
@@ -102,6 +99,30 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> Levels:
     values = (volume.values / (shading * muscle)).astype(np.float32)
     fat_ratio = float(np.exp(levels[1] - levels[0]))
     return Levels(values=values, muscle_signal=muscle, fat=fat_ratio, noise=_noise(values, limb))
+
+
+def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
+    """Voxels well under the skin, most of which are muscle."""
+    within_slices = [spacing[0], spacing[1], 1e6]
+    return np.asarray(ndimage.distance_transform_edt(inside, sampling=within_slices) > _DEEP)
+
+
+def _slope(log_signal: Array, use: NDArray[np.bool_]) -> Array:
+    """A plane through most of the values (least absolute deviations, by reweighting); 0 where too few."""
+    if use.sum() < 50:
+        return np.zeros_like(log_signal)
+    where = np.moveaxis(np.indices(log_signal.shape), 0, -1).reshape(-1, 3) / np.array(log_signal.shape)
+    terms = np.column_stack([np.ones(len(where)), where])
+    chosen, values = terms[use.ravel()], log_signal[use]
+    weight = np.ones(len(values))
+    plane = np.zeros(4)
+    for _ in range(15):
+        root = np.sqrt(weight)
+        plane, *_ = np.linalg.lstsq(chosen * root[:, None], values * root, rcond=None)
+        weight = 1.0 / np.maximum(np.abs(values - chosen @ plane), 0.05)
+    plane[0] = 0.0
+    field = (terms @ plane).reshape(log_signal.shape)
+    return np.asarray(field - np.median(field[use]))
 
 
 def _block_mean(values: NDArray, step: NDArray[np.int_]) -> NDArray[np.float64]:

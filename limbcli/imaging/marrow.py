@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.measure import regionprops
 from skimage.morphology import disk
 from skimage.segmentation import watershed
 
@@ -18,6 +19,7 @@ from limbcli.model import Array
 _DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker
 _RING = 3.0  # mm: the ring is looked for this far out
 _SURE, _LIKELY = 0.75, 0.5  # share of the ring that is dark
+_ROUND, _CONVEX = 0.6, 0.85  # mean share of the ring and of the convex hull of a track less sure
 _LEAST_AREA = 8.0  # mm^2 of marrow in a slice
 _LARGEST = 0.5  # share of the limb's section that marrow can fill
 _LEAST_LENGTH = 12.0  # mm along the limb
@@ -34,6 +36,7 @@ class Candidate:
     box: tuple[slice, slice]
     mask: NDArray[np.bool_]
     enclosed: float
+    solidity: float
 
 
 def find_marrow(
@@ -58,9 +61,9 @@ def find_marrow(
     """
     smooth = ndimage.gaussian_filter(levels.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
     parts = np.zeros(limb.shape, np.int32)
-    scores = [0.0]
+    scores = [(0.0, 0.0)]
     for candidate in _candidates(smooth, levels, limb, spacing):
-        scores.append(candidate.enclosed)
+        scores.append((candidate.enclosed, candidate.solidity))
         region = parts[*candidate.box, candidate.k]
         region[candidate.mask] = len(scores) - 1
     tracks = _tracks(parts, np.array(scores), spacing)
@@ -94,7 +97,8 @@ def _candidates(
                 continue
             enclosed = _dark_share(filled, ring_values[wide], in_plane)
             if enclosed >= _LIKELY:
-                yield Candidate(k, (wide[0], wide[1]), filled, enclosed)
+                solidity = float(regionprops(filled.astype(np.uint8))[0].solidity)
+                yield Candidate(k, (wide[0], wide[1]), filled, enclosed, solidity)
 
 
 def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: Array) -> float:
@@ -109,15 +113,20 @@ def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: A
 
 
 def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDArray[np.bool_]]:
-    """Candidates that follow each other along the limb, joined; surely enclosed somewhere."""
+    """Candidates that follow each other along the limb, joined: surely enclosed somewhere, or
+    well enclosed and convex throughout. scores (n, 2): enclosed share and solidity by number.
+    """
     linked, _ = ndimage.label(parts > 0)
     tracks = []
     for number, box in enumerate(ndimage.find_objects(linked), 1):
         here = linked[box] == number
         length = (box[2].stop - box[2].start) * spacing[2]
         members = np.unique(parts[box][here])
-        sure = (scores[members] >= _SURE).mean()
-        if length >= _LEAST_LENGTH and sure >= 0.3:
+        members = members[members > 0]
+        enclosed, solidity = scores[members].T
+        good = (enclosed >= _SURE).mean() >= 0.3
+        good |= enclosed.mean() >= _ROUND and solidity.mean() >= _CONVEX
+        if length >= _LEAST_LENGTH and good:
             track = np.zeros(parts.shape, bool)
             track[box] = here
             tracks.append(track)

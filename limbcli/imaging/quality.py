@@ -57,6 +57,9 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> Quality:
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
     turned = _ends_proximally(limb)
     judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
+    figures["n_bones"] = len(names)
+    if len(names) == 1:
+        remarks.append((1, "only one bone was found (right for a thigh; a lower leg has two)"))
     allowed = np.zeros(limb.shape, bool)
     for name, bone in zip(names, found.bones, strict=True):
         allowed |= bone.values

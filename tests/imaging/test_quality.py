@@ -97,3 +97,9 @@ def test_a_limb_upside_down_is_seen(good):
     bones = tuple(each.with_values(each.values & values) for each in good.bones)
     quality = assess(replace(good, skin=good.skin.with_values(values), bones=bones), NAMES)
     assert any("upside down" in finding for finding in quality.findings)
+
+
+def test_a_single_bone_is_remarked_on(good):
+    quality = assess(replace(good, bones=good.bones[:1]), NAMES[:1])
+    assert quality.verdict == "check"
+    assert any("one bone" in finding for finding in quality.findings)
