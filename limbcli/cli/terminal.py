@@ -89,7 +89,7 @@ def emit(results: StageResult | Sequence[StageResult], *, as_json: bool) -> None
     for each in several:
         print(f"{each.stage}{' ' + each.site if each.site else ''}: {each.folder}")
         emit_lines(each.summary)
-        emit_lines((f"warning: {text}" for text in each.warnings))
+        emit_lines(f"warning: {text}" for text in each.warnings)
 
 
 def emit_lines(lines: Iterable[str]) -> None:

@@ -172,5 +172,6 @@ def _regions(dataset: object) -> tuple[Region, ...]:
                 "RegionLocationMaxY1",
             )
         ]
-        found.append(Region(*corners, dx, dy))
+        left, top, right, bottom = corners
+        found.append(Region(left, top, right, bottom, dx, dy))
     return tuple(found)
