@@ -21,6 +21,7 @@ from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
+_SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
 _EASY = 3  # iterations up to which the next stride may be longer
 
@@ -153,7 +154,7 @@ class Analysis:
                 cuts += 1
                 newton.counts.retries += 1
                 newton.inverse = None if isinstance(error, SingularMatrix) else newton.inverse
-                if last or 0.5 * (begin + aim) <= begin or _hopeless(error, reached):
+                if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 newton.slow, known = np.inf, None
@@ -162,7 +163,7 @@ class Analysis:
             used = newton.counts.iterations - before
             cuts = 0
             easy = _EASY + (2 if aim == target else 0)
-            if aim - begin >= self._stride * (1 - 1e-6) and used <= easy:
+            if aim - begin >= 0.6 * self._stride and used <= easy:
                 self._stride *= 1.5
             reached.append(state)
             if self._histories is not None:

@@ -40,7 +40,7 @@ class Settings:
     threads: int = 2
     single: bool | None = None
     renew_ratio: float = 0.1
-    max_krylov: float = 12.0
+    max_krylov: float = 8.0
 
 
 @dataclass
@@ -173,7 +173,7 @@ class Newton:
                 return replace(state, hints=system.hints()), forces
             if iteration == settings.max_iterations:
                 break
-            if not patient and iteration >= 3 and forces.error > 0.5 * first:
+            if not patient and _too_long(iteration, forces.error, first):
                 raise self.failure(state, forces, level, iteration, "the step is too long")
             self.counts.iterations += 1
             step = self.direction(state, forces, renew, target)
@@ -257,6 +257,12 @@ class Newton:
         if self.linear is not None:
             self.linear.close()
         self.system.close()
+
+
+def _too_long(iteration: int, error: float, first: float) -> bool:
+    """Whether a step that has come this far is better given up and halved."""
+    running_away = iteration >= 3 and error > max(0.5 * first, 0.15)
+    return running_away or (iteration >= 10 and error > 1e-2)
 
 
 def _coupled(system: System) -> Array:
