@@ -99,16 +99,40 @@ def test_nothing_identifying_is_written(segmented):
         assert b"Jane" not in content, path.name
 
 
-def test_a_label_map_replaces_the_automatic_segmentation(segmented, series, tmp_path):
+@pytest.fixture(scope="module")
+def from_labels(segmented, series, tmp_path_factory):
+    """A run on the label map of the run before it, with a site at the first marker."""
     _, first, _ = segmented
-    case = case_with(tmp_path, mri=series, labels=first.path("labels"))
-    result = segment(case, out=tmp_path)
-    assert result.data["source"] == "labels"
-    assert any("label map" in line for line in result.summary)
+    folder = tmp_path_factory.mktemp("from-labels")
+    site = Site(
+        name="p1",
+        position=None,
+        marker=1,
+        long_axis="transverse",
+        levels=folder / "levels.csv",
+        trace=None,
+        swe_maps=None,
+        density_kg_per_m3=1000.0,
+        noise=Noise(),
+    )
+    case = replace(case_with(folder, mri=series, labels=first.path("labels")), sites=(site,))
+    return segment(case, out=folder)
+
+
+def test_a_label_map_replaces_the_automatic_segmentation(segmented, from_labels):
+    _, first, _ = segmented
+    assert from_labels.data["source"] == "labels"
+    assert any("label map" in line for line in from_labels.summary)
     for name, volume in first.data["volume_cm3"].items():
-        assert result.data["volume_cm3"][name] == pytest.approx(volume, rel=0.06)
-    first_markers, markers = ([each["position_mm"] for each in r.data["markers"]] for r in (first, result))
-    np.testing.assert_allclose(markers, first_markers, atol=1.5)
+        assert from_labels.data["volume_cm3"][name] == pytest.approx(volume, rel=0.06)
+    places = [[each["position_mm"] for each in run.data["markers"]] for run in (first, from_labels)]
+    np.testing.assert_allclose(places[0], places[1], atol=1.5)
+
+
+def test_sites_get_the_thickness_of_their_fat(from_labels):
+    """The phantom's fat is 4 to 6 mm, thicker behind; skin 1.6 mm (see limbcli.phantom.anatomy)."""
+    assert 4.0 < from_labels.data["layers"]["p1"]["fat_mm"] < 8.0
+    assert any("fat" in line for line in from_labels.summary)
 
 
 def test_surfaces_of_the_case_reach_the_same_files(segmented, tmp_path):
@@ -185,26 +209,6 @@ def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_pat
     result = segment(case, out=out, fresh=True)
     assert result.data["source"] == "mri"
     assert bone_voxels(result) == bone_voxels(first)
-
-
-def test_sites_get_the_thickness_of_their_fat(segmented, series, tmp_path):
-    """The phantom's fat is 4 to 6 mm, thicker behind; skin 1.6 mm (see limbcli.phantom.anatomy)."""
-    _, first, _ = segmented
-    site = Site(
-        name="p1",
-        position=None,
-        marker=1,
-        long_axis="transverse",
-        levels=tmp_path / "levels.csv",
-        trace=None,
-        swe_maps=None,
-        density_kg_per_m3=1000.0,
-        noise=Noise(),
-    )
-    case = replace(case_with(tmp_path, labels=first.path("labels")), sites=(site,))
-    result = segment(case, out=tmp_path)
-    assert 4.0 < result.data["layers"]["p1"]["fat_mm"] < 8.0
-    assert any("fat" in line for line in result.summary)
 
 
 def test_a_label_map_without_bone_is_refused(segmented, tmp_path):
