@@ -73,14 +73,28 @@ def command(
     """Identify f_kappa and m of each site from its force-depth curve (c from SWE)."""
     from limbcli.case import Case
     from limbcli.config import default_out
-    from limbcli.stages.fit import FitOptions, fit
+    from limbcli.stages.fit import FitOptions, check_choice, fit
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation, tolerance=tolerance,
         max_iterations=max_iterations, intervals=intervals, templates=templates, time_limit_s=time_limit_s,
     )  # fmt: skip
+    check_choice(objective, compare_element=compare_element, solver=solver)
+    opened, folder = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
-    results = fit(
-        Case.open(case), out=out or default_out(case), sites=site, options=options, progress=progress
-    )
-    emit(results, as_json=json)
+    if compare_element:
+        from limbcli.stages.fit_elements import compare_elements
+
+        found = compare_elements(opened, out=folder, sites=site, options=options, progress=progress)
+        emit(found, as_json=json)
+    elif objective == "joint":
+        from limbcli.stages.fit_joint import JointOptions, fit_joint
+
+        joint = JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation)
+        one = fit_joint(opened, out=folder, sites=site, joint=joint, options=options, progress=progress)
+        emit(one, as_json=json)
+    else:
+        results = fit(
+            opened, out=folder, sites=site, solver=solver, febio=febio, options=options, progress=progress
+        )
+        emit(results, as_json=json)

@@ -1,0 +1,66 @@
+"""`limbcli fit`: what it refuses, with exit code and fix."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from limbcli.cli.app import main
+
+CASE = """
+format = 1
+[subject]
+id = "S1"
+limb = "left"
+[imaging]
+mri = "mri"
+[probe]
+name = "GE 9L"
+length_mm = 53.0
+width_mm = 14.0
+edge_radius_mm = 3.0
+[[site]]
+name = "p1"
+position_mm = [12.0, 48.5, -60.0]
+long_axis = "transverse"
+levels = "levels.csv"
+"""
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    (tmp_path / "mri").mkdir()
+    (tmp_path / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    (tmp_path / "case.toml").write_text(CASE)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "fix"),
+    [
+        ([], 2, "limbcli build-feb"),
+        (["--site", "p9"], 2, "the sites are: p1"),
+        (["--objective", "both"], 2, "use force or joint"),
+        (["--objective", "joint", "--solver", "febio"], 2, "reference solver does it"),
+        (["--objective", "joint", "--law", "mooney"], 2, "mooney-rivlin"),
+        (["--compare-element", "--solver", "febio"], 2, "leave --solver out"),
+        (["--objective", "joint"], 2, "limbcli build-feb"),
+        (["--compare-element"], 2, "limbcli build-feb"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_a_fix(case: Path, capsys, arguments, code, fix):
+    with pytest.raises(SystemExit) as stopped:
+        main(["fit", str(case), "--out", str(case / "out"), "--quiet", *arguments])
+    assert stopped.value.code == code
+    told = capsys.readouterr().err
+    assert fix in told
+    assert "Traceback" not in told
+    assert not list((case / "out").rglob("fit*.json"))
+
+
+def test_an_error_is_told_as_json_too(case: Path, capsys):
+    with pytest.raises(SystemExit):
+        main(["fit", str(case), "--out", str(case / "out"), "--json", "--objective", "both"])
+    content = json.loads(capsys.readouterr().out)
+    assert content["error"] == "CaseError"
+    assert content["exit_code"] == 2
