@@ -83,7 +83,7 @@ def segment(
     """
     progress.event("stage", name="segment")
     options = _Options(_checked(seeds, case), smooth, threshold, limb)
-    edited = None if fresh else _edited(out)
+    edited = None if fresh else edited_labels(out)
     with open_stage(out, "segment", subject=case.subject) as writer:
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
@@ -114,7 +114,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
     return tuple(seeds)
 
 
-def _edited(out: Path) -> Path | None:
+def edited_labels(out: Path) -> Path | None:
     """The label map in the output folder, if the user has changed it since it was written."""
     path = out / "segment" / LABELS
     if not path.is_file():
