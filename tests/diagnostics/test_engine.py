@@ -1,0 +1,131 @@
+"""The whole procedure on the linear toy: false alarms, right names, honest doubt."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.sentences import sentences
+
+
+def _module(name: str):
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+toy = _module("toy")
+
+
+def run(case, seed: int = 7, **more):
+    return diagnose(case, seed=seed, n_draws=1500, propose=False, **more)
+
+
+def test_nothing_missing_is_seldom_named(rng):
+    """At most 5 % + 2 standard errors of 40 data sets may be more than adequate."""
+    verdicts = Counter(run(toy.make(rng), seed=k).verdict for k in range(40))
+    assert verdicts["named"] + verdicts["ambiguous"] + verdicts["unexplained"] <= 40 * 0.05 + 2 * np.sqrt(
+        40 * 0.05 * 0.95
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("offset", 5.0), ("wave", 6.0), ("place", 12.0), ("guided", 30.0)]
+)
+def test_a_clear_effect_is_named_and_sized(rng, name, size):
+    found = run(toy.make(rng, {name: size}))
+    assert found.verdict == "named"
+    assert found.chosen == (name,)
+    assert abs(found.final.values[name] - size) < 0.3 * size
+    assert found.shrink[-1].chi2_per_nu < 2.0 < found.shrink[0].chi2_per_nu
+
+
+def test_twins_are_never_told_apart(rng):
+    found = run(toy.make(rng, {"toe": 12.0}))
+    assert found.verdict == "ambiguous"
+    assert {("toe",), ("twin-of-toe",)} <= set(found.confidence_set)
+    assert found.angles["toe / twin-of-toe"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_two_effects_are_found_together(rng):
+    found = run(toy.make(rng, {"offset": 6.0, "wave": 6.0}))
+    assert ("offset", "wave") in {tuple(sorted(each)) for each in found.confidence_set}
+
+
+def test_an_effect_outside_the_library_is_not_named(rng):
+    found = run(toy.make(rng, outside=6.0))
+    assert found.verdict in ("unexplained", "untestable")
+    assert found.chosen == ()
+
+
+def test_a_masked_effect_is_a_blind_spot(rng):
+    found = run(toy.make(rng, {"masked": 2.0}))
+    spot = next(each for each in found.blind_spots if each.name == "masked")
+    assert found.verdict == "adequate"
+    assert spot.visible_fraction < 0.1
+    assert spot.is_undetectable
+    assert spot.matters
+
+
+def test_assumed_noise_gets_no_absolute_test(rng):
+    found = run(toy.make(rng, source="assumed"))
+    assert found.relative
+    assert found.verdict == "untestable"
+    assert found.family.overall is None
+
+
+def test_assumed_noise_still_shows_a_strong_shape(rng):
+    found = run(toy.make(rng, {"offset": 14.0}, source="assumed", stated=3.0))
+    assert ("offset",) in found.confidence_set
+
+
+def test_understated_noise_is_recognised_by_its_scatter(rng):
+    found = run(toy.make(rng, sd=3.0))
+    assert found.roughness.ratio > 3.0
+    assert found.relative
+    assert found.verdict != "named"
+
+
+def test_a_failed_refit_is_not_evaluated(rng):
+    found = run(toy.make(rng, {"offset": 6.0}, failing="offset"))
+    assert "offset" in found.not_evaluated
+    assert found.verdict != "named"
+
+
+def test_the_same_seed_gives_the_same_answer(rng):
+    case = toy.make(rng, {"offset": 5.0})
+    first, second = run(case, seed=3), run(case, seed=3)
+    assert [t.p_adjusted for t in first.family.tests] == [t.p_adjusted for t in second.family.tests]
+    assert sentences(first) == sentences(second)
+
+
+def test_the_proposal_that_sees_the_difference_is_recommended(rng):
+    found = diagnose(toy.make(rng, {"toe": 12.0}), n_draws=1500)
+    assert found.next_steps[0].name == "look at the toe"
+    assert found.next_steps[0].power > 0.8
+    assert found.next_steps[0].power > found.next_steps[-1].power
+    assert any("Next measurement: sees toe" in line for line in sentences(found))
+
+
+@pytest.mark.slow
+def test_rates_over_many_data_sets(rng):
+    """Truth in the set >= 95 % (less 2 standard errors), named right >= 90 %, at twice the visible size."""
+    sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
+    right = wrong = inside = total = 0
+    for k in range(70):
+        name = list(sizes)[k % len(sizes)]
+        found = run(toy.make(rng, {name: sizes[name]}), seed=k)
+        if found.verdict == "named":
+            right, wrong = right + (found.chosen == (name,)), wrong + (found.chosen != (name,))
+        if found.confidence_set:
+            total, inside = total + 1, inside + ((name,) in found.confidence_set)
+    assert right / max(right + wrong, 1) >= 0.9
+    assert inside / total >= 0.95 - 2 * np.sqrt(0.95 * 0.05 / total)

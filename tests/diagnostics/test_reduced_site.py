@@ -1,0 +1,137 @@
+"""The site's bench on the reduced model: real effects, real readings, no simulation."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.sentences import sentences
+from limbcli.effects import EFFECTS, effect
+from limbcli.effects.reading import Reading
+from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_data import site_data
+from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+
+
+def _module(name: str):
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+reduced = _module("reduced")
+CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-scale", "swe-guided-wave",
+              "viscoelasticity", "poroelasticity", "support-motion")  # fmt: skip
+
+
+def bench(levels, names=CANDIDATES, **more) -> SiteBench:
+    book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
+    site = site_data("p1", levels, reduced.NOISE, windows=book.windows)
+    return SiteBench(site, book, [effect(name) for name in names])
+
+
+def levels(rng, ingredients=(), reading=None, **more):
+    book = reduced.ReducedBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03)
+    return reduced.measured(rng, ingredients, reading, book=book, **more)
+
+
+def run(measured, **more):
+    return diagnose(bench(measured, **more), n_draws=1500)
+
+
+def test_nothing_missing_is_adequate_and_recovers_the_tissue(rng):
+    found = run(levels(rng))
+    assert found.verdict == "adequate"
+    assert found.base.values["c_kpa"] == pytest.approx(6.5, rel=0.1)
+    assert found.base.values["m"] == pytest.approx(4.0, rel=0.25)
+
+
+def test_force_offset_is_named_and_the_tissue_comes_right(rng):
+    found = run(levels(rng, reading=Reading(force_zero=1.0)))
+    assert found.chosen == ("force-zero",)
+    assert found.final.values["force_zero_n"] == pytest.approx(1.0, abs=0.2)
+    truth = np.log(6.5)
+    before, after = np.log(found.base.values["c_kpa"]), np.log(found.final.values["c_kpa"])
+    assert abs(after - truth) < abs(before - truth)
+
+
+@pytest.mark.slow
+def test_guided_waves_are_named(rng):
+    found = run(levels(rng, reading=Reading(guided=1.0)))
+    assert ("swe-guided-wave",) in found.confidence_set
+
+
+@pytest.mark.slow
+def test_fibres_are_in_the_set(rng):
+    fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.5, "fibre_tension_per_c": 0.5}),)
+    found = run(levels(rng, fibres))
+    assert any("anisotropy" in each for each in found.confidence_set)
+
+
+@pytest.mark.slow
+def test_one_factor_on_all_speeds_stays_ambiguous_and_a_hold_would_tell(rng):
+    """Relaxation and another time scale of the waves do the same to these data; a recorded hold does not."""
+    found = run(levels(rng, reading=Reading(log_speed_shift=0.35)))
+    assert found.verdict == "ambiguous"
+    assert {("swe-time-scale",), ("viscoelasticity",)} <= set(found.confidence_set)
+    assert found.next_steps[0].name == "hold"
+    assert found.next_steps[0].power > 0.8
+
+
+def test_what_cannot_be_run_is_said(rng):
+    found = run(levels(rng))
+    assert "FEBio" in found.not_evaluated["poroelasticity"]
+    assert "travel" in found.not_evaluated["support-motion"]
+    assert any(line.startswith("Not evaluated:") for line in sentences(found))
+
+
+@pytest.mark.slow
+def test_json_and_pictures(rng, tmp_path):
+    the_bench = bench(levels(rng, reading=Reading(force_zero=1.0)))
+    found = diagnose(the_bench, n_draws=1500)
+    content = diagnosis_json(found, the_bench.site, the_bench.effects)
+    assert content["verdict"] == "named"
+    assert content["candidates"][0]["p_adjusted"] < 0.05
+    assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
+    gap_picture(found, the_bench.site, tmp_path / "gap.png")
+    candidates_picture(found, tmp_path / "candidates.png")
+    assert (tmp_path / "gap.png").stat().st_size > 5000
+    assert (tmp_path / "candidates.png").stat().st_size > 5000
+
+
+def test_depth_error_moves_all_channels_of_a_level_together(rng):
+    site = bench(levels(rng)).site
+    covariance = site.data.noise.covariance
+    rows = {(row.channel, row.level): k for k, row in enumerate(site.rows)}
+    force, speed = rows["force", 9], rows["swe", 9]
+    assert covariance[force, speed] > 0
+    assert covariance[force, rows["swe", 8]] == pytest.approx(0.0)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+def test_jacobian_is_that_of_the_prediction(rng):
+    the_bench = bench(levels(rng))
+    fitted = the_bench.fit((), {})
+    x = np.log([fitted.values["c_kpa"] / 1e3, fitted.values["m"]])
+    step = 1e-2
+    for k in range(2):
+        up, down = x.copy(), x.copy()
+        up[k], down[k] = x[k] + step, x[k] - step
+        slope = (the_bench.predict(up, (), ()) - the_bench.predict(down, (), ())) / (2 * step)
+        assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
+
+
+@pytest.mark.slow
+def test_false_alarms_on_the_reduced_model(rng):
+    names = [
+        each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
+    ]
+    alarms = sum(run(levels(rng), names=names).verdict in ("named", "ambiguous") for _ in range(8))
+    assert alarms <= 2

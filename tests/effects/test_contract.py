@@ -1,0 +1,222 @@
+"""What every effect promises, and the golden models where they hold the same effect."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import limbcli.effects
+from limbcli.effects import EFFECTS, effect
+from limbcli.effects.base import Effect
+from limbcli.effects.reading import Curves, Protocol, Reading, read
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.feb.write import write_feb
+from limbcli.model import ElementMap
+
+FOLDER = Path(limbcli.effects.__file__).parent
+NAMES = [each.name for each in EFFECTS]
+
+
+@pytest.fixture(scope="module")
+def base(golden_base):
+    return golden_base
+
+
+@pytest.fixture(scope="module")
+def golden_base():
+    folder = Path(__file__).resolve().parents[3] / "shared" / "febio-golden" / "effect-base"
+    if not folder.is_dir():
+        pytest.skip("needs the reference data: set LIMBCLI_SHARED to the folder that holds it")
+    return read_feb(folder / "model.feb")
+
+
+def same(a: object, b: object) -> bool:
+    """Equal to the last bit, arrays and dataclasses included."""
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return np.array_equal(np.asarray(a), np.asarray(b))
+    if is_dataclass(a) and is_dataclass(b):
+        return type(a) is type(b) and all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return a == b
+
+
+def test_every_effect_of_the_catalogue_is_there():
+    numerical = {"locking", "crop", "contact"}
+    measurement = {
+        "force-zero",
+        "force-gain",
+        "depth-zero",
+        "depth-gain",
+        "tilt",
+        "support-motion",
+        "thickness",
+    }
+    tissue = {"anisotropy", "skin-layer", "adipose-layer", "inclusion", "viscoelasticity", "poroelasticity"}
+    tissue |= {"nonlinearity", "preload", "contraction", "friction"}
+    swe = {"swe-time-scale", "swe-guided-wave", "swe-depth-bias"}
+    by_kind = {kind: {e.name for e in EFFECTS if e.kind == kind} for kind in ("numerical", "swe")}
+    assert set(NAMES) == numerical | measurement | tissue | swe
+    assert by_kind == {"numerical": numerical, "swe": swe}
+    assert len(NAMES) == len(set(NAMES))
+
+
+@pytest.mark.parametrize("each", EFFECTS, ids=NAMES)
+def test_name_source_and_bounds(each: Effect):
+    module = FOLDER / f"{each.name.replace('-', '_')}.py"
+    assert module.is_file()
+    text = module.read_text(encoding="utf-8")
+    assert "Source:" in text
+    assert "Tell-tale:" in text
+    assert each.source
+    for p in each.parameters:
+        assert p.low <= p.null <= p.high
+        assert p.low <= p.start <= p.high
+        assert p.start != p.null
+        assert p.low <= p.typical <= p.high
+
+
+@pytest.mark.parametrize("each", EFFECTS, ids=NAMES)
+def test_null_is_the_base_and_the_input_stays(each: Effect, base):
+    before = {"materials": dict(base.materials), "points": base.mesh.points.copy(), "steps": base.steps}
+    for point in each.grid:
+        assert same(each.apply(base, {**each.null, **point}), base)
+        assert each.observe(Reading(), {**each.null, **point}) == Reading()
+        each.apply(base, {**each.start, **point})
+    assert same(dict(base.materials), before["materials"])
+    assert same(base.mesh.points, before["points"])
+    assert base.steps == before["steps"]
+
+
+@pytest.mark.parametrize("each", EFFECTS, ids=NAMES)
+def test_start_changes_model_or_reading(each: Effect, base, golden):
+    model = read_feb(golden / "effect-base-tet4" / "model.feb") if each.name == "locking" else base
+    changed = each.apply(model, each.start) is not model or each.observe(Reading(), each.start) != Reading()
+    assert changed or each.name == "crop"  # a block without a cut has nothing to set free
+
+
+@pytest.mark.parametrize("each", [e for e in EFFECTS if e.solves], ids=lambda e: e.name)
+def test_febio_model_is_read_back_as_written(each: Effect, base, tmp_path):
+    model = each.apply(base, each.start)
+    back = read_feb(write_feb(model, tmp_path / "model.feb"))
+    assert same(back.materials["tissue"], model.materials["tissue"])
+    assert np.array_equal(back.mesh.points, model.mesh.points)
+    assert back.contacts[0].friction == model.contacts[0].friction
+    assert back.contacts[0].penalty == model.contacts[0].penalty
+
+
+# ---------------------------------------------------------------- against the golden models
+
+
+def test_fibres_are_those_of_the_golden_model(base, golden):
+    model = effect("anisotropy").apply(base, {"fibre_shear_per_c": 0.8, "fibre_tension_per_c": 0.6})
+    mine = model.materials["tissue"].parts[1].parameters
+    theirs = read_feb(golden / "effect-fibre" / "model.feb").materials["tissue"].parts[1].parameters
+    for name in ("ksi", "mu", "alpha", "beta", "lam0"):
+        assert mine[name] == pytest.approx(theirs[name])
+    assert mine["fiber"] == theirs["fiber"]
+
+
+def test_skin_has_the_golden_volume_and_stiffness(golden, base):
+    """The map's share of each cell, times volume, is the volume of a layer of that thickness."""
+    from limbcli.effects.tissue import layer_share
+    from limbcli.stages.diagnosis_curves import _volumes
+
+    share = layer_share(base, 0.0, 1.5)
+    corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()
+    top = np.ptp(base.mesh.points[corners][:, :2], axis=0)
+    assert share @ _volumes(base) == pytest.approx(np.prod(top) * 1.5, rel=0.06)
+    theta = {"log_skin_ratio": np.log(0.15 / 0.005), "skin_thickness_mm": 1.5}
+    stiff = effect("skin-layer").apply(base, theta).materials["tissue"].parameters["c1"]
+    assert isinstance(stiff, ElementMap)
+    layers = read_feb(golden / "effect-skin" / "model.feb").materials
+    assert stiff.values.max() == pytest.approx(layers["skin"].parameters["c1"])
+    assert stiff.values.min() == pytest.approx(layers["tissue"].parameters["c1"])
+
+
+def test_friction_is_that_of_the_golden_model(base, golden):
+    theirs = read_feb(golden / "effect-friction" / "model.feb")
+    model = effect("friction").apply(base, {"friction_coefficient": 0.3})
+    assert model.contacts[0].friction == theirs.contacts[0].friction
+    assert model.contacts[0].symmetric == theirs.contacts[0].symmetric
+    assert model.contacts[0].knmult == theirs.contacts[0].knmult
+
+
+def test_bone_spring_is_that_of_the_golden_model(base, golden):
+    theirs = read_feb(golden / "effect-bone-spring" / "model.feb")
+    model = effect("support-motion").apply(base, {"support_compliance_mm_per_n": 0.5})
+    assert model.springs[0].stiffness == theirs.springs[0].stiffness == 2.0
+    assert {b.name for b in model.bodies} == {b.name for b in theirs.bodies}
+    assert next(b for b in model.bodies if b.name == "bone").node_sets == ("fixed",)
+
+
+def test_promoted_tet4_is_the_golden_tet10(base, golden):
+    linear = read_feb(golden / "effect-base-tet4" / "model.feb")
+    mended = effect("locking").apply(linear, {"quadratic_elements": 1.0})
+    block, theirs = mended.mesh.solid_blocks[0], base.mesh.solid_blocks[0]
+    assert block.kind == "tet10"
+    assert block.cells.shape == theirs.cells.shape
+    mine = mended.mesh.points[block.cells].mean(axis=(0, 1))
+    assert mine == pytest.approx(base.mesh.points[theirs.cells].mean(axis=(0, 1)), abs=1e-9)
+    assert len(mended.mesh.node_sets["fixed"]) == len(base.mesh.node_sets["fixed"])
+
+
+def test_relaxing_force_follows_febio(golden):
+    """Hereditary integral of the elastic curve against FEBio's viscoelastic run: peak and end of the hold."""
+    table = np.loadtxt(golden / "effect-base" / "rigid_body.csv", delimiter=",", comments="*")
+    depth, force = -table[:, 3], -table[:, 9]
+    curves = Curves(np.r_[0.0, depth], np.r_[0.0, force], np.zeros((len(depth) + 1, 0)), np.zeros(0))
+    prony = ((0.4, 0.8), (0.25, 15.0))
+    for hold, expected in ((0.0, 0.44448), (30.0, 0.34149)):
+        steps = np.linspace(0.5, 5.0, 10)  # the ramp of 4 s in ten pieces
+        protocol = Protocol(np.zeros(10), steps, np.r_[np.zeros(9), hold], ramp=0.4)
+        found = read(curves, protocol, Reading(prony=prony)).force[-1]
+        assert found == pytest.approx(expected, rel=0.04)
+
+
+# ---------------------------------------------------------------- readings
+
+
+def _line() -> Curves:
+    depth = np.linspace(0, 10, 11)
+    return Curves(depth, 2 * depth, np.log(2 + 0.1 * depth)[:, None], np.array([13.0]), 30.0)
+
+
+def _protocol() -> Protocol:
+    return Protocol(np.array([0.0, 4.0, 8.0]), np.array([0.0, 2.0, 4.0]), np.full(3, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "theta", "force", "speed"),
+    [
+        ("force-zero", {"force_zero_n": 1.5}, [1.5, 5.5, 9.5], [2.0, 2.2, 2.4]),
+        ("force-gain", {"force_gain": 1.1}, [0.0, 4.4, 8.8], [2.0, 2.2, 2.4]),
+        ("depth-zero", {"depth_zero_mm": 1.0}, [2.0, 6.0, 10.0], [2.1, 2.3, 2.5]),
+        ("depth-gain", {"depth_gain": 1.05}, [0.0, 4.2, 8.4], [2.0, 2.21, 2.42]),
+        ("preload", {"preload_n": 2.0}, [0.0, 4.0, 8.0], [2.1, 2.3, 2.5]),
+        ("swe-time-scale", {"swe_modulus_scale": 0.64}, [0.0, 4.0, 8.0], [2.5, 2.75, 3.0]),
+    ],
+)
+def test_readings_by_hand(name, theta, force, speed):
+    shown = read(_line(), _protocol(), effect(name).observe(Reading(), theta))
+    assert shown.force == pytest.approx(force, abs=1e-6)
+    assert np.exp(shown.log_speed[:, 0]) == pytest.approx(speed, abs=1e-3)
+
+
+def test_guided_waves_gain_most_where_the_tissue_is_thin():
+    reading = effect("swe-guided-wave").observe(Reading(), {"guided_1e4_per_hz2": 0.25})
+    gain = read(_line(), _protocol(), reading).log_speed - read(_line(), _protocol(), Reading()).log_speed
+    expected = -0.5 * np.log1p(-((2000.0 / (2 * 30.0 * 200.0)) ** 2))  # v 2 m/s, h 30 mm, f 200 Hz
+    assert gain[0, 0] == pytest.approx(expected, rel=1e-9)
+    assert np.all(np.diff(gain[:, 0]) > 0)
+
+
+def test_an_unknown_effect_is_answered_with_the_nearest():
+    with pytest.raises(CaseError, match="did you mean 'skin-layer'"):
+        effect("skin_layr")
