@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from limbcli.fem.system import State
 
 NAME = "reference"
+_SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
 Parameter = tuple[str, str]
 
 
@@ -131,6 +132,8 @@ def prepare(
     from limbcli.fem.analysis import Analysis
     from limbcli.fem.newton import Settings
 
+    if not model.contacts:
+        tolerance = min(tolerance, _SMOOTH_TOLERANCE)
     return Analysis(model, Settings(tolerance=tolerance, linear=linear, threads=threads), progress)
 
 

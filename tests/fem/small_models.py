@@ -75,7 +75,7 @@ def block(
     sets = {
         f"{axis}{side}": on(points, k, value)
         for k, axis in enumerate("xyz")
-        for side, value in enumerate(((0, size[k]) if k < 2 else (-size[2], 0)))
+        for side, value in enumerate((0, size[k]) if k < 2 else (-size[2], 0))
     }
     sets["all"] = np.arange(len(points))
     outer = np.unique(np.concatenate([sets[k] for k in ("x0", "x1", "y0", "y1", "z0", "z1")]))

@@ -39,7 +39,7 @@ def solve(model: LimbModel, settings: Settings = TIGHT):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_patch_test(kind: str) -> None:
-    """Linear displacements at the boundary give the same F in every cell, though inner nodes are off the grid."""
+    """Linear displacements at the boundary give one F, though inner nodes are off the grid."""
     model = block(kind, (3, 3, 3), twist=0.06)
     H = np.array([[0.1, 0.05, 0.0], [0.0, -0.08, 0.1], [0.02, 0.0, 0.12]])
     outer = model.mesh.node_sets["outer"]

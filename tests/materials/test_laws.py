@@ -117,7 +117,8 @@ def test_stress_does_not_see_a_rotation(name: str, states: np.ndarray, rng: np.r
         ("mooney_rivlin", "c1"), ("mooney_rivlin", "c2"), ("mooney_rivlin", "kappa"),
         ("ogden_uncoupled", "c2"), ("ogden_uncoupled", "m1"),
         ("holmes_mow", "mu"), ("holmes_mow", "lambda"), ("holmes_mow", "beta"),
-        ("fiber_exp_pow", "ksi"), ("fiber_exp_pow", "alpha"), ("fiber_exp_pow", "beta"), ("fiber_exp_pow", "mu"),
+        ("fiber_exp_pow", "ksi"), ("fiber_exp_pow", "alpha"), ("fiber_exp_pow", "beta"),
+        ("fiber_exp_pow", "mu"),
         ("active_contraction", "T0"),
     ],
 )  # fmt: skip
