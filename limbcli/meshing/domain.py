@@ -29,6 +29,7 @@ from limbcli.model import Array, IntArray
 
 SKIN, BONE, CUT = 1, 2, 3  # labels of boundary faces; the cut of plane k is CUT + k
 CLEARANCE = 1.2  # mm of tissue kept between skin and bone
+WEDGE = 2.5  # mm: tissue between bone and a cut narrower than about twice this is left out
 CLEFT = 1.5  # mm: clefts between bones narrower than twice this are filled
 _SMALL = 60.0  # mm3: smaller bits of bone are left out
 
@@ -78,7 +79,7 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
     bone = None
     if bones:
         bone = _clear_of_skin(rounded(signed_distance(join(bones), grid), CLEFT), skin, planes, notes)
-        bone = _one_tissue(bone, skin, planes, notes)
+        bone = _one_tissue(_without_wedges(bone, planes), skin, planes, notes)
     return Domain(skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes))
 
 
@@ -116,6 +117,18 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
     return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))
 
 
+def _without_wedges(bone: Field, planes: tuple[Plane, ...]) -> Field:
+    """Thin tissue between bone and a cut counted as bone: both are held, and its cells would be slivers."""
+    if not planes:
+        return bone
+    points = bone.grid.points().reshape(-1, 3)
+    beyond = np.max([each.height(points) for each in planes], axis=0).reshape(bone.grid.shape)
+    filled = rounded(bone.with_values(np.minimum(bone.values, -beyond)), WEDGE)
+    # Smaller by half the radius, so that a right angle (filled 0.41 radii deep) stays; near bone only.
+    wedge = np.maximum(filled.values + 0.5 * WEDGE, bone.values - 2 * WEDGE)
+    return distance_again(bone.with_values(np.minimum(bone.values, wedge)))
+
+
 def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
     """Tissue pockets shut in by bone count as bone; specks of bone are left out."""
     values = bone.values.copy()
@@ -141,6 +154,7 @@ def boundary(domain: Domain) -> Triangles:
         bone = manifold_of(_level_set(domain.bone), "bone")
         assert bone is not None
         solid = solid - bone
+    solid = solid.simplify(0.02)
     for each in domain.planes:
         solid = solid.trim_by_plane(tuple(-each.normal), -each.offset)
     pieces = solid.decompose()
@@ -149,7 +163,7 @@ def boundary(domain: Domain) -> Triangles:
             "no tissue is left after the crop", where="site", fix="check position_mm and the surfaces"
         )
     piece = min(pieces, key=_distance_from_site)
-    mesh = piece.simplify(0.02).to_mesh64()
+    mesh = piece.to_mesh64()
     return Triangles(np.array(mesh.vert_properties[:, :3], float), np.array(mesh.tri_verts, np.int64))
 
 

@@ -135,7 +135,7 @@ def area_vectors(points: Array, faces: IntArray) -> Array:
     return 0.5 * np.cross(b - a, c - a)
 
 
-def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int = 4) -> Array:
+def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int = 60) -> Array:
     """`after`, but nodes whose faces would turn over or shrink to nothing stay as `before`."""
     x = after.copy()
     old = area_vectors(before, faces)
@@ -147,6 +147,8 @@ def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int =
         if fit.all():
             return x
         bad = np.unique(faces[~fit])
+        if (x[bad] == before[bad]).all():
+            return x
         x[bad] = before[bad]
     return x
 

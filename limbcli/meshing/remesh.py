@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -69,7 +70,17 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     for field in (domain.skin, domain.bone):
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far))
+    limit[~_within_cuts(domain)] = sizes.far
     return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
+
+
+def _within_cuts(domain: Domain, *, inside: float = 1.0) -> NDArray[np.bool_]:
+    """Samples at least `inside` mm on the kept side of every cut; what lies beyond asks for nothing."""
+    points = domain.skin.grid.points()
+    keep = np.ones(points.shape[:3], bool)
+    for plane in domain.planes:
+        keep &= points @ plane.normal - plane.offset < -inside
+    return keep
 
 
 def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03) -> Array:
@@ -224,7 +235,7 @@ def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, 
     return np.where((ranks == 2) & (at != 2), 3, ranks), ties
 
 
-def face_labels(surface: Triangles, domain: Domain, *, tolerance: float = 1e-3) -> IntArray:
+def face_labels(surface: Triangles, domain: Domain, *, tolerance: float = 0.02) -> IntArray:
     """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone.
 
     tolerance : mm by which a face of a cut may leave its plane
