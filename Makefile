@@ -10,7 +10,7 @@ DEMO    ?= demo
 CASES   := $(patsubst cases/%/case.toml,%,$(wildcard cases/*/case.toml))
 WORKERS ?= 2
 
-.PHONY: help env demo test test-quick lint types cases bench clean
+.PHONY: help env demo test test-quick lint types cases bench hidden clean
 .DELETE_ON_ERROR:
 
 help:            ## list what can be made
@@ -52,6 +52,9 @@ $(OUT)/%/.compared: $$(wildcard cases/%/*) $$(wildcard cases/%/*/*) $$(wildcard 
 
 bench: env       ## benchmarks, as tables
 	$(BIN)/python -m tests.benchmarks
+
+hidden: env      ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
+	$(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 12
 
 clean:           ## what was made, except the environment
 	rm -rf $(OUT) $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache

@@ -28,6 +28,15 @@ OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
 ]
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
+EffectOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="ID[=SIZE]",
+        help="Hide this effect in the data (may be repeated).",
+        show_default=False,
+    ),
+]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
 
 
@@ -41,6 +50,7 @@ def command(
     c_kpa: CStiffOpt = 8.0,
     f_kappa: FKappaOpt = 80.0,
     m: MOpt = 6.0,
+    effect: EffectOpt = None,
     noise: NoiseOpt = 1.0,
     step_n: StepOpt = 2.0,
     max_force_n: MaxForceOpt = 16.0,
@@ -58,6 +68,7 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.phantom.protocol import Protocol
+    from limbcli.stages.hidden import hide
     from limbcli.stages.indent import KnownTissue
     from limbcli.stages.synth import SynthOptions, synth
 
@@ -70,6 +81,7 @@ def command(
         far_size=far_size_mm,
         margin=margin_mm,
         same_mesh=same_mesh,
+        hidden=tuple(hide(each) for each in effect or ()),
         protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
     result = synth(

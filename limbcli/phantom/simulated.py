@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
 from limbcli.measurement.acoustoelasticity import OgdenTerms, wave_speed_m_per_s
@@ -12,6 +14,9 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.swe_prediction import Window, predict_map
 from limbcli.model import Array
 from limbcli.phantom.protocol import Protocol, TrueLevels, depth_at_force
+
+# Deformation gradients of some elements, and which of the recorded ones these are -> m/s.
+Speed = Callable[[Array, NDArray[np.bool_]], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +52,11 @@ def true_levels(
     skin_bone: float | None,
     window: Window = Window(),
     density_kg_per_m3: float = 1000.0,
+    speed: Speed | None = None,
 ) -> TrueLevels:
     """Depth and speed map at every force step that the simulation reaches.
+
+    speed : of a law that `terms` cannot hold
 
     Raises
     ------
@@ -66,14 +74,21 @@ def true_levels(
         )
     depths = depth_at_force(simulated.depth, simulated.force, forces)
     maps = tuple(
-        _map(*simulated.at(depth), terms, face_height=-depth, window=window, density=density_kg_per_m3)
+        _map(*simulated.at(depth), terms, speed, face_height=-depth, window=window, density=density_kg_per_m3)
         for depth in depths
     )
     return TrueLevels(force=forces, depth=depths, maps=maps, skin_bone=skin_bone)
 
 
 def _map(
-    positions: Array, F: Array, terms: OgdenTerms, *, face_height: float, window: Window, density: float
+    positions: Array,
+    F: Array,
+    terms: OgdenTerms,
+    speed_of: Speed | None,
+    *,
+    face_height: float,
+    window: Window,
+    density: float,
 ) -> SweMap:
     """Only elements about the window are looked at."""
     reach = window.half_width + 2 * window.smoothing
@@ -81,5 +96,8 @@ def _map(
         np.abs(positions[:, 1]) <= window.elevation + 2 * window.smoothing
     )
     near &= positions[:, 2] >= face_height - window.depth_to - 2 * window.smoothing
-    speed = wave_speed_m_per_s(F[near], terms, density_kg_per_m3=density)
+    if speed_of is None:
+        speed = wave_speed_m_per_s(F[near], terms, density_kg_per_m3=density)
+    else:
+        speed = speed_of(F[near], near)
     return predict_map(positions[near], speed, face_height=face_height, window=window)

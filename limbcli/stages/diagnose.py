@@ -284,7 +284,8 @@ class _Site:
         judged = self._judged("locking", linear, working, "tet4 against tet10")
         if judged.deviations > _MATTERS:
             self.writer.warnings.append(
-                f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations with "
+                f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
+                "with "
                 "quadratic ones. That is numerical, not tissue; the diagnosis goes on with tet10."
             )
         return [judged]

@@ -40,12 +40,16 @@ def menu(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
         found.append(_proposal(bench, fits, "probe travel", "record the probe's absolute travel",
                                lambda c, r, p: read(c, p, r).travel, np.full(n, _TRAVEL)))  # fmt: skip
     if "swe" not in has:
-        found.append(_proposal(bench, fits, "wave speeds", "take a shear-wave mean at every level",
-                               lambda c, r, p: read(c, p, r).log_speed[:, 0], np.full(n, _LEVEL)))  # fmt: skip
+        found.append(_proposal(bench, fits, "wave speeds", "take a shear-wave mean at every level", _mean,
+                               np.full(n, _LEVEL)))  # fmt: skip
     if "map" not in has:
         found.append(_proposal(bench, fits, "speed maps", "keep the maps, not only their means",
                                lambda c, r, p: _contrast(read(c, p, r).log_speed), None))  # fmt: skip
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
+
+
+def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    return read(curves, protocol, reading).log_speed[:, 0]
 
 
 def _contrast(log_speed: Array) -> Array:

@@ -7,24 +7,29 @@ lengthened piece by piece, each piece starting from the converged levels before.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from limbcli.effects.waves import log_speed
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
+from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.acoustoelasticity import OgdenTerms
 from limbcli.measurement.swe_prediction import Window
 from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.protocol import Protocol, TrueLevels
-from limbcli.phantom.simulated import Indentation, true_levels
+from limbcli.phantom.simulated import Indentation, Speed, true_levels
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.reference import ReferenceSession
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 from limbcli.units import mpa_from_kpa
 
+Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0
 _DEEPEST = 40.0
 _ENOUGH = 1.02  # a little more than the last level's force
@@ -51,11 +56,13 @@ def indent(
     spacing: float = 1.0,
     tolerance: float = 1e-6,
     progress: Progress = SILENT,
+    change: Change | None = None,
 ) -> TrueLevels:
     """What is true at every level of the protocol on a meshed site.
 
     spacing : mm between simulated depths; between them the force is PCHIP
     tolerance : residual over the forces at play
+    change : of the loaded model, its tissue included; speeds then follow from the changed law
 
     Raises
     ------
@@ -64,15 +71,17 @@ def indent(
     """
     skin_bone = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * skin_bone) if skin_bone else _DEEPEST
-    press = _Press(model, tissue, spacing, tolerance, progress)
+    press = _Press(model, tissue, spacing, tolerance, progress, change)
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
+    known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
     return true_levels(
         _indentation(model, simulation),
-        OgdenTerms.of(model.materials[TISSUE]),
+        OgdenTerms.of(known),
         protocol=protocol,
         skin_bone=skin_bone,
         window=window,
         density_kg_per_m3=density_kg_per_m3,
+        speed=None if change is None else _speed_of(model, simulation, density_kg_per_m3),
     )
 
 
@@ -85,6 +94,7 @@ class _Press:
     spacing: float
     tolerance: float
     progress: Progress
+    change: Change | None = None
 
     def until(self, force: float, cap: float) -> tuple[LimbModel, Simulation]:
         """Lengthen the simulation until the force or the depth `cap` is reached.
@@ -116,7 +126,19 @@ class _Press:
         """
         plan = schedule(depths_to(end, self.spacing))
         c = mpa_from_kpa(self.tissue.c_kpa)
-        return indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
+        model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
+        return model if self.change is None else self.change(model)
+
+
+def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float) -> Speed:
+    """Speeds of the changed law at the recorded elements."""
+    cells = next(iter(simulation.elements.values())).items
+
+    def speed(F: Array, near: NDArray[np.bool_]) -> Array:
+        found = log_speed(model, TISSUE, F, cells[near], density_kg_per_m3=density_kg_per_m3)
+        return np.asarray(np.exp(found))
+
+    return speed
 
 
 def next_end(depth: Array, force: Array, target: float) -> float:

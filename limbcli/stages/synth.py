@@ -29,6 +29,7 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
@@ -43,7 +44,8 @@ class SynthOptions:
 
     element None is the case's; size, far_size, margin : of the mesh simulated on (mm), None the
     usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
-    noise : factor on the case's [site.noise] (0: none); alter : a change of the meshed model.
+    noise : factor on the case's [site.noise] (0: none); alter : a change of the meshed model;
+    hidden : effects in tissue and readings.
     """
 
     tissue: KnownTissue = field(default_factory=KnownTissue)
@@ -57,6 +59,7 @@ class SynthOptions:
     protocol: Protocol = field(default_factory=Protocol)
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
+    hidden: tuple[Hidden, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +178,31 @@ def _measure_site(
         density_kg_per_m3=site.density_kg_per_m3,
         tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
         progress=progress,
+        change=_change(options.hidden),
     )
     law = noise_law(site.noise).times(options.noise)
     rng = np.random.default_rng([options.seed, 3, number])
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
     readings = measure(true, law, protocol=options.protocol, rng=rng)
+    for each in options.hidden:
+        if each.in_readings is not None:
+            readings = each.in_readings(readings, true)
     return SiteMeasurement(site.name, true, readings, law, facts)
+
+
+def _change(hidden: tuple[Hidden, ...]) -> Alter | None:
+    """All changes of the loaded model, one after the other."""
+    changes = [each.in_model for each in hidden if each.in_model is not None]
+    if not changes:
+        return None
+
+    def change(model: LimbModel) -> LimbModel:
+        for each in changes:
+            model = each(model)
+        return model
+
+    return change
 
 
 def noise_law(noise: Noise) -> NoiseLaw:
@@ -243,6 +264,7 @@ def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[
         "made_by": f"limbcli {__version__}",
         "measurement_seed": options.seed,
         "tissue": vars(options.tissue),
+        "hidden": [each.facts() for each in options.hidden],
         "site": [
             {
                 "name": each.site,

@@ -109,7 +109,8 @@ NOISE = Noise(force=0.1, depth=0.15, swe_level_fraction=0.03, swe_pixel_fraction
 
 def measured(
     rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
-    m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14, understated: float = 1.0,
+    m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
+    understated: float = 1.0,
     hold: float = 20.0,
 ) -> Levels:  # fmt: skip
     """Levels as an instrument would write them: a finer block, another spread, noise of another law."""

@@ -1,0 +1,201 @@
+"""Effects to hide in simulated data: written otherwise than the diagnosis writes them.
+
+Fibres stiffen exponentially instead of quadratically, the skin is thinner than the library's,
+relaxation has two terms, wave guidance acts pixel by pixel. What was hidden stands in the truth
+file, which no stage reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from limbcli.effects import effect
+from limbcli.effects.base import Effect, Theta
+from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
+from limbcli.errors import CaseError
+from limbcli.measurement.elastography import SweMap
+from limbcli.model import Array, IntArray, LimbModel, Material, Value
+from limbcli.phantom.noise import Readings
+from limbcli.phantom.protocol import TrueLevels
+from limbcli.problems import suggestion
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """One effect hidden: a change of the loaded model, and of what is read off it."""
+
+    name: str
+    size: dict[str, float]
+    in_model: Callable[[LimbModel], LimbModel] | None = None
+    in_readings: Callable[[Readings, TrueLevels], Readings] | None = None
+
+    def facts(self) -> dict[str, Any]:
+        return {"effect": self.name, **self.size}
+
+
+def hide(text: str) -> Hidden:
+    """ "force-zero=1.5" (the first parameter's value), or "skin-layer" (its typical size).
+
+    Raises
+    ------
+    CaseError
+        If the effect is unknown, cannot be hidden, or the size is no number within its bounds.
+    """
+    name, _, size = text.partition("=")
+    found = effect(name)
+    first = found.parameters[0]
+    theta = found.typical
+    if size:
+        theta = {**theta, first.name: _number(size, found)}
+    model, readings = _MODELS.get(name), _READINGS.get(name)
+    if model is None and readings is None and not found.solves:
+        raise _cannot(found)
+    if model is None and readings is None and (found.febio_only or found.kind == "numerical"):
+        raise _cannot(found)
+    in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
+    return Hidden(name, theta, in_model, None if readings is None else (lambda r, t: readings(r, t, theta)))
+
+
+def _number(size: str, found: Effect) -> float:
+    first = found.parameters[0]
+    try:
+        value = float(size)
+    except ValueError:
+        value = float("nan")
+    if not first.low <= value <= first.high:
+        raise CaseError(
+            f"{found.name}={size}: {first.name} must be a number from {first.low:g} to {first.high:g}",
+            where="--effect", fix=f"for example {found.name}={first.typical:g}",
+        )  # fmt: skip
+    return value
+
+
+def _cannot(found: Effect) -> CaseError:
+    able = [
+        *_READINGS,
+        *_MODELS,
+        "adipose-layer",
+        "inclusion",
+        "nonlinearity",
+        "contraction",
+        "friction",
+        "tilt",
+    ]
+    return CaseError(
+        f"{found.name} cannot be hidden in simulated data", where="--effect", fix=suggestion(found.name, able)
+    )
+
+
+# ---------------------------------------------------------------- in the tissue, otherwise parametrised
+
+
+def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
+    """Exponential fibres with the same stiffness at small stretch: alpha 4 instead of 0."""
+    c = ground_modulus(model)
+    fibre: dict[str, Value] = {
+        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 4.0, "beta": 2.0,
+        "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model),
+    }  # fmt: skip
+    return with_part(model, Material("fiber_exp_pow", fibre))
+
+
+def _skin(model: LimbModel, theta: Theta) -> LimbModel:
+    """A thinner skin with the same stiffness along it: 1.2 mm."""
+    ratio = 1.0 + (float(np.exp(theta["log_skin_ratio"])) - 1.0) * 1.5 / 1.2
+    return scaled(model, 1.0 + layer_share(model, 0.0, 1.2) * (ratio - 1.0))
+
+
+# ---------------------------------------------------------------- in the readings
+
+
+def _force_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    return replace(readings, force=readings.force + theta["force_zero_n"])
+
+
+def _force_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    return replace(readings, force=readings.force * theta["force_gain"])
+
+
+def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """Levels are read from a first frame that is `depth_zero_mm` deep already."""
+    shown = readings.depth - theta["depth_zero_mm"]
+    return _rows(replace(readings, depth=shown), np.flatnonzero(shown >= 0.0))
+
+
+def _rows(readings: Readings, keep: IntArray) -> Readings:
+    """Only these levels."""
+    return replace(
+        readings,
+        force=readings.force[keep],
+        depth=readings.depth[keep],
+        maps=tuple(readings.maps[k] for k in keep),
+        skin_bone=None if readings.skin_bone is None else readings.skin_bone[keep],
+    )
+
+
+def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    return replace(readings, depth=readings.depth / theta["depth_gain"])
+
+
+def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """The first level is that at which the probe already pressed; force and depth start there."""
+    first = int(np.argmin(np.abs(true.force - theta["preload_n"])))
+    kept = _rows(readings, np.arange(first, len(readings.force)))
+    return replace(kept, force=kept.force - kept.force[0], depth=kept.depth - kept.depth[0])
+
+
+def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """Two terms, 1 and 20 s, that share what relaxes; waves see the unrelaxed tissue."""
+    share = theta["relaxing_share"]
+    extra = np.zeros(len(true.force))
+    for part, tau in ((0.6 * share, 1.0), (0.4 * share, 20.0)):
+        state = 0.0
+        for k in range(1, len(extra)):
+            step = float(true.force[k] - true.force[k - 1])
+            fresh = step * tau * -np.expm1(-1.0 / tau)
+            state = (state * np.exp(-1.0 / tau) + fresh) * np.exp(-readings.hold / tau)
+            extra[k] += part * state
+    stiffer = replace(readings, force=readings.force + extra)
+    return _speeds(stiffer, lambda v, z, k: v * np.sqrt(1 + share))
+
+
+def _time_scale(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    factor = theta["swe_modulus_scale"] ** -0.5
+    return _speeds(readings, lambda v, z, k: v * factor)
+
+
+def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    return _speeds(readings, lambda v, z, k: v * (1 - theta["swe_loss_per_mm"] * (z - 13.5)))
+
+
+def _guided(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """Every pixel by its own speed, at the thickness left at its level."""
+    thick = true.skin_bone if true.skin_bone else 40.0
+
+    def change(v: Array, z: Array, k: int) -> Array:
+        height = thick - float(true.depth[min(k, len(true.depth) - 1)])
+        ratio = (1e3 * v / (2 * height)) ** 2 * theta["guided_1e4_per_hz2"] * 1e-4
+        return np.asarray(v / np.sqrt(1 - np.minimum(ratio, 0.9)))
+
+    return _speeds(readings, change)
+
+
+def _speeds(readings: Readings, change: Callable[[Array, Array, int], Array]) -> Readings:
+    maps = tuple(
+        SweMap(m.lateral, m.depth, np.clip(change(m.speed_m_per_s, m.depth, k), 0.3, 20.0), m.path)
+        for k, m in enumerate(readings.maps)
+    )
+    return replace(readings, maps=maps)
+
+
+_MODELS: dict[str, Callable[[LimbModel, Theta], LimbModel]] = {"anisotropy": _fibres, "skin-layer": _skin}
+_READINGS: dict[str, Callable[[Readings, TrueLevels, Theta], Readings]] = {
+    "force-zero": _force_zero, "force-gain": _force_gain, "depth-zero": _depth_zero,
+    "depth-gain": _depth_gain,
+    "preload": _preload, "viscoelasticity": _relaxing, "swe-time-scale": _time_scale,
+    "swe-depth-bias": _depth_bias, "swe-guided-wave": _guided,
+}  # fmt: skip
