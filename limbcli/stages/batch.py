@@ -97,11 +97,12 @@ class _Run:
 
     def all(self) -> CaseOutcome:
         from limbcli.stages.report import report
-        from limbcli.stages.segment import segment
+        from limbcli.stages.segment import edited_labels, segment
 
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths)
+        edited = [path for path in [edited_labels(self.out)] if path]
+        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited)
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common()))
         keys = [self._site(site.name, key) for site in self.case.sites] if done else []
         if not done:

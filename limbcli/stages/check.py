@@ -114,9 +114,9 @@ def _read_mri(folder: Path) -> list[Problem]:
 
 
 def _read_labels(path: Path) -> list[Problem]:
-    from limbcli.imaging.labels import read_labels
+    from limbcli.imaging.label_files import read_label_file
 
-    return _caught(lambda: read_labels(path))
+    return _caught(lambda: read_label_file(path))
 
 
 def _read_surface(path: Path) -> list[Problem]:

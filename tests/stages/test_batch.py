@@ -33,9 +33,13 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return work
 
+    def edited(out: Path) -> Path | None:
+        path = out / "edited.nii.gz"
+        return path if path.exists() else None
+
     for stage in ("segment", *STAGES, "report"):
         name = stage.replace("-", "_")
-        holder = type("holder", (), {name: staticmethod(fake(stage))})
+        holder = type("holder", (), {name: staticmethod(fake(stage)), "edited_labels": staticmethod(edited)})
         monkeypatch.setitem(__import__("sys").modules, f"limbcli.stages.{name}", holder)
     monkeypatch.setattr(module, "code_hash", lambda: "code")
     return made
@@ -110,3 +114,15 @@ def test_case_that_cannot_be_read_gets_a_page_and_a_mistyped_one_an_error(tmp_pa
     assert "p1.csv" in outcome.report.read_text(encoding="utf-8")
     with pytest.raises(CaseError, match="there is no case folder"):
         batch(tmp_path / "nowhere", out=tmp_path / "out")
+
+
+def test_labels_edited_by_hand_redo_everything_that_follows(tmp_path: Path, calls: list[str]):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    calls.clear()
+    (out / "edited.nii.gz").write_text("by hand")
+    batch(case, out=out)
+    assert calls[:2] == ["segment", "mesh p1"]
+    calls.clear()
+    batch(case, out=out)
+    assert calls == []
