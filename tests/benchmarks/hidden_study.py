@@ -55,8 +55,14 @@ class Otherwise:
     def apply(self, model, theta):
         if self.name == "anisotropy":
             c = ground_modulus(model)
-            fibre = {"ksi": theta["fibre_tension_per_c"] * c, "alpha": 4.0, "beta": 2.0,
-                     "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model)}  # fmt: skip
+            fibre = {
+                "ksi": theta["fibre_tension_per_c"] * c,
+                "alpha": 4.0,
+                "beta": 2.0,
+                "mu": theta["fibre_shear_per_c"] * c,
+                "lam0": 1.0,
+                "fiber": limb_axis(model),
+            }
             return with_part(model, Material("fiber_exp_pow", fibre))
         if self.name == "skin-layer":
             ratio = 1 + (np.exp(theta["log_skin_ratio"]) - 1) * 1.5 / 1.2

@@ -11,6 +11,7 @@ from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
 from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
+from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.mesh import mesh
@@ -29,7 +30,7 @@ class Group:
 
 
 SITE_REPORTLETS: tuple[Callable[[Page, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, profiles, elastography, deformation, mesh, convergence,
+    force_over_depth, diagnosis, profiles, elastography, deformation, mesh, convergence,
 )  # fmt: skip
 
 

@@ -1,0 +1,95 @@
+"""What is missing in the model, if anything?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.errors import LimbError
+from limbcli.reporting.numbers import DASH
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Cell, Mood, Picture, Reportlet, Table, head
+from limbcli.results import StageResult, read_result
+
+TITLE = "What is missing in the model, if anything?"
+_MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
+
+
+def diagnosis(page: Page, site: SiteMaterial) -> Reportlet | None:
+    """Verdict, gap before and after, candidates, what stays unseen; None where `diagnose` was not run."""
+    try:
+        result = read_result(page.out, "diagnose", site=site.name)
+    except LimbError:
+        return None
+    data = result.data
+    return Reportlet(
+        f"diagnosis-{site.name}",
+        TITLE,
+        _MOODS.get(str(data["verdict"]), "warning"),
+        site.name,
+        pictures=_pictures(result, site.name),
+        tables=(_candidates(data),),
+        more=(_shrunk(data), _blind(data)),
+        look_for="differences of the base model (grey) that swing beyond the band of two deviations, and "
+        "that the model with the addition (blue) brings back into it",
+        bad="one name where the verdict is ambiguous, a gap that stays, or a candidate right of the dashed "
+        "line in the lower picture: these data are blind to it",
+        notes=tuple(str(each) for each in data["sentences"]),
+        warned=result.warnings,
+    )
+
+
+def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
+    return (
+        Picture(f"diagnosis-gap-{name}", "Measured minus predicted in deviations, before and after",
+                source=result.path("gap")),
+        Picture(f"diagnosis-candidates-{name}", "Adjusted p and detectable size of every candidate",
+                source=result.path("candidates")),
+    )  # fmt: skip
+
+
+def _candidates(data: Mapping[str, Any]) -> Table:
+    rows = []
+    for each in data["candidates"]:
+        size = ", ".join(f"{name} {value:.3g}" for name, value in each["estimate"].items())
+        texts = (each["name"], each["sentence"], f"{each['p_adjusted']:.3g}", size or DASH)
+        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
+    for name, why in data["not_evaluated"].items():
+        rows.append((Cell(name, lead=True), Cell(f"not evaluated: {why}"), Cell(DASH), Cell(DASH)))
+    titles = head("candidate", "what it says", "adjusted p", "first-order estimate")
+    return Table("Candidates, the most telling first", (titles,), tuple(rows), numeric=False)
+
+
+def _shrunk(data: Mapping[str, Any]) -> Table:
+    rows = []
+    for stage in data["shrink"]:
+        held = stage["held_out"].get("all")
+        label = " + ".join(stage["explanation"]) or "base model"
+        texts = (
+            label,
+            f"{stage['chi2_per_nu']:.2f}",
+            DASH if held is None else f"{held:.2f}",
+            _number(stage["placebo_percentile"]),
+        )
+        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
+    titles = head("model", "chi2/nu", "held-out error (deviations)", "placebo percentile")
+    return Table("How the gap shrank", (titles,), tuple(rows))
+
+
+def _blind(data: Mapping[str, Any]) -> Table:
+    rows = []
+    for spot in data["blind_spots"]:
+        bias = ", ".join(f"{name} {value:+.1f}" for name, value in spot["bias_sd"].items())
+        texts = (
+            spot["name"],
+            f"{spot['visible_fraction']:.2f}",
+            _number(spot["detectable_times_typical"]),
+            bias,
+        )
+        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
+    titles = head("effect", "visible share", "size seen (plausible sizes)", "bias if unseen (deviations)")
+    return Table("What these data can see", (titles,), tuple(rows))
+
+
+def _number(value: float | None) -> str:
+    return DASH if value is None else f"{value:.3g}"

@@ -1,0 +1,49 @@
+"""The diagnosis on the report page, out of the file that the stage leaves."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.sentences import sentences
+from limbcli.reporting.sections.diagnosis import diagnosis
+from limbcli.results import open_stage
+from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+
+
+def _reduced():
+    if "test_reduced_site_module" not in sys.modules:
+        path = Path(__file__).with_name("test_reduced_site.py")
+        spec = importlib.util.spec_from_file_location("test_reduced_site_module", path)
+        sys.modules["test_reduced_site_module"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules["test_reduced_site_module"])
+    return sys.modules["test_reduced_site_module"]
+
+
+@pytest.mark.slow
+def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
+    reduced = _reduced()
+    bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
+    found = diagnose(bench, n_draws=1000)
+    with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:
+        writer.data.update(
+            {**diagnosis_json(found, bench.site, bench.effects), "sentences": sentences(found)}
+        )
+        gap_picture(found, bench.site, writer.file("gap", "gap.png"))
+        candidates_picture(found, writer.file("candidates", "candidates.png"))
+    shown = diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1"))
+    assert shown.mood == "fine"
+    assert shown.notes[0].startswith("ADEQUATE")
+    names = {row[0].text for row in shown.tables[0].rows}
+    assert {"force-zero", "poroelasticity"} <= names
+    assert shown.more[1].rows
+
+
+def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):
+    assert diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1")) is None
