@@ -7,9 +7,11 @@ that touch the skin are settled; the cuts are planes and stay sharp.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import manifold3d
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
@@ -136,14 +138,26 @@ def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list
     sizes = ndimage.sum_labels(np.ones_like(values), specks, np.arange(1, n + 1)) * bone.grid.spacing**3
     for k in np.flatnonzero(sizes < _SMALL) + 1:
         values[specks == k] = 0.5 * bone.grid.spacing
-    tissue = (values > 0) & (skin.values < 0)
+    points = bone.grid.points().reshape(-1, 3)
+    kept = np.asarray(within(points, planes), bool).reshape(values.shape)
+    tissue = (values > 0) & (skin.values < 0) & kept
     pockets, n = ndimage.label(tissue)
     if n > 1:
-        sizes = ndimage.sum_labels(np.ones_like(values), pockets, np.arange(1, n + 1))
-        shut = tissue & (pockets != int(np.argmax(sizes)) + 1)
+        site = _piece_at_site(pockets, n, points)
+        shut = tissue & (pockets != site)
         values[shut] = -0.5 * bone.grid.spacing
-        notes.append(f"{n - 1} pockets shut in by bone filled")
+        notes.append(f"{n - 1} pockets ({int(shut.sum() * bone.grid.spacing**3)} mm3) shut in by bone filled")
     return bone.with_values(values)
+
+
+def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
+    """Number of the piece that comes nearest to the site (the origin), specks left aside."""
+    numbers = np.arange(1, n + 1)
+    sizes = ndimage.sum_labels(np.ones_like(pieces), pieces, numbers)
+    distance = np.linalg.norm(points, axis=1).reshape(pieces.shape)
+    nearest = ndimage.minimum(distance, pieces, numbers)
+    nearest = np.where(sizes > 0.05 * sizes.max(), nearest, np.inf)
+    return int(numbers[np.argmin(nearest)])
 
 
 def boundary(domain: Domain) -> Triangles:
