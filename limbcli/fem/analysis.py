@@ -241,8 +241,9 @@ def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> 
         if n_reached == 0
         else "the tissue is losing its stability: a cell is about to turn inside out, or contact was lost"
     )
+    place = f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm)"
     return SolveError(
-        f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm): {error.what}",
+        f"{place}: {error.what}",
         where=f"{error.where}; {cause}",
         fix=error.fix if n_reached == 0 else "use more load steps; look at the mesh and the supports",
         level=level.number,

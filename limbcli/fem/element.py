@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 # corners of the edges that carry the midside nodes
 _TET10_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
@@ -68,7 +68,7 @@ def _penta6(points: Array) -> tuple[Array, Array]:
 
 
 def reference_gradients(
-    points: Array, cells: Array, kind: str, rule: tuple[Array, Array]
+    points: Array, cells: IntArray, kind: str, rule: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """dN/dX (n_cells, n_gauss, n_nodes, 3) and weights times Jacobian (n_cells, n_gauss)."""
     _, dN = shape(kind, rule[0])

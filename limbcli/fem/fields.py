@@ -16,7 +16,7 @@ from limbcli.fem.rigid import rotation_vector
 from limbcli.fem.system import Forces, State, System
 from limbcli.materials.energy import energy_density
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
-from limbcli.model import Array, LogRecord
+from limbcli.model import Array, IntArray, LogRecord
 
 _TENSOR = {"x": 0, "y": 1, "z": 2, "xy": 3, "yz": 4, "xz": 5}
 _F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
@@ -25,9 +25,9 @@ _STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
 _CENTER = ("x", "y", "z")
 # FEBio 4.11 hands out the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz
 # xy yz xz) under these names, whatever they say; the same is done here, to give the same file.
-TANGENT_FIELDS = tuple(
-    f"c{a}" for a in
-    "xxxx xxyy yyyy xxzz yyzz zzzz xxxy yyxy zzxy xyxy xxyz yyyz zzyz xyyz yzyz xxxz yyxz zzxz xyxz yzxz xzxz".split()
+TANGENT_FIELDS = (
+    "cxxxx", "cxxyy", "cyyyy", "cxxzz", "cyyzz", "czzzz", "cxxxy", "cyyxy", "czzxy", "cxyxy", "cxxyz",
+    "cyyyz", "czzyz", "cxyyz", "cyzyz", "cxxxz", "cyyxz", "czzxz", "cxyxz", "cyzxz", "cxzxz",
 )  # fmt: skip
 CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F, *TANGENT_FIELDS)
 NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
@@ -46,7 +46,7 @@ def check_record(record: LogRecord) -> None:
             )
 
 
-def record_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+def record_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
     """(ids from 0, values (n_items, n_fields)) of one record."""
     if record.kind == "rigid_body":
         return _body_rows(system, state, forces, record)
@@ -55,7 +55,7 @@ def record_rows(system: System, state: State, forces: Forces, record: LogRecord)
     return _cell_rows(system, state, record)
 
 
-def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
     names = [body.name for body in system.bodies]
     if record.items not in names:
         raise SolveError(
@@ -67,17 +67,17 @@ def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) 
     at = state.bodies[b]
     values = np.concatenate([system.bodies[b].center + at.shift, rotation_vector(at.turn), forces.bodies[b]])
     columns = [BODY_FIELDS.index(name) for name in record.fields]
-    return np.array([b]), values[None, columns]
+    return np.array([b], dtype=np.int64), values[None, columns]
 
 
-def _node_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[Array, Array]:
+def _node_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
     reactions = np.where(system.driven, forces.nodal, 0.0)
     values = np.concatenate([system.X + state.u, state.u, reactions], axis=1)
     items = np.arange(len(values)) if record.items is None else np.asarray(record.items)
     return items, values[items][:, [NODE_FIELDS.index(name) for name in record.fields]]
 
 
-def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[Array, Array]:
+def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArray, Array]:
     n_cells = sum(len(block.cells) for block in system.model.mesh.blocks)
     values = np.zeros((n_cells, len(record.fields)))
     for k, name in enumerate(record.fields):
@@ -117,7 +117,9 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
     strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
     columns = []
-    spatial = spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
+    spatial = (
+        spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
+    )
     for name in fields:
         if name in TANGENT_FIELDS:
             assert spatial is not None

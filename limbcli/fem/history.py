@@ -36,7 +36,7 @@ def factors(dt: float, times: Sequence[float]) -> tuple[Array, Array]:
 
 @dataclass(eq=False)
 class Prony:
-    """History of one group: elastic stress of the last step, and the series (n_terms, n_cells, n_gauss, 6)."""
+    """History of one group: elastic stress of the last step; series (n_terms, n_cells, n_gauss, 6)."""
 
     terms: Terms
     before: Array

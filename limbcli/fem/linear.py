@@ -109,7 +109,7 @@ class Pardiso:
         if rhs is not None:
             b = np.asfortranarray(rhs, dtype=self._type)
         x = np.empty_like(b)
-        columns = 1 if b.ndim == 1 else b.shape[1]
+        columns = b.size // b.shape[0]
         number = ctypes.c_int32
         error = number(0)
         self._mkl.pardiso(

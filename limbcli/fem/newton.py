@@ -14,7 +14,6 @@ from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _LARGE = 20_000  # equations, from which on single precision pays
 
@@ -194,7 +193,9 @@ class Newton:
         forcing = float(np.clip(0.3 * target / forces.error, 1e-4, min(0.1, forces.error**0.5)))
         return self.solve_linear(state, -forces.residual, forcing)
 
-    def search(self, state: State, forces: Forces, step: Array, iteration: int) -> tuple[State, Forces, float]:
+    def search(
+        self, state: State, forces: Forces, step: Array, iteration: int
+    ) -> tuple[State, Forces, float]:
         """Shorten the step until no cell is inverted and the residual does not run away.
 
         While the set of touching points still changes, the residual of a good step may be
@@ -243,7 +244,8 @@ class Newton:
             node = int(np.argmax((size**2).sum(axis=1)))
             place, what = (system.X + state.u)[node], f"largest at node {node}"
         return NotConverged(
-            f"load level {level.number} of {level.n_levels} (time {state.time:.6g}, depth {level.depth:.2f} mm)"
+            f"load level {level.number} of {level.n_levels}"
+            f" (time {state.time:.6g}, depth {level.depth:.2f} mm)"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm",

@@ -8,6 +8,7 @@ level, with the factor that is already there; K is the exact tangent of the conv
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial as partial_function
 
 import numpy as np
 
@@ -61,9 +62,8 @@ def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
             tangent, inverse = newton.tangent, newton.inverse
         assert tangent is not None
         assert inverse is not None
-        operator = tangent
         step, n, reached = gmres(
-            lambda v, operator=operator: operator.times(state, v),
+            partial_function(tangent.times, state),
             inverse,
             rhs,
             tolerance=_TOLERANCE,

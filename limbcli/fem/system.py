@@ -15,8 +15,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import curves, kernels
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
-from limbcli.fem.contact_kernels import FACET
 from limbcli.fem.contact import make_pairs
+from limbcli.fem.contact_kernels import FACET
 from limbcli.fem.groups import Group, Operands, make_groups
 from limbcli.fem.rigid import (
     AT_REST,
@@ -366,13 +366,12 @@ class System:
         """Upper triangle of the elastic tangent of the tissue's unknowns (without contact)."""
         parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
         for o, pairs in zip(self.operands, self.pattern.pairs, strict=False):
-            args, slots = o.arguments(), self.pattern.slots
-            self.threads.run(
-                lambda w, a, b, args=args, pairs=pairs, slots=slots: kernels.tangent(
-                    a, b, state.u, *args, pairs, slots, parts[w]
-                ),
-                len(o.cells),
-            )
+            args = (*o.arguments(), pairs, self.pattern.slots)
+
+            def task(worker: int, begin: int, end: int, args: Any = args) -> None:
+                kernels.tangent(begin, end, state.u, *args, parts[worker])
+
+            self.threads.run(task, len(o.cells))
         for each in parts[1:]:
             parts[0] += each
         return parts[0]
@@ -389,10 +388,11 @@ class System:
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for o in self.operands:
             args = o.arguments()
-            self.threads.run(
-                lambda w, a, b, args=args: kernels.tangent_times(a, b, state.u, *args, v, parts[w]),
-                len(o.cells),
-            )
+
+            def task(worker: int, begin: int, end: int, args: Any = args) -> None:
+                kernels.tangent_times(begin, end, state.u, *args, v, parts[worker])
+
+            self.threads.run(task, len(o.cells))
         for each in parts[1:]:
             parts[0] += each
         return parts[0]

@@ -48,7 +48,7 @@ def second_piola(F, ops, par, S, CC, tangent, work):
     spectral = False
     for leaf in range(ops.shape[0]):
         law, off, extra = ops[leaf, 0], ops[leaf, 1], ops[leaf, 2]
-        if not spectral and (law == OGDEN or law == UNCOUPLED or law == OGDEN_DM or law == UNCOUPLED_DM):
+        if not spectral and law in (OGDEN, UNCOUPLED, OGDEN_DM, UNCOUPLED_DM):
             eigen6(C, squares, vectors)
             for i in range(3):
                 logs[i] = 0.5 * np.log(squares[i])

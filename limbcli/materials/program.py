@@ -98,7 +98,7 @@ class Compiled:
         step = 1e-30
         factor = 1.0 if weights is None else weights
         if isinstance(leaf.parameters[name], Curved):
-            factor = factor * curve(leaf.parameters[name].curve)  # type: ignore[union-attr]
+            factor = np.asarray(factor) * curve(leaf.parameters[name].curve)  # type: ignore[union-attr]
         changed = leaf.law.slots({**numbers, name: numbers[name] + 1j * step * factor})
         slots = _columns(leaf, numbers)
         slopes = [np.imag(each) / step for each in changed]

@@ -21,7 +21,7 @@ from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation, Table
 from limbcli.solvers.reference_files import RunFiles
@@ -82,8 +82,9 @@ class ReferenceSolver:
         def visit(running: Analysis, snapshot: Snapshot) -> None:
             files.step(running, snapshot)
             if time_limit_s is not None and time.monotonic() - started > time_limit_s:
+                reached = snapshot.state.time
                 raise SolveError(
-                    f"the reference solver was stopped after {time_limit_s:g} s, at time {snapshot.state.time:g}",
+                    f"the reference solver was stopped after {time_limit_s:g} s, at time {reached:g}",
                     where=str(files.folder / LOG_FILE),
                     fix="give more time with --time-limit-s, or use --element tet4",
                     time_reached=snapshot.state.time,
@@ -208,7 +209,7 @@ class ReferenceSession:
         self._analysis.model = model
         started = time.monotonic()
         asked = self._records(model, records)
-        rows: dict[str, list[tuple[Array, Array]]] = {r.file: [] for r in asked}
+        rows: dict[str, list[tuple[IntArray, Array]]] = {r.file: [] for r in asked}
         gradients: dict[Parameter, list[float]] = {tuple(each): [] for each in wrt}  # type: ignore[misc]
         slopes: dict[float, dict[Parameter, Array]] = {}
 
@@ -251,7 +252,7 @@ class ReferenceSession:
         self,
         snapshots: list[Snapshot],
         asked: list[LogRecord],
-        rows: dict[str, list[tuple[Array, Array]]],
+        rows: dict[str, list[tuple[IntArray, Array]]],
         seconds: float,
     ) -> Simulation:
         times = np.array([s.state.time for s in snapshots])

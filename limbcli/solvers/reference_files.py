@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import LOG_FILE
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class RunFiles:
         if snapshot is None:
             system.at(now)
 
-    def _write(self, record: LogRecord, step: int, time: float, ids: Array, values: Array) -> None:
+    def _write(self, record: LogRecord, step: int, time: float, ids: IntArray, values: Array) -> None:
         if record.file not in self._files:
             self._files[record.file] = self._stack.enter_context((self.folder / record.file).open("w"))
         stream = self._files[record.file]

@@ -120,7 +120,7 @@ def punch(
     model = block(kind, n, (12.0, 10.0, 8.0), material=material)
     start = 0.05
     side = np.array([-0.5, 0.5]) * width
-    corners = np.array([(x, y, -start) for y in side for x in side]) + (6.0, 5.0, 0.0)
+    corners = np.array([(6.0 + x, 5.0 + y, -start) for y in side for x in side])
     first = len(model.mesh.points)
     plate = Block("probe", "quad4", np.array([[first, first + 2, first + 3, first + 1]]))
     mesh = Mesh(

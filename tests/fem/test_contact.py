@@ -72,7 +72,8 @@ def test_force_control_is_the_inverse_of_displacement_control() -> None:
     model = punch("tet4", depth=0.6)
     pressed = Analysis(model, QUICK).run()[-1]
     force = pressed.forces.bodies[0, 2]
-    drives = tuple(d for d in model.drives if d.dof != "z") + (Drive("probe", "z", "force", force, "ramp"),)
+    others = (d for d in model.drives if d.dof != "z")
+    drives = (*others, Drive("probe", "z", "force", force, "ramp"))
     driven = Analysis(replace(model, drives=drives), QUICK).run()[-1]
     assert driven.state.bodies[0].shift[2] == pytest.approx(pressed.state.bodies[0].shift[2], rel=1e-5)
 
@@ -128,7 +129,8 @@ def test_probe_without_contact_that_is_free_is_named() -> None:
     model = punch("tet4", (2, 2, 2))
     points = model.mesh.points.copy()
     points[-4:, 2] += 3.0  # lifted off the skin
-    drives = tuple(d for d in model.drives if d.dof != "z") + (Drive("probe", "z", "force", -0.1, "ramp"),)
+    others = (d for d in model.drives if d.dof != "z")
+    drives = (*others, Drive("probe", "z", "force", -0.1, "ramp"))
     lifted = replace(model, mesh=replace(model.mesh, points=points), drives=drives)
     with pytest.raises(SolveError, match="'probe' moves freely along 'z'"):
         Analysis(lifted, QUICK).run()
