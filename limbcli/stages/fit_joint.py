@@ -11,39 +11,36 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, SiteData, held_out_error, joint_fit
+from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
-from limbcli.inference.uncertainty import Verdict, correlation, verdict
 from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.stages.fit import FitOptions, built_model, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_exports import leave_exports, parameter_rows, write_table
-from limbcli.stages.fit_joint_picture import draw_joint
+from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
-from limbcli.units import kpa_from_mpa
 
 STAGE = "fit-joint"
 # What the mesh may add to the force, relative: of tet10 the change under refinement and with
 # the penalty (2 to 3 % at 2.5 mm edges); of tet4 what locking leaves at f_kappa 1 (13 %).
 GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
-_USUAL_SIZE = 2.5
+_USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
 
 
 @dataclass(frozen=True)
 class JointOptions:
     """law : one of `fit_laws.LAWS`; compare_laws : all of them, by held-out error
 
-    gain_deviation : of simulated forces, relative (None: by element and edge length)
+    gain_deviation : of simulated forces, relative (None: from `mesh --study` where it was run,
+    else by element and edge length)
     """
 
     law: str = "ogden"
@@ -54,12 +51,16 @@ class JointOptions:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A site as it enters: its model, its levels, c of its own SWE reading."""
+    """A site as it enters: its model, its levels, c of its own SWE reading.
+
+    studied_error : numerical error of the force, relative, where `mesh --study` was run
+    """
 
     site: Site
     model: LimbModel
     levels: Levels
     c: float
+    studied_error: float | None = None
 
 
 def fit_joint(
@@ -87,6 +88,7 @@ def fit_joint(
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
         measured = [_measured(site, out, writer, options) for site in case.selected(sites)]
+        models = [(each.site.name, each.model) for each in measured]
         names = [law.name] + [each for each in LAWS if joint.compare_laws and each != law.name]
         table = []
         for name in names:
@@ -98,11 +100,11 @@ def fit_joint(
                     raise
                 writer.warnings.append(f"the law {name} was not evaluated: {error.what}")
                 continue
-            table.append(_law_row(LAWS[name], problem, found, n_solves))
+            table.append(law_row(LAWS[name], problem, found, n_solves))
             if name == law.name:
-                _leave(writer, measured, law, problem, found, n_solves)
+                leave_joint(writer, models, law, problem, found, n_solves)
         if joint.compare_laws:
-            _compare(writer, table)
+            leave_comparison(writer, table)
         writer.data["seconds"] = time.perf_counter() - clock
     assert writer.result is not None
     return writer.result
@@ -112,7 +114,17 @@ def _measured(site: Site, out: Path, writer: StageWriter, options: FitOptions) -
     model = built_model(site, out, writer, label=site.name)
     levels = read_levels(site.levels)
     stiffness, _ = initial_stiffness(levels, site, options)
-    return Measured(site, model, levels, stiffness.c)
+    return Measured(site, model, levels, stiffness.c, _studied_error(site, out, writer))
+
+
+def _studied_error(site: Site, out: Path, writer: StageWriter) -> float | None:
+    """What the mesh study of this site found, if there is one."""
+    study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
+    if not study.is_file():
+        return None
+    writer.used(f"{site.name}/mesh-study", study)
+    found = read_result(out, "mesh-study", site=site.name).data.get("numerical_error_fraction")
+    return float(found) if found is not None else None
 
 
 # ---------------------------------------------------------------- identification
@@ -163,12 +175,13 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     levels, noise = measured.levels, measured.site.noise
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
+    given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
     pixels = np.where(np.isfinite(levels.swe_pixels), levels.swe_pixels, np.inf)[seen]
     deviation = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
     return SiteData(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
-        np.maximum(deviation, 1e-4), gain_deviation(measured.model, joint.gain_deviation),
+        np.maximum(deviation, 1e-4), gain_deviation(measured.model, given),
     )  # fmt: skip
 
 
@@ -176,118 +189,25 @@ def gain_deviation(model: LimbModel, given: float | None) -> float:
     """Numerical error of the force, relative: stated, or a default by element and edge length."""
     if given is not None:
         return given
-    size = float(model.info.get("size_under_probe_mm") or _USUAL_SIZE)
+    size = _edge_under_probe(model)
     return GAIN_DEVIATION.get(model.mesh.solid_blocks[0].kind, 0.05) * size / _USUAL_SIZE
+
+
+def _edge_under_probe(model: LimbModel) -> float:
+    """Median edge (mm) of the skin's facets within 10 mm of the probe's centre; 2.5 where there are none."""
+    surface, points = model.mesh.surfaces.get("contact"), model.mesh.points
+    if surface is None:
+        return _USUAL_SIZE
+    lengths = []
+    for facets in surface.facets.values():
+        corners = points[facets[:, :3]]
+        near = np.hypot(*corners.mean(axis=1)[:, :2].T) < _NEAR_CENTRE
+        lengths.append(np.linalg.norm(corners[near] - np.roll(corners[near], 1, axis=1), axis=2).ravel())
+    edges = np.concatenate(lengths) if lengths else np.zeros(0)
+    return float(np.median(edges)) if len(edges) else _USUAL_SIZE
 
 
 def _c_prior(measured: Sequence[Measured], options: FitOptions) -> float:
     """Deviation of ln c where no speed enters: that of one site's level-0 reading."""
     each = measured[0]
     return initial_stiffness(each.levels, each.site, options)[0].log_deviation
-
-
-# ---------------------------------------------------------------- what is left
-
-
-def _leave(
-    writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
-    n_solves: int,
-) -> None:  # fmt: skip
-    parameters = parameter_table(problem, found)
-    c = float(found.best[0])
-    fitted = measured[0].model.with_material("tissue", law.material(c, problem.solved_at(found.best)))
-    values = {name: each["value"] for name, each in parameters.items()}
-    gains = {
-        measured[k].site.name: float(found.best[1 + problem.n_shape + j])
-        for j, k in enumerate(problem.gained)
-    }
-    writer.data.update(
-        objective="joint", law=law.name, law_words=law.words, **values,
-        kappa_kpa=values["c_kpa"] * values["f_kappa"], parameters=parameters,
-        flags={name: each["flag"] for name, each in parameters.items()},
-        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
-        gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
-        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
-        n_solves=n_solves, sites=[each.site.name for each in measured], solver="reference",
-    )  # fmt: skip
-    rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
-    _leave_levels(writer, problem, found)
-    leave_exports(writer, rows, writer.data, fitted)
-    draw_joint(problem, found, writer)
-    for name, each in parameters.items():
-        writer.summary.append(f"{name} = {each['value']:.4g}: {each['words']}")
-    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
-    for theta in found.unsolved:
-        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
-
-
-def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[str, Any]]:
-    """c in kPa and the shape: value, error, interval, flag and words."""
-    n = 1 + problem.n_shape
-    logs = found.fit.jacobian * found.fit.theta
-    covariance: Array = np.asarray(np.linalg.pinv(logs.T @ logs)[:n, :n] * found.scale)
-    rho = correlation(np.asarray(covariance))
-    table: dict[str, dict[str, Any]] = {}
-    for k, parameter in enumerate(problem.parameters[:n]):
-        profile, value = found.profiles[parameter.name], float(found.best[k])
-        others = [(problem.parameters[j].name, float(rho[k, j])) for j in range(n) if j != k]
-        spoken: Verdict = verdict(parameter, value, profile, influence=True, correlations=others)
-        unit = kpa_from_mpa(1.0) if k == 0 else 1.0
-        words = spoken.words
-        if k == 0:
-            words = words.replace(f"{profile.low:.4g} to {profile.high:.4g}",
-                                  f"{unit * profile.low:.4g} to {unit * profile.high:.4g} kPa")  # fmt: skip
-        table["c_kpa" if k == 0 else parameter.name] = {
-            "value": unit * value,
-            "standard_error": unit * value * float(np.sqrt(covariance[k, k])),
-            "low": None if profile.open_low else unit * profile.low,
-            "high": None if profile.open_high else unit * profile.high,
-            "flag": spoken.flag, "words": words,
-        }  # fmt: skip
-    return table
-
-
-def _leave_levels(writer: StageWriter, problem: JointProblem, found: Intervals) -> None:
-    """levels-<site>.csv: measured and predicted depths, and speeds at each force."""
-    for k, data in enumerate(problem.task.data):
-        seen = problem.predict(k, found.best)
-        quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
-        write_table(
-            writer.file(f"levels_{data.name}", f"levels-{data.name}.csv"),
-            {
-                "force_n": np.r_[data.force, data.speed_force], "quantity": quantity,
-                "measured": np.r_[data.depth, np.exp(data.log_speed)],
-                "predicted": np.r_[seen.depth, np.exp(seen.log_speed)],
-            },
-        )  # fmt: skip
-
-
-def _law_row(law: FitLaw, problem: JointProblem, found: Intervals, n_solves: int) -> dict[str, Any]:
-    depth, speed = held_out_error(problem, found)
-    shape = dict(zip([each.name for each in law.shape], problem.solved_at(found.best), strict=True))
-    return {
-        "law": law.name, "n_parameters": 1 + problem.n_shape,
-        "held_out_depth_mm": depth,
-        "held_out_speed_fraction": speed if np.isfinite(speed) else None,
-        "chi_square": found.chi_square, "n_freedom": found.n_freedom,
-        "c_kpa": kpa_from_mpa(float(found.best[0])), "shape": shape, "n_solves": n_solves,
-    }  # fmt: skip
-
-
-def _compare(writer: StageWriter, table: list[dict[str, Any]]) -> None:
-    """laws.csv, best first: by the error of levels that were left out, never by R2."""
-    table.sort(key=lambda row: row["held_out_depth_mm"])
-    writer.data["laws"] = table
-    writer.data["best_law"] = table[0]["law"]
-    columns = [key for key in table[0] if key != "shape"]
-    cells = {key: [row[key] if row[key] is not None else "" for row in table] for key in columns}
-    cells["shape"] = [
-        "; ".join(f"{name} {value:.4g}" for name, value in row["shape"].items()) for row in table
-    ]
-    write_table(writer.file("laws", "laws.csv"), cells)
-    for row in table:
-        speed = row["held_out_speed_fraction"]
-        writer.summary.append(
-            f"{row['law']}: left-out depths missed by {row['held_out_depth_mm']:.3f} mm"
-            + (f", speeds by {100 * speed:.1f} %" if speed is not None else "")
-        )

@@ -130,6 +130,7 @@ def test_speeds_and_a_second_site_narrow_the_interval(stand_in):
     assert both < with_speeds < without
 
 
+@pytest.mark.slow
 def test_what_cannot_be_seen_stays_open(stand_in):
     data = measurement(stand_in, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
     _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=6)

@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import shutil
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from scipy.io import loadmat
 
 from limbcli.errors import CaseError
 from limbcli.feb.settings import schedule
+from limbcli.results import open_stage
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_elements import compare_elements
@@ -145,6 +147,15 @@ def test_wrong_choices_are_refused_with_a_fix():
         check_choice("both", compare_element=False, solver="auto")
     with pytest.raises(CaseError, match="reference solver does it"):
         check_choice("joint", compare_element=False, solver="febio")
+
+
+def test_a_mesh_study_says_the_numerical_error(case_and_out):
+    case, out = case_and_out
+    with open_stage(out, "mesh-study", subject="B1", site="p1") as writer:
+        writer.data["numerical_error_fraction"] = 0.021
+    result = fit_joint(case, out=out, joint=JointOptions(law="mooney-rivlin", max_solves=0))
+    shutil.rmtree(out / "mesh-study")
+    assert result.data["gain_deviations"] == {"p1": 0.021}
 
 
 def test_numerical_error_goes_with_element_and_size():
