@@ -48,5 +48,5 @@ def _curve(axes: Any, pairs: list[tuple[float, float]], used: float, label: str,
     axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
     axes.set_xlabel(label)
     axes.set_ylabel(f"force at {depth:g} mm, N")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.12 * max(force))
     axes.legend(frameon=False)
