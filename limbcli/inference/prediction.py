@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from limbcli.errors import SolveError
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.model import Array
 
@@ -50,7 +51,7 @@ class Predictor(Protocol):
 
 
 Evaluate = Callable[[Array], Array]
-ParallelMap = Callable[[Evaluate, Iterable[Array]], Iterable[Array]]
+ParallelMap = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
 
 
 class Differences:
@@ -59,7 +60,7 @@ class Differences:
     Parameters
     ----------
     evaluate : theta -> values (n,)
-    upper : (n_parameters,) bounds; near one the step goes inwards
+    upper : (n_parameters,) bounds; near one, or where there is no answer, the step goes down
     relative_step : of each parameter. It must drown the solver's own tolerance: FEBio's
         forces are good to about 1e-3, so the step is large and the derivative a secant.
     run_all : a `map`; one that works in parallel runs the shifted sets side by side.
@@ -80,15 +81,28 @@ class Differences:
         shifted = [self._shifted(theta, k) for k in wrt]
         needed = [*([] if known else [theta]), *shifted]
         self.n_solves += len(needed)
-        answers = list(self._map(self._evaluate, needed))
-        base = self._last[1] if known and self._last else answers.pop(0)
+        answers = list(self._map(self._attempt, needed))
+        first = self._last[1] if known and self._last else answers.pop(0)
+        if isinstance(first, SolveError):
+            raise first
+        base: Array = first
         self._last = (theta.copy(), base)
         if not wrt:
             return Prediction(base)
         jacobian = np.full((len(base), len(theta)), np.nan)
         for k, moved, answer in zip(wrt, shifted, answers, strict=True):
+            if isinstance(answer, SolveError):
+                moved[k] = theta[k] * (1.0 - self._step)
+                self.n_solves += 1
+                answer = self._evaluate(moved)
             jacobian[:, k] = (answer - base) / (moved[k] - theta[k])
         return Prediction(base, jacobian)
+
+    def _attempt(self, theta: Array) -> Array | SolveError:
+        try:
+            return self._evaluate(theta)
+        except SolveError as error:
+            return error
 
     def _shifted(self, theta: Array, k: int) -> Array:
         moved = theta.copy()

@@ -7,15 +7,16 @@ derivatives; any other solver is run on files, the shifted parameter sets side b
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
-from limbcli.inference.prediction import Differences, Evaluate, Prediction
+from limbcli.inference.prediction import Differences, Prediction
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -174,7 +175,7 @@ class FileCurve:
         return Differences(self, upper=upper, relative_step=relative_step, run_all=run_side_by_side)
 
 
-def run_side_by_side(evaluate: Evaluate, thetas: Iterable[Array]) -> Iterable[Array]:
+def run_side_by_side(evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
     """All at once; the first error is raised after the others have ended."""
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         return list(pool.map(evaluate, thetas))

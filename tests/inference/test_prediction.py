@@ -1,7 +1,9 @@
 """Differences, memory, and reading a curve at measured depths."""
 
 import numpy as np
+import pytest
 
+from limbcli.errors import SolveError
 from limbcli.inference.prediction import Differences, Memory, sampled, slopes_at
 
 KNOTS = np.linspace(1.0, 10.0, 10)
@@ -44,6 +46,19 @@ def test_differences_stay_inside_the_upper_bound(stand_in):
     wrapped = Differences(evaluate, upper=(1000.0, 100.0))
     assert wrapped(np.array([1000.0, 3.0]), (0,)).jacobian[0, 0] > 0
     assert np.max(tried) <= 1000.0
+
+
+def test_a_shift_without_answer_is_made_the_other_way(stand_in):
+    def fragile(theta):
+        if theta[1] > 3.0:
+            raise SolveError("stopped", where="here", fix="none")
+        return stand_in.force(KNOTS, 0.008, *theta)
+
+    exact = stand_in.curve(KNOTS, 0.008)(np.array([20.0, 3.0]), (0, 1)).jacobian
+    wrapped = Differences(fragile, upper=(1000.0, 100.0), relative_step=1e-4)
+    np.testing.assert_allclose(wrapped(np.array([20.0, 3.0]), (0, 1)).jacobian, exact, rtol=1e-2, atol=1e-8)
+    with pytest.raises(SolveError):
+        wrapped(np.array([20.0, 3.5]))
 
 
 def test_memory_never_solves_the_same_twice(stand_in):
