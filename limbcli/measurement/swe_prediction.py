@@ -74,8 +74,9 @@ def predict_map(
     counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
     count = min(int(np.clip(np.max(counts), _FEWEST, _MOST)), len(points))
     distance, index = tree.query(targets, k=count)
-    spacing = float(np.median(tree.query(points, k=9)[0][:, 8]))
-    inside = _surrounded(points, targets, distance, index, reach=max(spacing, window.pixel))
+    spacing = tree.query(points, k=9)[0][:, 8]  # local: meshes are graded
+    reach = np.maximum(spacing[index[:, 0]], window.pixel)
+    inside = _surrounded(points, targets, distance, index, reach=reach)
     if not inside.any():
         raise _no_pixel(face_height)
     offset = points[index[inside]] - targets[inside][:, None, :]
@@ -92,7 +93,7 @@ def _no_pixel(face_height: float) -> MeasurementError:
     )
 
 
-def _surrounded(points: Array, targets: Array, distance: Array, index: Array, *, reach: float) -> Array:
+def _surrounded(points: Array, targets: Array, distance: Array, index: Array, *, reach: Array) -> Array:
     """(n_targets,) bool: an element is near, and the nearest eight are not a cluster far off."""
     offset = points[index[:, :8]] - targets[:, None, :]
     center = np.linalg.norm(offset.mean(axis=1), axis=1)

@@ -36,6 +36,14 @@ def test_pixels_in_bone_are_left_out(rng):
     assert 14 <= swe.depth.max() <= 17
 
 
+def test_a_mesh_that_grows_coarse_downwards_leaves_no_holes(rng):
+    points = tissue(rng, n=60_000)
+    share = np.clip((points[:, 2] + 40) / 37, 0, 1) ** 2  # sparse below, dense under the probe
+    points = points[rng.uniform(size=len(points)) < 0.01 + share]
+    swe = predict_map(points, np.full(len(points), 2.0), face_height=-3.0)
+    assert len(swe) >= 0.995 * 25 * 24
+
+
 def test_places_without_a_wave_are_left_out(rng):
     points = tissue(rng)
     speed = np.where(points[:, 0] > 0, np.nan, 2.0)
