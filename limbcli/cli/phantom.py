@@ -66,10 +66,9 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
-    from limbcli.phantom.protocol import Protocol
     from limbcli.stages.indent import KnownTissue
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
-    from limbcli.stages.synth import SynthOptions
+    from limbcli.stages.synth import Protocol, SynthOptions
 
     plan = SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),

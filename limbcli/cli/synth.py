@@ -67,10 +67,9 @@ def command(
     """Measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
     from limbcli.config import default_out
-    from limbcli.phantom.protocol import Protocol
     from limbcli.stages.hidden import hide
     from limbcli.stages.indent import KnownTissue
-    from limbcli.stages.synth import SynthOptions, synth
+    from limbcli.stages.synth import Protocol, SynthOptions, synth
 
     options = SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
