@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from limbcli.fem.system import State
 
 NAME = "reference"
+_DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
 _SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
 Parameter = tuple[str, str]
 
@@ -155,11 +156,14 @@ class SessionResult:
     """One solve.
 
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
+    differenced : the gradients are central differences of whole solves, because the response
+        depends on the way the load went (viscoelastic law, augmented contact)
     """
 
     simulation: Simulation
     must_points: MustPoints
     force_gradient: Mapping[Parameter, Array] = field(default_factory=dict)
+    differenced: bool = False
 
 
 class ReferenceSession:
@@ -205,6 +209,8 @@ class ReferenceSession:
         from limbcli.fem.fields import record_rows
 
         model = model2 if model2 is not None else self.model
+        if wrt and path_dependent(model):
+            return self._differenced(model, wrt, records)
         guesses = self._guesses(model)
         self._analysis.model = model
         started = time.monotonic()
@@ -240,6 +246,17 @@ class ReferenceSession:
 
     def close(self) -> None:
         self._analysis.close()
+
+    def _differenced(self, model: LimbModel, wrt: Sequence[Parameter], records: bool) -> SessionResult:
+        """The solve, with gradients by central differences of 1e-3 of each parameter."""
+        gradients: dict[Parameter, Array] = {}
+        for name in wrt:
+            forces = []
+            for sign in (1.0, -1.0):
+                changed, step = _nudged(model, name, sign * _DIFFERENCE)
+                forces.append(self.solve(changed).must_points.forces)
+            gradients[tuple(name)] = (forces[0] - forces[1]) / (2 * step)  # type: ignore[index]
+        return replace(self.solve(model, records=records), force_gradient=gradients, differenced=True)
 
     def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
         from limbcli.fem.fields import BODY_FIELDS
@@ -278,8 +295,6 @@ class ReferenceSession:
 
     def _guesses(self, model: LimbModel) -> dict[float, State]:
         """Converged levels of the last solve, moved along their derivatives."""
-        from dataclasses import replace
-
         out = {}
         for when, state in self._states.items():
             u = state.u
@@ -290,6 +305,31 @@ class ReferenceSession:
                     u = u + (after - before) * slope
             out[when] = replace(state, u=u)
         return out
+
+
+def path_dependent(model: LimbModel) -> bool:
+    """Whether the response depends on the way to a load, not on the load alone."""
+    laws = (material.law for material in model.materials.values())
+    return "viscoelastic" in laws or any(contact.augmented for contact in model.contacts)
+
+
+def _nudged(model: LimbModel, name: Parameter, relative: float) -> tuple[LimbModel, float]:
+    """The model with one parameter moved by a part of itself, and by how much (unsigned)."""
+    material = model.materials[name[0]]
+    owner = material
+    while name[1] not in owner.parameters and len(owner.parts) == 1:
+        owner = owner.parts[0]
+    value = owner.parameters.get(name[1])
+    if not isinstance(value, float | int) or value == 0:
+        raise SolveError(
+            f"{name[0]}.{name[1]} cannot be differenced: it is {value!r}",
+            where="derivative of a path-dependent response",
+            fix="choose a parameter that is a number other than 0",
+        )
+    moved = owner.with_parameters(**{name[1]: value * (1 + relative)})
+    if owner is not material:
+        moved = replace(material, parts=(moved,))
+    return model.with_material(name[0], moved), abs(value * relative)
 
 
 def _contact_body(model: LimbModel) -> str:
