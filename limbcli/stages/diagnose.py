@@ -186,6 +186,11 @@ class _Site:
         )  # fmt: skip
 
     def _working_mesh(self) -> LimbModel:
+        """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
+        own = self.out / "mesh" / self.site.name / "model.npz"
+        if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
+            self.writer.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
+            return load_model(own)
         segmented = read_result(self.out, "segment")
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)

@@ -114,7 +114,7 @@ class CurveBook:
     def __init__(
         self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
-        progress: Progress = SILENT, tolerance: float = 1e-5, threads: int = 2,
+        progress: Progress = SILENT, tolerance: float = 1e-4, threads: int = 2,
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)

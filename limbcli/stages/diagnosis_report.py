@@ -110,7 +110,8 @@ def gap_picture(found: Diagnosis, site: SiteData, path: Path) -> None:
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
     """Adjusted p of every candidate, and how visible it is here."""
-    tests = sorted((t for t in found.family.tests if t.name in found.facts), key=lambda t: -t.p_adjusted)
+    known = [t for t in found.family.tests if t.name in found.facts]
+    tests = sorted(known, key=lambda t: (-t.p_adjusted, t.score.statistic))
     figure = Figure(figsize=(8.4, 0.28 * max(len(tests), 4) + 1.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     names = [t.name for t in tests]

@@ -1,0 +1,89 @@
+"""The whole stage on a small block: solved, diagnosed, written, and taken up again."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.effects.reading import Protocol, Reading, read
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.model_io import save_model
+from limbcli.results import open_stage
+from limbcli.stages.diagnose import DiagnoseOptions, chosen_effects, diagnose, load_effect
+from limbcli.stages.diagnosis_curves import CurveBook
+
+EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
+OWN = """
+from dataclasses import replace
+from limbcli.effects.base import Effect, Parameter
+SLIP = Parameter("slip_mm", null=0.0, start=0.2, low=0.0, high=2.0, typical=0.5)
+def observe(reading, theta):
+    return replace(reading, depth_zero=reading.depth_zero - theta["slip_mm"])
+EFFECT = Effect("slip", "the probe slips", "measurement", "none", (SLIP,), observe=observe)
+"""
+
+
+def _block_case():
+    path = Path(__file__).with_name("block_case.py")
+    spec = importlib.util.spec_from_file_location("block_case_for_diagnose", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_users_effect_is_one_file(tmp_path):
+    path = tmp_path / "slip.py"
+    path.write_text(OWN)
+    assert load_effect(path).name == "slip"
+    assert chosen_effects(DiagnoseOptions(effect_file=path, effects=("slip",)))[0].name == "slip"
+    (tmp_path / "empty.py").write_text("x = 1")
+    with pytest.raises(CaseError, match="holds no EFFECT"):
+        load_effect(tmp_path / "empty.py")
+    with pytest.raises(CaseError, match="there is no effect 'frction'"):
+        chosen_effects(DiagnoseOptions(effects=("frction",)))
+
+
+@pytest.mark.slow
+def test_a_force_offset_on_the_block(tmp_path, rng):
+    block = _block_case()
+    model = block.block_model("tet10", counts=(6, 4, 2))
+    folder, out = tmp_path / "case", tmp_path / "out"
+    folder.mkdir()
+    for name in ("skin.stl", "bone.stl"):
+        (folder / name).write_text("solid\nendsolid\n")
+    toml = block.CASE_TOML.replace('"assumed"', '"spec"')
+    (folder / "case.toml").write_text(toml)
+    depths = np.linspace(0, 4.0, 11)
+    book = CurveBook(model, [0.7, 1.4, 2.1, 2.8, 3.5, 4.2], c=0.006)
+    curves = book.curves(3.0)
+    book.close()
+    truth = read(curves, Protocol(np.zeros(11), depths, np.zeros(11)), Reading(force_zero=0.4))
+    speed = np.exp(truth.log_speed[:, 0]) * (1 + 0.05 * rng.standard_normal(11))
+    force = truth.force + 0.05 * rng.standard_normal(11)
+    shown = depths + np.r_[0.0, 0.1 * rng.standard_normal(10)]
+    rows = [f"{f:.4f},{d:.4f},{v:.4f}" for f, d, v in zip(force, shown, speed, strict=True)]
+    (folder / "levels.csv").write_text("force_n,depth_mm,swe_mean_m_per_s\n" + "\n".join(rows) + "\n")
+    with open_stage(out, "mesh", subject="B1", site="p1") as writer:
+        save_model(model, writer.file("model", "model.npz"))
+    case = Case.open(folder)
+    options = DiagnoseOptions(effects=EFFECTS, interventions=False)
+    (found,) = diagnose(case, out=out, options=options)
+    content = json.loads(found.path("diagnosis").read_text())
+    assert ["force-zero"] in content["confidence_set"]
+    assert {"poroelasticity", "support-motion"} <= set(content["not_evaluated"])
+    assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
+    assert read_feb(found.path("feb")).materials["tissue"].law == "ogden"
+    assert found.data["n_solves"] > 0
+    (again,) = diagnose(case, out=out, options=options)
+    assert again.data["n_solves"] == 0
+    assert again.data["verdict"] == found.data["verdict"]
+    assert replace(again, provenance={}, files=found.files).summary == found.summary
