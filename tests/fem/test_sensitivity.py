@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.fem.analysis import Analysis
+from limbcli.fem.analysis import Analysis, Snapshot
+from limbcli.fem.field_derivatives import cell_field_derivatives
+from limbcli.fem.fields import cell_fields
 from limbcli.fem.newton import Settings
 from limbcli.fem.rigid import rotation_matrix
 from limbcli.fem.sensitivity import BodyMotion, LawParameter, Parameter, Shape, sensitivities
@@ -127,3 +129,29 @@ def test_force_by_parameter_with_tet10() -> None:
         return model.with_material("tissue", PLAIN.with_parameters(m1=value + h))
 
     check(small("tet10"), LawParameter("tissue", "m1"), change, 1e-3)
+
+
+@pytest.mark.parametrize("name", ["c1", "m1", "kappa"])
+def test_cell_fields_by_law_parameter(name: str) -> None:
+    """J, F and stresses of every cell against central differences of whole solves."""
+    fields = ("J", "Fxx", "Fzx", "sz", "sxy", "Ez", "z")
+    value = PLAIN.parameters[name]
+    h = 1e-4 * abs(value)
+
+    def solved(number: float) -> tuple[Analysis, Snapshot]:
+        material = PLAIN.with_parameters(**{name: number})
+        analysis = Analysis(small("tet4", material), TIGHT)
+        return analysis, analysis.run()[-1]
+
+    analysis, last = solved(value)
+    parameter = LawParameter("tissue", name)
+    (found,) = sensitivities(analysis.newton, last.state, last.forces, [parameter])
+    exact = cell_field_derivatives(analysis.system, last.state, 0, fields, parameter, found)
+    sides = []
+    for sign in (1, -1):
+        other, end = solved(value + sign * h)
+        sides.append(cell_fields(other.system, end.state, 0, fields))
+    numeric = (sides[0] - sides[1]) / (2 * h)
+    np.testing.assert_allclose(
+        exact / abs(numeric).max(axis=0), numeric / abs(numeric).max(axis=0), atol=1e-5
+    )
