@@ -38,6 +38,7 @@ _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3
 _SETTLED = 0.03  # of m, between the estimate and the nearest solved value
 _MAX_NODES = 4
+_MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
 class Book(Typed):
@@ -80,6 +81,7 @@ class SiteBench:
         self._changes: dict[tuple[str, str], Change] = {}
         self._repairs: dict[tuple[Explanation, str], Array] = {}
         self.m_reference = _M_START[0]
+        self._base_end: tuple[float, float] | None = None
 
     # ------------------------------------------------------------ the contract
 
@@ -99,20 +101,31 @@ class SiteBench:
         if not explanation:
             return self._fit_base()
         effects = [self.effects[name] for name in explanation]
-        best: tuple[float, Fitted] | None = None
-        problem: LimbError | None = None
-        for points in itertools.islice(itertools.product(*(e.grid for e in effects)), 24):
+        combinations: list[Sequence[Theta]] = list(
+            itertools.islice(itertools.product(*(e.grid for e in effects)), _MOST_POINTS)
+        )
+        if len(combinations) > _TRIED_FULLY:
+            quick = self._each(explanation, combinations, start, thorough=False)
+            combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
+        best = self._each(explanation, combinations, start, thorough=True)[0]
+        return self._verified(explanation, best[2])
+
+    def _each(
+        self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],
+        *, thorough: bool,
+    ) -> list[tuple[float, Sequence[Theta], Fitted]]:  # fmt: skip
+        """Fits at these points of the effects' grids, the best first; points without an answer left out."""
+        found, problem = [], None
+        for points in combinations:
             try:
-                found = self._fit_at(explanation, points, start)
+                cost, fitted = self._solve_fit(explanation, points, start, thorough=thorough)
             except LimbError as error:
                 problem = error
                 continue
-            if best is None or found[0] < best[0]:
-                best = found
-        if best is None:
-            assert problem is not None
+            found.append((cost, points, fitted))
+        if not found and problem is not None:
             raise problem
-        return self._verified(explanation, best[1])
+        return sorted(found, key=lambda each: each[0])
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.effects[name]
@@ -234,6 +247,7 @@ class SiteBench:
             if not self._solve_node(float(round(m, 3))):
                 break
         self.m_reference = min(self._nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+        self._base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
 
     def _solve_node(self, m: float) -> bool:
@@ -245,14 +259,10 @@ class SiteBench:
             return False
         return True
 
-    def _fit_at(
-        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
-    ) -> tuple[float, Fitted]:
-        return self._solve_fit(explanation, points, start)
-
     def _solve_fit(
-        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
-    ) -> tuple[float, Fitted]:
+        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
+        thorough: bool = True,
+    ) -> tuple[float, Fitted]:  # fmt: skip
         parameters = [p for name in explanation for p in self.effects[name].parameters]
         low = np.array([np.log(self.book.c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
         high = np.array([np.log(self.book.c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
@@ -262,19 +272,28 @@ class SiteBench:
             [p.start for p in parameters],
         ]
         best = None
-        for guess in guesses if parameters else [[]]:
-            for m in (2.0, 6.0):
-                x0 = np.clip(np.array([np.log(self.book.c), np.log(m), *guess]), low + 1e-6, high - 1e-6)
-                found = least_squares(
-                    lambda x: self.whiten(self.data.y - self.predict(x, explanation, points)),
-                    x0, bounds=(low, high), x_scale=scale, diff_step=1e-4, max_nfev=60,
-                )  # fmt: skip
-                if best is None or found.cost < best.cost:
-                    best = found
+        for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts()):
+            x0 = np.clip(np.array([np.log(c), np.log(m), *guess]), low + 1e-6, high - 1e-6)
+            found = least_squares(
+                lambda x: self.whiten(self.data.y - self.predict(x, explanation, points)),
+                x0, bounds=(low, high), x_scale=scale, diff_step=1e-4, max_nfev=60 if thorough else 12,
+            )  # fmt: skip
+            if best is None or found.cost < best.cost:
+                best = found
+            if not thorough:
+                break
         assert best is not None
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         return 2 * float(best.cost), self._fitted(best.x, explanation, points, low, high)
+
+    def _tissue_starts(self) -> list[tuple[float, float]]:
+        """c, m to start from: where the fit without effects ended, and a usual tissue."""
+        usual = [(self.book.c, 2.0), (self.book.c, 6.0)]
+        if self._base_end is None:
+            return usual
+        m = self._base_end[1]
+        return [self._base_end, max(usual, key=lambda each: abs(np.log(each[1] / m)))]
 
     def _fitted(
         self, x: Array, explanation: Explanation, points: Sequence[Theta], low: Array, high: Array

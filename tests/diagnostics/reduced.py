@@ -24,6 +24,7 @@ from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.stages.diagnosis_curves import Windows, _volumes
 
 HEIGHT = 25.0
+_SHIFTS: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
 
 
 def block_model(nx: int = 9, ny: int = 6, nz: int = 6, *, height: float = HEIGHT) -> LimbModel:
@@ -99,6 +100,15 @@ class ReducedBook:
         return self._raw(m, ingredients)
 
     def shift(self, m: float, ingredients) -> tuple[np.ndarray, np.ndarray]:
+        """At m rounded to halves, and remembered: a change hardly depends on m, and is shared."""
+        rounded = max(round(2 * m) / 2, 1.0)
+        key = (len(self.model.mesh.points), self.depth[-1], self.spread, rounded)
+        key += tuple((e.name, tuple(sorted(theta.items()))) for e, theta in ingredients)
+        if key not in _SHIFTS:
+            _SHIFTS[key] = self._shift(rounded, ingredients)
+        return _SHIFTS[key]
+
+    def _shift(self, m: float, ingredients) -> tuple[np.ndarray, np.ndarray]:
         changed, plain = self._raw(m, ingredients), self._raw(m, ())
         ratio = np.log(np.maximum(changed.force[1:], 1e-9) / plain.force[1:])
         return np.concatenate([ratio[:1], ratio]), changed.log_speed - plain.log_speed
