@@ -254,12 +254,9 @@ class _Site:
     def _interventions(self, book: CurveBook) -> list[Intervention]:
         found = []
         for name in ("crop", "contact"):
-            numerical = next((e for e in self.effects if e.name == name), None)
-            if numerical is None:
-                continue
             self.progress.event("note", text=f"numerical check: {name}")
             try:
-                found.append(self._intervene(book, numerical))
+                found.append(self._intervene(book, effect(name)))
             except LimbError as error:
                 self.writer.data.setdefault("numerical_not_evaluated", {})[name] = error.what
         if self.case.model.element == "tet4":

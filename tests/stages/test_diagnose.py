@@ -75,11 +75,13 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     with open_stage(out, "mesh", subject="B1", site="p1") as writer:
         save_model(model, writer.file("model", "model.npz"))
     case = Case.open(folder)
-    options = DiagnoseOptions(effects=EFFECTS, interventions=False)
+    options = DiagnoseOptions(effects=EFFECTS)
     (found,) = diagnose(case, out=out, options=options)
     content = json.loads(found.path("diagnosis").read_text())
     assert ["force-zero"] in content["confidence_set"]
     assert {"poroelasticity", "support-motion"} <= set(content["not_evaluated"])
+    assert {each["name"] for each in content["numerical"]} == {"crop", "contact"}
+    assert content["numerical"][0]["largest_change_in_deviations"] < 0.05  # a block without a cut
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
     assert read_feb(found.path("feb")).materials["tissue"].law == "ogden"
     assert found.data["n_solves"] > 0
