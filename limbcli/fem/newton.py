@@ -15,6 +15,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
+_MAX_KRYLOV = 24
 _LARGE = 20_000  # equations, from which on single precision pays
 
 
@@ -72,6 +73,7 @@ class Newton:
         self.tangent: Tangent | None = None
         self.inverse: Inverse | None = None
         self.slow = 0.0
+        self.stuck = False
         single = settings.single if settings.single is not None else system.n_tissue > _LARGE
         pattern = system.pattern
         self.linear: Any = (
@@ -118,9 +120,10 @@ class Newton:
         assert self.inverse is not None
         tangent, inverse = self.tangent, self.inverse
         step, n, reached = gmres(
-            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=50
+            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=_MAX_KRYLOV
         )
         self.counts.krylov += n
+        self.stuck = reached > max(3 * tolerance, 1e-9)
         self.slow = n / max(-np.log10(max(reached, 1e-16)), 0.3)
         return step
 
@@ -191,7 +194,11 @@ class Newton:
         elif renew or self.tangent is None:
             self.tangent = assemble(self.system, state, forces.nodal)
         forcing = float(np.clip(0.3 * target / forces.error, 1e-4, min(0.1, forces.error**0.5)))
-        return self.solve_linear(state, -forces.residual, forcing)
+        step = self.solve_linear(state, -forces.residual, forcing)
+        if self.stuck:  # the factor is too old to be of use
+            self.refresh(state, forces)
+            step = self.solve_linear(state, -forces.residual, forcing)
+        return step
 
     def search(
         self, state: State, forces: Forces, step: Array, iteration: int

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
+from numba import njit
 
 from limbcli.errors import SolveError
 from limbcli.fem.linear import LinearSolver
@@ -41,8 +42,7 @@ class Tangent:
         n = system.n_tissue
         x = step[:n]
         out = np.zeros_like(step)
-        diagonal = self.upper.diagonal()
-        out[:n] = self.upper @ x + self.upper.T @ x - diagonal * x
+        upper_times(self.upper.indptr, self.upper.indices, self.upper.data, x, out)
         motions = system.motions(step)
         v = np.zeros_like(state.u)
         v[system.free] = x
@@ -142,6 +142,39 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
         )
 
 
+@njit(cache=True)
+def upper_times(indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
+    """out += the symmetric matrix, given by its upper triangle in CSR, times x."""
+    for row in range(len(indptr) - 1):
+        total = 0.0
+        for k in range(indptr[row], indptr[row + 1]):
+            column = indices[k]
+            total += data[k] * x[column]
+            if column != row:
+                out[column] += data[k] * x[row]
+        out[row] += total
+
+
+@njit(cache=True)
+def orthogonalise(V, n, w, h):  # type: ignore[no-untyped-def]
+    """Take the first n rows of V out of w, twice; h gets the coefficients. Returns the norm left.
+
+    A plain loop: the threads of a BLAS are no help on vectors of this length.
+    """
+    for _ in range(2):
+        for j in range(n):
+            dot = 0.0
+            for i in range(len(w)):
+                dot += V[j, i] * w[i]
+            h[j] += dot
+            for i in range(len(w)):
+                w[i] -= dot * V[j, i]
+    total = 0.0
+    for i in range(len(w)):
+        total += w[i] * w[i]
+    return np.sqrt(total)
+
+
 def gmres(
     apply: Callable[[Array], Array],
     inverse: Callable[[Array], Array],
@@ -158,7 +191,9 @@ def gmres(
     norm = float(np.linalg.norm(rhs))
     if norm == 0.0:
         return np.zeros_like(rhs), 0, 0.0
-    V, Z = [rhs / norm], []
+    V = np.empty((max_iterations + 1, len(rhs)))
+    V[0] = rhs / norm
+    Z: list[Array] = []
     H = np.zeros((max_iterations + 1, max_iterations))
     beta = np.zeros(max_iterations + 1)
     beta[0] = norm
@@ -168,12 +203,7 @@ def gmres(
         z = first / norm if (k == 0 and first is not None) else inverse(V[k])
         w = apply(z)
         Z.append(z)
-        for _ in range(2):  # twice is enough
-            for j in range(k + 1):
-                h = float(V[j] @ w)
-                H[j, k] += h
-                w = w - h * V[j]
-        H[k + 1, k] = float(np.linalg.norm(w))
+        H[k + 1, k] = orthogonalise(V, k + 1, w, H[:, k])
         for j in range(k):
             H[j, k], H[j + 1, k] = (
                 cs[j] * H[j, k] + sn[j] * H[j + 1, k],
@@ -189,7 +219,10 @@ def gmres(
         beta[k] = cs[k] * beta[k]
         if abs(beta[k + 1]) <= tolerance * norm or last == 0.0:
             break
-        V.append(w / last)
+        V[k + 1] = w / last
     size = k + 1
     y = np.linalg.solve(H[:size, :size], beta[:size])
-    return np.array(Z[:size]).T @ y, size, abs(float(beta[size])) / norm
+    solution = np.zeros_like(rhs)
+    for weight, z in zip(y, Z, strict=False):
+        solution += weight * z
+    return solution, size, abs(float(beta[size])) / norm
