@@ -1,0 +1,94 @@
+"""The stacked measurement: channels, noise, parts of the scanner's window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Noise
+from limbcli.effects.reading import Curves, Reading
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.stages.diagnosis_curves import Windows
+from limbcli.stages.diagnosis_data import site_data
+
+N = 6
+
+
+def levels(**changes) -> Levels:
+    nan = np.full(N, np.nan)
+    values = {
+        "force": 2.0 * np.arange(N), "depth": 1.5 * np.arange(N), "swe_mean_m_per_s": nan,
+        "swe_sd_m_per_s": nan,
+        "swe_pixels": nan, "phase": ("load",) * N, "hold": nan, "probe_travel": nan, "skin_bone": nan,
+        "path": Path("levels.csv"), **changes,
+    }  # fmt: skip
+    return Levels(**values)
+
+
+def grid_map(speed) -> SweMap:
+    lateral, depth = Windows().window.pixels()
+    return SweMap(lateral, depth, np.broadcast_to(speed, lateral.shape).astype(float))
+
+
+def test_parts_of_the_window_share_it_evenly():
+    windows = Windows()
+    lateral, depth = windows.window.pixels()
+    means, counts = windows.log_means(SweMap(lateral, depth, np.exp(0.01 * depth)))
+    assert counts[0] == len(lateral) == counts[1:].sum()
+    assert means[1] < means[4] < means[7]
+    assert means[1] == pytest.approx(means[3])
+    assert len(windows.names()) == len(means) == len(windows.depths) == 10
+
+
+def test_channels_are_those_measured():
+    plain = site_data("p1", levels(), Noise(), windows=Windows())
+    assert plain.channels == ("force",)
+    assert len(plain.rows) == N - 1  # level 0 is 0 N at 0 mm by definition
+    full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
+    rich = site_data("p1", full, Noise(), windows=Windows(), maps=[grid_map(2.0)] * N)
+    assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
+    assert sum(row.channel == "map" for row in rich.rows) == 9 * N
+    assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
+    assert {"speed maps, deep middle", "speed maps, first third of the levels"} <= set(rich.data.groups)
+    assert np.linalg.eigvalsh(rich.data.noise.covariance).min() > 0
+
+
+def test_assumed_noise_is_recognised_and_known_noise_is_not():
+    assert site_data("p1", levels(), Noise(source="assumed"), windows=Windows()).data.noise.is_assumed
+    assert not site_data("p1", levels(), Noise(source="spec"), windows=Windows()).data.noise.is_assumed
+
+
+def test_pixels_of_a_level_err_together():
+    data = site_data("p1", levels(), Noise(), windows=Windows(), maps=[grid_map(2.0)] * N)
+    covariance = data.data.noise.covariance
+    index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
+    within = covariance[index["map", 2, 1], index["map", 2, 5]]
+    across = covariance[index["map", 2, 1], index["map", 3, 1]]
+    assert within > across > 0  # the gain of the scanner is common to all levels
+
+
+def test_model_error_moves_force_and_speed_as_stated():
+    log_force, log_speed = np.full(N, 0.05), np.zeros((N, 10))
+    with_error = site_data(
+        "p1", levels(), Noise(), windows=Windows(), model_error=[("mesh", log_force, log_speed)]
+    )
+    without = site_data("p1", levels(), Noise(), windows=Windows())
+    added = with_error.data.noise.covariance - without.data.noise.covariance
+    assert np.diag(added) == pytest.approx((0.05 * without.data.y) ** 2)
+
+
+def test_prediction_is_laid_out_like_the_data():
+    depth = np.linspace(0, 10, 6)
+    curves = Curves(depth, depth**1.2, np.tile(np.log(np.arange(2.0, 12.0)), (6, 1)), Windows().depths, 28.0)
+    data = site_data(
+        "p1", levels(skin_bone=np.full(N, 30.0)), Noise(), windows=Windows(), maps=[grid_map(2.0)] * N
+    )
+    found = data.predict(curves, Reading())
+    for row, value in zip(data.rows, found, strict=True):
+        if row.channel == "map":
+            assert np.exp(value) == pytest.approx(row.part + 2)
+        elif row.channel == "skin-bone":
+            assert value == 28.0
