@@ -36,8 +36,6 @@ from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
-from limbcli.solvers.febio import FebioSolver
-from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_curves import CurveBook, Windows
@@ -230,24 +228,34 @@ class _Site:
         return ratio, np.zeros_like(working.log_speed)
 
     def _own_run(self) -> tuple[Array, Array] | None:
-        ran = read_result(self.out, "run", site=self.site.name)
-        built = read_result(self.out, "build-feb", site=self.site.name)
-        if (
-            built.data.get("element") != "tet10"
-            or built.data.get("f_kappa") != F_KAPPA
-            or built.data.get("m") != 2.0
-        ):
+        element, depth, force = self._start_run()
+        if element != "tet10":
             self.writer.warnings.append(
-                "the site's own run was made with other elements or start values, and is not used to tie the "
-                "working mesh to it"
+                f"the site's own run has {element} elements and is not used to tie the working mesh to it"
             )
             return None
-        reader = FebioSolver() if "febio" in str(ran.data.get("solver", "")).lower() else ReferenceSolver()
-        simulation = reader.read(ran.folder / "model.feb")
-        depth, force = simulation.probe_depth(), simulation.probe_force()
-        order = np.flatnonzero((np.diff(depth, prepend=0.0) > 1e-6) & (force > 0))
+        return depth, force
+
+    def _start_run(self) -> tuple[str, Array, Array]:
+        """Element, depths and forces of the site's own run at the start values, scaled to the reference c.
+
+        Raises
+        ------
+        CaseError
+            If there is none, or it was made with other start values.
+        """
+        ran = read_result(self.out, "run", site=self.site.name)
+        built = read_result(self.out, "build-feb", site=self.site.name)
+        if built.data.get("f_kappa") != F_KAPPA or built.data.get("m") != 2.0:
+            raise CaseError(
+                "the site's own run was made with other start values than f_kappa 100, m 2",
+                where=str(ran.folder), fix="run `limbcli build-feb` and `limbcli run` without options",
+            )  # fmt: skip
+        table = np.loadtxt(ran.path("force_depth"), delimiter=",", skiprows=1, ndmin=2)
+        depth, force = table[:, 1], table[:, 2]
+        rising = np.flatnonzero((np.diff(depth, prepend=0.0) > 1e-6) & (force > 0))
         scale = _reference_c(self.levels, self.site) / mpa_from_kpa(float(built.data["c_kpa"]))
-        return depth[order], force[order] * scale
+        return str(built.data.get("element")), depth[rising], force[rising] * scale
 
     # ------------------------------------------------------------ numerical effects
 
@@ -271,17 +279,15 @@ class _Site:
     def _locking(self, book: CurveBook) -> list[Intervention]:
         """The case asks for linear elements: what the site's own tet4 run gives against the working tet10."""
         try:
-            ran = read_result(self.out, "run", site=self.site.name)
-            simulation = ReferenceSolver().read(ran.folder / "model.feb")
+            element, depth, force = self._start_run()
         except LimbError as error:
             self.writer.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
             return []
+        if element != "tet4":
+            return []
         working = book.curves(2.0)
-        depth, force = simulation.probe_depth(), simulation.probe_force()
-        keep = np.flatnonzero((np.diff(depth, prepend=0.0) > 1e-6) & (force > 0))
-        at = PchipInterpolator(np.r_[0.0, depth[keep]], np.r_[0.0, force[keep]], extrapolate=True)(
-            working.depth
-        )
+        own = PchipInterpolator(np.r_[0.0, depth], np.r_[0.0, force], extrapolate=True)
+        at = own(working.depth)
         linear = replace(working, force=np.maximum(at, 1e-9))
         judged = self._judged("locking", linear, working, "tet4 against tet10")
         if judged.deviations > _MATTERS:
@@ -312,7 +318,8 @@ class _Site:
             maps = read_maps(self.site.swe_maps, len(self.levels))
             self.writer.used("swe maps", self.site.swe_maps)
         # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
-        share = {"crop": 0.5, "contact": 1.0}
+        # Twice the penalty halves the gap: the whole of it is twice the difference.
+        share = {"crop": 0.5, "contact": 2.0}
         errors = [
             (f"model: {each.name}", share[each.name] * each.log_force, share[each.name] * each.log_speed)
             for each in interventions if each.name in share

@@ -89,3 +89,33 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert again.data["n_solves"] == 0
     assert again.data["verdict"] == found.data["verdict"]
     assert replace(again, provenance={}, files=found.files).summary == found.summary
+    tied = []
+    for factor in (1.0, 1.1):
+        _leave_own_run(out, case, factor=factor)
+        tied.append(diagnose(case, out=out, options=options)[0].data)
+    ratio = np.array(tied[1]["working_mesh_force_ratio"]) / np.array(tied[0]["working_mesh_force_ratio"])
+    assert ratio == pytest.approx(1.1)
+    c = [each["shrink"][0]["values"]["c_kpa"] for each in tied]
+    assert c[1] < c[0]
+
+
+def _leave_own_run(out: Path, case: Case, *, factor: float) -> None:
+    """A finished `build-feb` and `run` with one of the solved curves, times a factor."""
+    curves = [
+        np.load(path)
+        for path in sorted((out / "diagnose" / ".work-p1").glob("*.npz"))
+        if "cells" not in path.name
+    ]
+    c_kpa = 2e3 * found_speed(case) ** 2 / 1e3
+    with open_stage(out, "build-feb", subject="B1", site="p1") as writer:
+        writer.data.update(f_kappa=100.0, m=2.0, element="tet10", c_kpa=c_kpa)
+    softest = min(curves, key=lambda each: each["force"][-1])
+    rows = [f"{d},{d},{factor * f}" for d, f in zip(softest["depth"][1:], softest["force"][1:], strict=True)]
+    with open_stage(out, "run", subject="B1", site="p1") as writer:
+        writer.file("force_depth", "force-depth.csv").write_text(
+            "time_s,depth_mm,force_n\n" + "\n".join(rows) + "\n"
+        )
+
+
+def found_speed(case: Case) -> float:
+    return float(case.sites[0].levels.read_text().splitlines()[1].split(",")[2])
