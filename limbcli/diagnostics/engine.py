@@ -36,6 +36,7 @@ ALIKE = 0.8
 CLOSED_PERCENTILE = 95.0
 _ROUGH_P = 0.01
 _MAX_REFITS = 10
+_REFIT_DRAWS = 4000  # enough for a test at 2.5 %
 
 
 def diagnose(
@@ -177,10 +178,9 @@ class _Run:
             return "the noise is assumed: the fit cannot be judged in absolute terms, and no shape stands out"
         return "the data scatter more than their stated noise; no shape stands out of the scatter"
 
-    def _family(self, state: Linearised, trials: Sequence[Trial]) -> Family:
-        return score_family(
-            state, trials, rng=self._rng(1), relative=self.relative, n_draws=self.n_draws, alpha=ALPHA
-        )
+    def _family(self, state: Linearised, trials: Sequence[Trial], *, n_draws: int = 0) -> Family:
+        n = n_draws or self.n_draws
+        return score_family(state, trials, rng=self._rng(1), relative=self.relative, n_draws=n, alpha=ALPHA)
 
     def _group_trials(self) -> list[Trial]:
         return group_trials(self.whiten, self.data.groups)
@@ -217,7 +217,9 @@ class _Run:
             self.left_out[label] = "; ".join(fitted.at_bound)
         state = self._linearised(fitted)
         others = [trial for name, trial in self.trials.items() if name not in explanation]
-        family = self._family(state, [*self._group_trials(), *others])
+        family = self._family(
+            state, [*self._group_trials(), *others], n_draws=min(self.n_draws, _REFIT_DRAWS)
+        )
         refit = Refit(fitted, state, family)
         self.refits[explanation] = refit
         return refit

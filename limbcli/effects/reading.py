@@ -143,18 +143,7 @@ def depth_of_force(curves: Curves, force: float) -> float:
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
     if not curves.log_speed.shape[1]:
         return np.zeros((len(depth), 0))
-    columns = []
-    for column in curves.log_speed.T:
-        there = np.isfinite(column)
-        if there.sum() < 2:
-            columns.append(np.full(len(depth), np.nan))
-            continue
-        knots, values = curves.depth[there], column[there]
-        curve = PchipInterpolator(knots, values)
-        inside = np.clip(depth, knots[0], knots[-1])
-        beyond = depth - inside
-        columns.append(curve(inside) + beyond * np.where(beyond > 0, curve(knots[-1], 1), 0.0))
-    speed = np.stack(columns, axis=1) + reading.log_speed_shift
+    speed = _at_depths(curves, depth) + reading.log_speed_shift
     if reading.prony:
         speed = speed + 0.5 * np.log1p(sum(share for share, _ in reading.prony))
     if reading.guided:
@@ -163,6 +152,26 @@ def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
         beyond_middle = curves.window_depth - curves.window_depth.mean()
         speed = speed + np.log(np.maximum(1.0 - reading.speed_slope * beyond_middle, 0.05))
     return np.asarray(speed)
+
+
+def _at_depths(curves: Curves, depth: Array) -> Array:
+    """ln speed (n_levels, n_windows) at depths; windows without a gap all at once."""
+    out = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
+    known = np.isfinite(curves.log_speed)
+    whole = known.all(axis=0)
+    if whole.any():
+        out[:, whole] = _one_curve(curves.depth, curves.log_speed[:, whole], depth)
+    for k in np.flatnonzero(~whole & (known.sum(axis=0) > 1)):
+        out[:, k] = _one_curve(curves.depth[known[:, k]], curves.log_speed[known[:, k], k], depth)
+    return out
+
+
+def _one_curve(knots: Array, values: Array, depth: Array) -> Array:
+    """PCHIP within the knots, level before them, the last slope beyond."""
+    curve = PchipInterpolator(knots, values)
+    inside = np.clip(depth, knots[0], knots[-1])
+    beyond = np.maximum(depth - knots[-1], 0.0)
+    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve(knots[-1], 1)))
 
 
 def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
