@@ -49,12 +49,18 @@ class Patch:
 
 @dataclass(eq=False)
 class Pair:
-    """One contact of the model: soft patches against the facets of a body."""
+    """One contact of the model: soft patches against the facets of a body.
+
+    turning : 1 for the exact tangent; 0 leaves out how the skin's normals turn. Far from
+        equilibrium points that have just touched carry tractions many times too high, and
+        the turning of such a traction leads Newton's method astray.
+    """
 
     contact: Contact
     body: int
     facets2: IntArray
     patches: list[Patch]
+    turning: float = 1.0
 
     def search(self, x: Array) -> int:
         """Refresh the state of all points at current places x (n_points, 3); how many touch."""
@@ -74,11 +80,15 @@ class Pair:
 
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p in self.patches:
-            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body)
+            kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, self.turning, out, body
+            )
 
     def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
         for p in self.patches:
-            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, p.pairs, slots, values)
+            kernels.stiffness(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, p.pairs, slots, values
+            )
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         for p in self.patches:

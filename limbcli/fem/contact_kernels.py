@@ -241,10 +241,11 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
 
 
 @njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
-    """Exact derivative of `force` along v (n_points, 3) and the body's motion (6).
+def times(x, facets, N, dN, weights, eps, state, center, v, motion, turning, out, body):
+    """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
     motion: translation of the centre and small rotation vector about it.
+    turning: 1 for the exact derivative; 0 leaves the turning of the skin's normals out.
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -279,11 +280,11 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
             top, bottom = 0.0, 0.0
             for i in range(3):
                 m = state[f, k, OTHER + i]
-                top += m * (dr[i] - gap * dnu[i] - dq[i] - motion[i])
+                top += m * (dr[i] - turning * gap * dnu[i] - dq[i] - motion[i])
                 bottom += m * n[i] / length
             dg = top / bottom
             for i in range(3):
-                df[i] = weights[k] * (eps[f] * dg * n[i] + t * dn[i])
+                df[i] = weights[k] * (eps[f] * dg * n[i] + turning * t * dn[i])
                 f3[i] = weights[k] * t * n[i]
                 dq[i] = dr[i] - dg * n[i] / length - gap * dnu[i] - motion[i]  # of the arm
             for i in range(3):
@@ -300,11 +301,12 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
 
 
 @njit(cache=True, nogil=True)
-def stiffness(x, facets, N, dN, weights, eps, state, pairs, slots, values):
+def stiffness(x, facets, N, dN, weights, eps, state, turning, pairs, slots, values):
     """Symmetric part of the contact tangent of the soft facets, added to the upper triangle.
 
     The exact block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
     c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`; half of it and of its transpose are added.
+    turning: as in `times`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -313,13 +315,13 @@ def stiffness(x, facets, N, dN, weights, eps, state, pairs, slots, values):
         touching = False
         K[:] = 0.0
         for k in range(N.shape[0]):
-            t = state[f, k, TRACTION]
-            if t == 0.0:
+            t = turning * state[f, k, TRACTION]
+            if state[f, k, TRACTION] == 0.0:
                 continue
             touching = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            gap = state[f, k, GAP]
+            gap = turning * state[f, k, GAP]
             m = state[f, k, OTHER : OTHER + 3]
             mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
             for b in range(nodes):

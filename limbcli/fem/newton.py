@@ -16,6 +16,7 @@ from limbcli.progress import SILENT, Progress
 
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _MAX_KRYLOV = 24
+_NEAR = 0.1  # residual from which on the turning of the skin's normals helps
 _LARGE = 20_000  # equations, from which on single precision pays
 
 
@@ -189,6 +190,8 @@ class Newton:
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
         settings = self.settings
+        for pair in self.system.pairs:
+            pair.turning = 1.0 if forces.error < _NEAR else 0.0
         if self.inverse is None or self.slow > settings.max_krylov:
             self.refresh(state, forces)
         elif renew or self.tangent is None:

@@ -21,7 +21,7 @@ from limbcli.model import Array
 
 __all__ = ["BodyMotion", "LawParameter", "Parameter", "Sensitivity", "Shape", "partial", "sensitivities"]
 
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-7
 _ENOUGH = 1e-7
 
 
