@@ -9,6 +9,8 @@ OUT     ?= out
 DEMO    ?= demo
 CASES   := $(patsubst cases/%/case.toml,%,$(wildcard cases/*/case.toml))
 WORKERS ?= 2
+# Two test processes share the cores: each keeps its libraries to one thread.
+ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: help env demo test test-quick lint types cases bench hidden clean
 .DELETE_ON_ERROR:
@@ -37,10 +39,10 @@ types: env       ## type checks
 	$(BIN)/mypy
 
 test: lint types      ## everything that must hold
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations=15
 
 test-quick: env  ## the part that answers in a minute and a half
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 # Every case in cases/: only what changed is redone; results are compared with expected.toml.
 cases: $(CASES:%=$(OUT)/%/.compared)   ## every case in cases/, compared with its expected.toml

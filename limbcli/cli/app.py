@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -58,8 +57,6 @@ def _root(
 
 
 for _name, _module in COMMANDS.items():
-    if not (Path(__file__).parent / f"{_module}.py").is_file():
-        continue
     app.command(_name)(import_module(f"limbcli.cli.{_module}").command)
 
 

@@ -22,7 +22,7 @@ from limbcli.model import Array
 __all__ = ["BodyMotion", "LawParameter", "Parameter", "Sensitivity", "Shape", "partial", "sensitivities"]
 
 _TOLERANCE = 1e-7
-_ENOUGH = 1e-7
+_ENOUGH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.measurement.acoustoelasticity import OgdenTerms, wave_speed_m_per_s
 from limbcli.measurement.swe_prediction import Window, predict_map
-from limbcli.model import Array, LimbModel, Material
+from limbcli.model import Array, IntArray, LimbModel, Material
 from limbcli.solvers.base import Simulation
 
 _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
@@ -54,11 +55,11 @@ def mean_speeds(
     return np.array(speeds)
 
 
-def _corners(cells: Array) -> Array:
+def _corners(cells: IntArray) -> IntArray:
     return cells[:, np.minimum(np.arange(4), cells.shape[1] - 1)]
 
 
-def _near(positions: Array, depth: float, window: Window) -> Array:
+def _near(positions: Array, depth: float, window: Window) -> NDArray[np.bool_]:
     reach = 2 * window.smoothing + 6.0
     near = np.abs(positions[:, 0]) <= window.half_width + reach
     near &= np.abs(positions[:, 1]) <= window.elevation + reach
