@@ -54,7 +54,7 @@ def command(
     m: MOpt = 6.0,
     noise: NoiseOpt = 1.0,
     step_n: StepOpt = 2.0,
-    max_force_n: MaxForceOpt = 16.0,
+    max_force_n: MaxForceOpt = 12.0,
     max_strain: MaxStrainOpt = 0.45,
     element: SynthElementOpt = None,
     size_mm: SynthSizeOpt = 4.0,

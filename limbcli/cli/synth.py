@@ -53,7 +53,7 @@ def command(
     effect: EffectOpt = None,
     noise: NoiseOpt = 1.0,
     step_n: StepOpt = 2.0,
-    max_force_n: MaxForceOpt = 16.0,
+    max_force_n: MaxForceOpt = 12.0,
     max_strain: MaxStrainOpt = 0.45,
     element: SynthElementOpt = None,
     size_mm: SynthSizeOpt = 4.0,

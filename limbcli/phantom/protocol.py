@@ -20,7 +20,7 @@ class Protocol:
     """
 
     step: float = 2.0
-    max_force: float = 16.0
+    max_force: float = 12.0
     max_strain: float = 0.45
     hold: float = 6.0
     ramp: float = 1.0
