@@ -37,6 +37,9 @@ def command(
             show_default=False,
         ),
     ] = None,
+    stiffness_map: Annotated[
+        bool, typer.Option("--stiffness-map", help="c element by element, from the SWE map of level 0.")
+    ] = False,
     tolerance: Annotated[float, typer.Option(help="Of cost and parameters, relative.")] = 1e-3,
     max_iterations: Annotated[int, typer.Option(min=1, help="Of each step.")] = 50,
     intervals: Annotated[bool, typer.Option(help="95 % intervals by profile likelihood.")] = True,
@@ -76,10 +79,10 @@ def command(
     from limbcli.stages.fit import FitOptions, check_choice, fit
 
     options = FitOptions(
-        c_kpa=c_kpa, c_deviation=c_deviation, tolerance=tolerance,
+        c_kpa=c_kpa, c_deviation=c_deviation, stiffness_map=stiffness_map, tolerance=tolerance,
         max_iterations=max_iterations, intervals=intervals, templates=templates, time_limit_s=time_limit_s,
     )  # fmt: skip
-    check_choice(objective, compare_element=compare_element, solver=solver)
+    check_choice(objective, compare_element=compare_element, solver=solver, stiffness_map=stiffness_map)
     opened, folder = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     if compare_element:

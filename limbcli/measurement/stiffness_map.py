@@ -7,7 +7,10 @@ neither invented nor a step.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
@@ -15,7 +18,17 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap, shear_modulus_from_wave_speed
 from limbcli.model import Array
 
+SMOOTHING, FADE = 3.0, 6.0
 _LEAST_PIXELS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffnesses:
+    """c (n_points,) MPa; whether a point lies in the image (n_points,); c far from it, the median (MPa)."""
+
+    c: Array
+    inside: NDArray[np.bool_]
+    median: float
 
 
 def stiffness_at(
@@ -23,10 +36,10 @@ def stiffness_at(
     points: Array,
     *,
     density_kg_per_m3: float = 1000.0,
-    smoothing: float = 3.0,
-    fade: float = 6.0,
+    smoothing: float = SMOOTHING,
+    fade: float = FADE,
     half_elevation: float = np.inf,
-) -> Array:
+) -> Stiffnesses:
     """c at points of a site's model.
 
     Parameters
@@ -36,10 +49,6 @@ def stiffness_at(
     smoothing : mm, SD of the Gaussian over the pixels (a wave-speed pixel averages as much)
     fade : mm, distance over which a value fades into the median outside the map
     half_elevation : mm, |y| up to which the map is extruded unchanged
-
-    Returns
-    -------
-    (n_points,) MPa; c = 2 mu
 
     Raises
     ------
@@ -55,14 +64,16 @@ def stiffness_at(
     places = np.column_stack([swe.lateral, swe.depth])
     c = 2.0 * shear_modulus_from_wave_speed(swe.speed_m_per_s, density_kg_per_m3=density_kg_per_m3)
     log_c = _smoothed(places, np.log(c), smoothing)
-    inside = _interpolated(places, log_c, np.column_stack([points[:, 0], -points[:, 2]]), swe)
-    away = np.hypot(
-        cKDTree(places).query(np.column_stack([points[:, 0], -points[:, 2]]))[0] - _spacing(places),
-        np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0),
-    )
-    away = np.where(_within(places, points), np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0), away)
-    weight = np.exp(-0.5 * (np.maximum(away, 0.0) / fade) ** 2)
-    return np.exp(weight * inside + (1.0 - weight) * float(np.median(log_c)))
+    at = np.column_stack([points[:, 0], -points[:, 2]])
+    value = _interpolated(places, log_c, at, swe)
+    in_plane = _within(places, at)
+    beside = np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0)
+    outside = np.maximum(cKDTree(places).query(at)[0] - _spacing(places), 0.0)
+    away = np.hypot(np.where(in_plane, 0.0, outside), beside)
+    weight = np.exp(-0.5 * (away / fade) ** 2)
+    median = float(np.median(log_c))
+    c = np.exp(weight * value + (1.0 - weight) * median)
+    return Stiffnesses(c, in_plane & (beside == 0.0), float(np.exp(median)))
 
 
 def _smoothed(places: Array, values: Array, width: float) -> Array:
@@ -90,9 +101,9 @@ def _interpolated(places: Array, values: Array, at: Array, swe: SweMap) -> Array
     return np.where(np.isnan(linear), NearestNDInterpolator(places, values)(at), linear)
 
 
-def _within(places: Array, points: Array) -> Array:
-    hull = LinearNDInterpolator(places, np.ones(len(places)))
-    return np.isfinite(hull(np.column_stack([points[:, 0], -points[:, 2]])))
+def _within(places: Array, at: Array) -> NDArray[np.bool_]:
+    """Whether each place (n, 2) lies in the hull of the pixels."""
+    return np.asarray(np.isfinite(LinearNDInterpolator(places, np.ones(len(places)))(at)))
 
 
 def _spacing(places: Array) -> float:

@@ -21,7 +21,7 @@ from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, ElementMap, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation, Table
 from limbcli.solvers.reference_files import RunFiles
@@ -191,13 +191,21 @@ class ReferenceSession:
         self.body = body or _contact_body(model)
         self._states: dict[float, State] = {}
         self._slopes: dict[float, dict[Parameter, Array]] = {}
+        self._weights: Mapping[Parameter, Array] = {}
 
     def solve(
-        self, model2: LimbModel | None = None, *, wrt: Sequence[Parameter] = (), records: bool = False
+        self,
+        model2: LimbModel | None = None,
+        *,
+        wrt: Sequence[Parameter] = (),
+        weights: Mapping[Parameter, Array] | None = None,
+        records: bool = False,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
         wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by
+        weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
+            theta moves by 1: their derivative is by theta
         records : also fill the node and element tables that the model asks for
 
         Raises
@@ -212,6 +220,7 @@ class ReferenceSession:
         if wrt and path_dependent(model):
             return self._differenced(model, wrt, records)
         guesses = self._guesses(model)
+        moved = dict(weights or {})
         self._analysis.model = model
         started = time.monotonic()
         asked = self._records(model, records)
@@ -224,7 +233,9 @@ class ReferenceSession:
             for record in asked:
                 rows[record.file].append(record_rows(system, state, snapshot.forces, record))
             if gradients and snapshot.must:
-                pairs: list[sensitivity.Parameter] = [sensitivity.LawParameter(*each) for each in gradients]
+                pairs: list[sensitivity.Parameter] = [
+                    sensitivity.LawParameter(*each, weights=moved.get(each)) for each in gradients
+                ]
                 found = sensitivity.sensitivities(running.newton, state, snapshot.forces, pairs)
                 b = [body.name for body in system.bodies].index(self.body)
                 for name, each in zip(gradients, found, strict=True):
@@ -234,7 +245,7 @@ class ReferenceSession:
         snapshots = self._analysis.run(visit, guesses=guesses)
         self.model = model
         self._states = {s.state.time: s.state for s in snapshots if s.must}
-        self._slopes = slopes
+        self._slopes, self._weights = slopes, moved
         simulation = self._simulation(snapshots, asked, rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
         points = MustPoints(
@@ -301,10 +312,21 @@ class ReferenceSession:
             for (material, name), slope in self._slopes.get(when, {}).items():
                 before = self.model.materials[material].parameters.get(name)
                 after = model.materials[material].parameters.get(name)
-                if isinstance(before, float | int) and isinstance(after, float | int) and after != before:
-                    u = u + (after - before) * slope
+                step = _theta_step(before, after, self._weights.get((material, name)))
+                if step != 0.0:
+                    u = u + step * slope
             out[when] = replace(state, u=u)
         return out
+
+
+def _theta_step(before: object, after: object, weights: Array | None) -> float:
+    """How far theta went from one value of a parameter to another; 0 where that is not known."""
+    if isinstance(before, float | int) and isinstance(after, float | int):
+        return float(after - before)
+    if weights is None or not isinstance(before, ElementMap) or not isinstance(after, ElementMap):
+        return 0.0
+    step = float(weights @ (after.values - before.values) / (weights @ weights))
+    return step if np.allclose(after.values, before.values + step * weights, rtol=1e-9) else 0.0
 
 
 def path_dependent(model: LimbModel) -> bool:

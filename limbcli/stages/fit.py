@@ -21,7 +21,7 @@ from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
 from limbcli.measurement.indentation import Levels, read_levels
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers import choose
@@ -29,6 +29,7 @@ from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_result import Identified, leave_result
 
 STAGE = "fit"
@@ -41,11 +42,13 @@ class FitOptions:
 
     c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
         standard deviation `c_deviation` (None: that of the shear-wave reading)
+    stiffness_map : c(x), element by element, from the shear-wave map of level 0
     intervals : profile intervals (more simulations), or only standard errors
     """
 
     c_kpa: float | None = None
     c_deviation: float | None = None
+    stiffness_map: bool = False
     tolerance: float = 1e-3
     max_iterations: int = 50
     max_interval_solves: int = 12
@@ -90,13 +93,14 @@ def fit(
     return results
 
 
-def check_choice(objective: str, *, compare_element: bool, solver: str) -> None:
+def check_choice(objective: str, *, compare_element: bool, solver: str, stiffness_map: bool = False) -> None:
     """Whether these options go together.
 
     Raises
     ------
     CaseError
-        If the objective is unknown, or FEBio is asked for what only the reference solver does.
+        If the objective is unknown, FEBio is asked for what only the reference solver does, or a
+        stiffness map for what takes one c.
     """
     if objective not in ("force", "joint"):
         raise CaseError(f"there is no objective {objective!r}", where="--objective", fix="use force or joint")
@@ -105,6 +109,12 @@ def check_choice(objective: str, *, compare_element: bool, solver: str) -> None:
             "this needs derivatives that FEBio does not give",
             where="--solver febio",
             fix="leave --solver out: the reference solver does it",
+        )
+    if stiffness_map and (objective == "joint" or compare_element):
+        raise CaseError(
+            "a stiffness map goes with the fit of the force alone",
+            where="--stiffness-map",
+            fix="leave --objective joint and --compare-element out, or the map",
         )
 
 
@@ -115,8 +125,8 @@ def _fit_site(
     model = built_model(site, out, writer)
     levels = read_levels(site.levels)
     data = force_depth_data(levels, site)
-    stiffness, c_source = initial_stiffness(levels, site, options)
-    curve, knots, cold = _first_solve(solver, model, stiffness.c, options, progress)
+    stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
+    curve, knots, cold = _first_solve(solver, model, c, options, progress)
     steps = two_step(
         curve, knots, data,
         tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
@@ -129,9 +139,30 @@ def _fit_site(
         first = force_intervals(curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=2)
         intervals = (first, full)
     identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold)
-    fitted = with_tissue(model, c=stiffness.c, f_kappa=float(theta[0]), m=float(theta[1]))
+    fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+
+
+def _tissue_c(
+    model: LimbModel, levels: Levels, site: Site, options: FitOptions, writer: StageWriter
+) -> tuple[Stiffness, str, float | ElementMap]:
+    """c and how well it is known, where it comes from, and c as the law takes it: a number or a map."""
+    if not options.stiffness_map:
+        stiffness, source = initial_stiffness(levels, site, options)
+        return stiffness, source, stiffness.c
+    if options.c_kpa is not None:
+        raise CaseError(
+            "c is given twice: by hand and as a map",
+            where="--c-kpa, --stiffness-map",
+            fix="leave one of the two out",
+        )
+    found = tissue_map(model, site)
+    leave_map(found, model, levels, site, writer)
+    stiffness = found.stiffness(site)
+    if options.c_deviation is not None:
+        stiffness = Stiffness(stiffness.c, options.c_deviation)
+    return stiffness, found.words, found.c
 
 
 def built_model(site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
@@ -177,7 +208,7 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 
 
 def _first_solve(
-    solver: Solver, model: LimbModel, c: float, options: FitOptions, progress: Progress
+    solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
 ) -> tuple[Memory, Array, float]:
     """The curve, the depths of its levels, and the seconds of the first (cold) solve."""
     clock = time.perf_counter()

@@ -18,7 +18,7 @@ from limbcli.errors import SolveError
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
 from limbcli.materials.ogden import ogden_type
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.reference import ReferenceSession
@@ -30,9 +30,17 @@ SIDE_BY_SIDE = 2
 _SAME_TIME = 1e-6
 
 
-def with_tissue(model: LimbModel, *, c: float, f_kappa: float, m: float) -> LimbModel:
-    """The model with the Ogden-type law of these parameters as its tissue."""
-    return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
+    """The model with the Ogden-type law of these parameters as its tissue.
+
+    c : MPa; as a map of the tissue's elements, c1, c2 and kappa become maps
+    """
+    if not isinstance(c, ElementMap):
+        return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+    law = ogden_type(c=float(c.values.min()), f_kappa=f_kappa, m=m)
+    shares = {"c1": 0.5, "c2": 0.5, "kappa": f_kappa}
+    maps = {name: ElementMap(f"{TISSUE}_{name}", c.block, share * c.values) for name, share in shares.items()}
+    return model.with_material(TISSUE, law.with_parameters(**maps))
 
 
 def level_times(model: LimbModel) -> Array:
@@ -71,8 +79,12 @@ class ReferenceCurve:
     `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve.
     """
 
-    def __init__(self, model: LimbModel, *, c: float, threads: int = 2, progress: Progress = SILENT):
+    def __init__(
+        self, model: LimbModel, *, c: float | ElementMap, threads: int = 2, progress: Progress = SILENT
+    ):
         self._model, self._c = model, c
+        # d kappa / d f_kappa, cell by cell: kappa = f_kappa c(x).
+        self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
         self._session = ReferenceSession(model, progress=progress, threads=threads)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
@@ -84,6 +96,7 @@ class ReferenceCurve:
             result = self._session.solve(
                 with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m),
                 wrt=[(TISSUE, name) for name in ("kappa", "m1", "m2")],
+                weights=self._weights,
             )
         except ArithmeticError as error:
             raise SolveError(
@@ -93,7 +106,8 @@ class ReferenceCurve:
             ) from error
         by_kappa, by_m1, by_m2 = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1", "m2"))
         self.depths = result.must_points.depths
-        return Prediction(result.must_points.forces, np.column_stack([self._c * by_kappa, by_m1 - by_m2]))
+        by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
+        return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m1 - by_m2]))
 
     def close(self) -> None:
         self._session.close()
@@ -152,7 +166,7 @@ class FileCurve:
     """Forces at the levels by a solver that works on files; a folder of its own each run."""
 
     def __init__(
-        self, solver: Solver, model: LimbModel, *, c: float, time_limit_s: float | None = None,
+        self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
         progress: Progress = SILENT,
     ):  # fmt: skip
         self._solver, self._model, self._c = solver, model, c

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.io import savemat
 
 from limbcli.feb.write import render
-from limbcli.model import Array, LimbModel, Material
+from limbcli.model import Array, ElementMap, LimbModel, Material
 from limbcli.results import StageWriter
 from limbcli.stages.indentation_model import TISSUE
 
@@ -100,7 +100,9 @@ def material_snippet(model: LimbModel) -> str:
     text = render(model.with_material(TISSUE, law))
     found = re.search(r"<material\b[^>]*name=\"" + TISSUE + r"\".*?</material>", text, flags=re.S)
     assert found is not None, "a written model holds its tissue"
-    return f"<!-- limbcli: identified tissue, mm-N-s (MPa) -->\n{found.group(0)}\n"
+    mapped = any(isinstance(each, ElementMap) for each in law.parameters.values())
+    maps = "; its maps stand in fitted.feb, section MeshData" if mapped else ""
+    return f"<!-- limbcli: identified tissue, mm-N-s (MPa){maps} -->\n{found.group(0)}\n"
 
 
 def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:

@@ -17,21 +17,26 @@ def swe_map(speed=lambda x, z: 1.5 + 0.05 * z) -> SweMap:
 
 def test_uniform_map_gives_c_everywhere(rng):
     points = rng.uniform(-60, 60, (50, 3))
-    c = stiffness_at(swe_map(lambda x, z: np.full_like(x, 2.0)), points)
+    c = stiffness_at(swe_map(lambda x, z: np.full_like(x, 2.0)), points).c
     np.testing.assert_allclose(c, 2 * 1000 * 2.0**2 * 1e-6, rtol=1e-12)
 
 
 def test_value_inside_is_that_of_the_pixel_under_it():
     points = np.array([[3.0, 0.0, -10.0], [-7.5, 4.0, -18.5]])
-    c = stiffness_at(swe_map(), points, smoothing=0.0)
+    found = stiffness_at(swe_map(), points, smoothing=0.0)
+    c = found.c
     speed = 1.5 + 0.05 * np.array([10.0, 18.5])
     np.testing.assert_allclose(c, 2e-3 * speed**2, rtol=1e-3)
+    assert found.inside.all()
 
 
 def test_far_outside_is_the_median_and_the_way_there_has_no_step():
     swe = swe_map()
     x = np.linspace(0, 80, 400)
-    c = stiffness_at(swe, np.column_stack([x, np.zeros(400), np.full(400, -24.0)]))
+    found = stiffness_at(swe, np.column_stack([x, np.zeros(400), np.full(400, -24.0)]))
+    assert not found.inside[-1] and found.inside[0]
+    c = found.c
+    assert c[-1] == pytest.approx(found.median, rel=1e-9)
     assert c[-1] == pytest.approx(2e-3 * np.median(swe.speed_m_per_s) ** 2, rel=0.02)
     assert np.abs(np.diff(c)).max() < 0.03 * (c.max() - c.min()) + 1e-6
 
@@ -39,7 +44,7 @@ def test_far_outside_is_the_median_and_the_way_there_has_no_step():
 def test_elevation_is_extruded_up_to_its_half_width_and_fades_beyond():
     z = np.full(3, -24.0)
     points = np.column_stack([np.zeros(3), [0.0, 7.0, 60.0], z])
-    c = stiffness_at(swe_map(), points, half_elevation=7.0)
+    c = stiffness_at(swe_map(), points, half_elevation=7.0).c
     assert c[1] == pytest.approx(c[0], rel=1e-9)
     assert c[2] < 0.8 * c[0]
 
