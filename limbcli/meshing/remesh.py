@@ -25,6 +25,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 
 _MIN_SIZE = 1.5  # mm
+_FOLDED = -0.9998  # cosine between the normals of two faces that lie on each other
 
 
 @dataclass(frozen=True)
@@ -124,14 +125,25 @@ def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: f
 
 
 def bad_places(boundary: Boundary) -> Array:
-    """Centroids (n, 3) of faces that cut through others."""
+    """Centroids (n, 3) of faces that cut through others, or lie folded on a neighbour."""
     import pymeshlab
 
     surface = boundary.surface
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(surface.points, surface.faces.astype(np.int32)))
     meshes.compute_selection_by_self_intersections_per_face()
-    return surface.centroids[np.asarray(meshes.current_mesh().face_selection_array(), bool)]
+    crossing = np.asarray(meshes.current_mesh().face_selection_array(), bool)
+    return surface.centroids[crossing | _folded(surface)]
+
+
+def _folded(surface: Triangles) -> NDArray[np.bool_]:
+    """Faces (n,) that lie flat on a neighbour, which counts as no crossing but stops TetGen."""
+    unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
+    _, sides = edges_of(surface.faces)
+    flat = np.einsum("ij,ij->i", unit[sides[:, 0]], unit[sides[:, 1]]) < _FOLDED
+    out = np.zeros(len(surface.faces), bool)
+    out[sides[flat].ravel()] = True
+    return out
 
 
 def unfold(boundary: Boundary, domain: Domain, *, rounds: int = 8) -> Boundary:
@@ -220,6 +232,12 @@ def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 1
             points = keep_unfolded(points, put_back(points, ties, domain), faces)
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), ties, domain)
             points = keep_unfolded(points, moved, faces)
+    for _ in range(4):  # what moving the nodes along the features pushed together
+        ranks, _ = _ranks(points, faces, labels)
+        points, faces, labels, n = collapse_short(points, faces, labels, ranks, field.at(points))
+        faces, turned = flip(points, faces, labels)
+        if not n + turned:
+            break
     surface = Triangles(points, faces)
     _check_closed(surface)
     return Boundary(surface, labels)

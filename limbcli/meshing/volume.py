@@ -29,7 +29,7 @@ from limbcli.meshing.tetrahedra import Tetrahedra, checked, interior_points, tet
 from limbcli.model import Array, IntArray
 
 MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG = 8.0, 4.0
-_LOCAL_REPAIRS = 3
+_LOCAL_REPAIRS = 5
 # Trials of TetGen on one boundary: radius-edge ratio, smallest dihedral angle asked for, seed.
 _TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
 

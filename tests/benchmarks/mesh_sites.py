@@ -2,8 +2,10 @@
 
     python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N] [--size usual|coarse] [--solve tet4|tet10]
 
-One JSON line a site is added to FILE (default: mesh-sites.jsonl in the
-temporary folder); what is there is not done again. At the end a table.
+Beside the eight (four around at two heights) the place where the skin lies closest over bone (the
+tibial crest, mostly) and the fibular head. One JSON line a site is added to FILE (default:
+mesh-sites.jsonl in the temporary folder); what is there is not done again. At the end a table, and
+the exit code 1 if a site fails or a mesh is not what it must be (see `faults`).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import argparse
 import json
 import os
 import resource
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -26,7 +29,8 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles, read_surface
-from limbcli.model import LimbModel
+from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
+from limbcli.model import Array, LimbModel
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 TIBIA = 380.0  # mm: OpenLimb's lengths are in units of the intact tibia
@@ -48,42 +52,58 @@ def limbs() -> Iterator[tuple[str, Limb, tuple[float, float]]]:
     yield "visible-human", limb, (165.0, 310.0)
 
 
-def thinnest(limb: Limb, low: float, high: float) -> tuple[float, float]:
-    """Angle and height, between two heights, where the skin lies closest over bone."""
+def thinnest(limb: Limb, low: float, high: float) -> Array:
+    """The skin point (3,), between two heights, closest over bone."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([each.points for each in limb.bones]))
-    options = [(a, h) for a in np.arange(0, 360, 15.0) for h in np.linspace(low, high, 5)]
-    points = [skin_point_at(limb, a, h) for a, h in options]
-    return options[int(np.argmin(tree.query(points)[0]))]
+    places = [(a, h) for a in np.arange(0, 360, 15.0) for h in np.linspace(low, high, 5)]
+    points = np.array([skin_point_at(limb, a, h) for a, h in places])
+    return points[int(np.argmin(tree.query(points)[0]))]
 
 
-def sites(limb: Limb, heights: tuple[float, float]) -> Iterator[tuple[str, tuple[float, float], str]]:
-    """Name, (angle_deg, height) and long axis."""
+def fibular_head(limb: Limb) -> Array:
+    """The skin point (3,) closest to the topmost 12 mm of the fibula: the slender one of the small bones."""
+    from scipy.spatial import cKDTree
+
+    def slenderness(bone: Triangles) -> float:
+        x, y, z = np.ptp(bone.points, axis=0)
+        return float(z / max(x, y))
+
+    small = [each for each in limb.bones if each.volume < 60e3]
+    fibula = max(small, key=slenderness).points
+    head = fibula[fibula[:, 2] > fibula[:, 2].max() - 12.0]
+    distance, _ = cKDTree(head).query(limb.skin.points)
+    return np.asarray(limb.skin.points[int(np.argmin(distance))])
+
+
+def sites(limb: Limb, heights: tuple[float, float]) -> Iterator[tuple[str, Array, str]]:
+    """Name, skin point (3,) and long axis."""
     for h, axis in zip(heights, ("transverse", "axial"), strict=True):
         for a in ANGLES_DEG:
-            yield f"{a:.0f}deg-{h:.0f}mm-{axis}", (a, h), axis
-    crest = thinnest(limb, heights[0], heights[1])
-    yield "thinnest-transverse", crest, "transverse"
-    yield "thinnest-axial", crest, "axial"
+            yield f"{a:.0f}deg-{h:.0f}mm-{axis}", skin_point_at(limb, a, h), axis
+    crest, head = thinnest(limb, heights[0], heights[1]), fibular_head(limb)
+    for axis in ("transverse", "axial"):
+        yield f"thinnest-{axis}", crest, axis
+    for axis in ("transverse", "axial"):
+        yield f"fibular-head-{axis}", head, axis
 
 
-def one(
-    limb: Limb, place: tuple[float, float], axis: str, sizes: Sizes, *, solve: str | None = None
-) -> dict[str, object]:
+def one(limb: Limb, point: Array, axis: str, sizes: Sizes, *, solve: str | None = None) -> dict[str, object]:
     start, processor = time.perf_counter(), _processor()
-    result: dict[str, object] = {}
+    result: dict[str, object] = {"ok": False}
     try:
-        point = skin_point_at(limb, *place)
         options = MeshOptions(sizes=sizes, element=solve or "tet10")
-        found = site_model(limb, tuple(point), axis, PROBE, options)
-        result = {"ok": True, "maker": found.maker, "notes": found.notes, **found.quality.to_json()}
+        found = site_model(limb, (point[0], point[1], point[2]), axis, PROBE, options)
+        result |= {"maker": found.maker, "notes": found.notes, **found.quality.to_json()}
         result["thinnest_mm"] = found.checks.thinnest_under_probe_mm
         result["mesh_s"] = round(time.perf_counter() - start, 1)
+        result["mesh_processor_s"] = round(_processor() - processor, 1)
         if solve:
             result["force_4mm_n"] = force(found.model, found.checks.thinnest_under_probe_mm)
+        result["ok"] = True
     except LimbError as error:
-        result = {"ok": False, "error": error.what}
+        result["error"] = error.what
     result["seconds"] = round(time.perf_counter() - start, 1)
     result["processor_s"] = round(_processor() - processor, 1)
     return result
@@ -94,6 +114,17 @@ def force(model: LimbModel, thinnest: float | None) -> float:
     from limbcli.stages.mesh_study import reference_force
 
     return reference_force(model, 4.0 if thinnest is None else min(4.0, 0.5 * thinnest))
+
+
+def faults(line: dict[str, object]) -> list[str]:
+    """What a finished site lacks: angles under the probe and elsewhere, Jacobians, a force asked for."""
+    if "min_angle_deg" not in line:
+        return ["no mesh"]
+    least = {"min_angle_under_probe_deg": MIN_ANGLE_UNDER_PROBE_DEG, "min_angle_deg": MIN_ANGLE_DEG}
+    out = [f"{key} {line[key]:.1f}" for key, least_deg in least.items() if float(line[key]) < least_deg]  # type: ignore[arg-type]
+    if line["inverted_cells"]:
+        out.append(f"{line['inverted_cells']} inverted cells")
+    return out if line["ok"] else [*out, "not solved"]
 
 
 def _processor() -> float:
@@ -118,13 +149,19 @@ def table(lines: list[dict[str, object]]) -> None:
             f"{each['limb']:16}{each['site']:28}{each['size']:8}{'yes' if each['ok'] else 'NO':4}{maker:9}"
             + figures
         )
-    good = [each for each in lines if each["ok"]]
+    for each in lines:
+        if faults(each):
+            lacks = "; ".join([*faults(each), str(each.get("error", ""))])
+            print(f"{each['limb']} {each['site']} {each['size']}: {lacks}")
+    good = [each for each in lines if not faults(each)]
     print(f"{len(good)} of {len(lines)} succeed")
-    for key, worst in (("min_angle_deg", min), ("min_angle_under_probe_deg", min), ("processor_s", max)):
-        print(f"  worst {key}: {worst(float(each[key]) for each in good):.2f}")  # type: ignore[arg-type]
+    keys = ("min_angle_deg", "min_angle_under_probe_deg", "min_scaled_jacobian", "processor_s", "seconds")
+    for key in keys if good else ():
+        values = [float(each[key]) for each in good]  # type: ignore[arg-type]
+        print(f"  {key}: {min(values):.2f} to {max(values):.2f}, median {np.median(values):.2f}")
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "mesh-sites.jsonl")
     parser.add_argument("--limit", type=int, default=10**6)
@@ -138,16 +175,17 @@ def main() -> None:
         for name, limb, heights in limbs()
         for k, site in enumerate(sites(limb, heights))
     ]
-    for _, name, limb, site, place, axis in sorted(every, key=lambda each: -each[0]):
+    for _, name, limb, site, point, axis in sorted(every, key=lambda each: -each[0]):
         for size, sizes in RESOLUTIONS.items():
             if given.size not in (None, size) or (name, site, size) in known or len(done) >= given.limit:
                 continue
             done.append({"limb": name, "site": site, "size": size})
-            done[-1] |= one(limb, place, axis, sizes, solve=given.solve)
+            done[-1] |= one(limb, point, axis, sizes, solve=given.solve)
             with given.out.open("a") as stream:
                 stream.write(json.dumps(done[-1]) + "\n")
     table(done)
+    return int(any(map(faults, done)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,7 +10,8 @@ from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
 from limbcli.meshing.facets import edges_of
 from limbcli.meshing.frame import site_frame
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.remesh import Sizes, bad_places, remesh, size_field
+from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
+from limbcli.meshing.surfaces import Triangles
 
 PROBE = ProbeShape(40.0, 14.0, 3.0)
 
@@ -59,3 +60,11 @@ def test_labels_lie_on_their_surfaces(made):
         nodes = np.unique(graded.surface.faces[graded.labels == CUT + k])
         assert len(nodes) > 3
         assert np.abs(plane.height(points[nodes])).max() < 1e-3
+
+
+def test_faces_folded_flat_on_a_neighbour_are_bad():
+    """A tetrahedron pressed flat crosses nothing, but its faces lie on each other."""
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    for height, n_bad in ((0.0, 4), (0.2, 0)):
+        points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [1, 1, height]])
+        assert len(bad_places(Boundary(Triangles(points, faces), np.full(4, SKIN)))) == n_bad
