@@ -43,7 +43,12 @@ class Window:
 
 
 def predict_map(
-    positions: Array, speed_m_per_s: Array, *, face_height: float, window: Window = Window()
+    positions: Array,
+    speed_m_per_s: Array,
+    *,
+    face_height: float,
+    window: Window = Window(),
+    pixels: tuple[Array, Array] | None = None,
 ) -> SweMap:
     """Speeds at elements, averaged onto the window's pixels.
 
@@ -57,13 +62,14 @@ def predict_map(
     positions : (n_elements, 3) mm, in the deformed tissue, site frame
     speed_m_per_s : (n_elements,), NaN where no wave runs
     face_height : z of the probe face, mm
+    pixels : lateral and depth of other pixels than the window's own, say of a measured map, mm
 
     Raises
     ------
     MeasurementError
         If no pixel lies in the tissue.
     """
-    lateral, depth = window.pixels()
+    lateral, depth = window.pixels() if pixels is None else pixels
     near = np.isfinite(speed_m_per_s) & (np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
     targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
     if near.sum() < _FEWEST:

@@ -1,4 +1,4 @@
-"""The simulated curves that `fit` left in curves.csv, or `run` in force-depth.csv."""
+"""The simulated curves that `fit` left in curves.csv and swe.csv, or `run` in force-depth.csv."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.model import Array
 from limbcli.reporting.figures.force_depth import SimulatedCurve
+from limbcli.reporting.figures.wave_speed import PredictedSpeeds
 from limbcli.results import StageResult
 
 CURVES_FILE, RUN_CURVE_FILE = "curves.csv", "force-depth.csv"
@@ -45,6 +46,24 @@ def read_run_curve(result: StageResult) -> SimulatedCurve:
     columns = _columns(result, result.files.get("force_depth", RUN_CURVE_FILE))
     depth, force = (np.r_[0.0, columns[name]] for name in (_DEPTH, "force_n"))
     return SimulatedCurve("start", "simulation with start values", depth, force)
+
+
+def read_predicted_speeds(result: StageResult) -> PredictedSpeeds | None:
+    """The mean shear-wave speeds that the fitted model predicts, or None if the fit left none.
+
+    Raises as `read_curves`.
+    """
+    if "swe" not in result.files:
+        return None
+    columns = _columns(result, result.files["swe"])
+    try:
+        return PredictedSpeeds(columns["simulated_force_n"], columns[_DEPTH], columns["predicted_m_per_s"])
+    except KeyError as error:
+        raise CaseError(
+            f"the predicted shear-wave speeds lack the column {error}",
+            where=str(result.path("swe")),
+            fix=f"run `limbcli {result.stage}` again",
+        ) from error
 
 
 def _columns(result: StageResult, name: str) -> dict[str, Array]:

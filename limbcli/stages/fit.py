@@ -31,6 +31,7 @@ from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_result import Identified, leave_result
+from limbcli.stages.fit_swe import leave_speeds
 
 STAGE = "fit"
 START = np.array([START_F_KAPPA, 2.0])
@@ -70,7 +71,8 @@ def fit(
     """Identify the tissue parameters of each site with the model that `build-feb` wrote.
 
     Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
-    parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run.
+    parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run, and the shear-wave
+    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png.
 
     Raises
     ------
@@ -142,6 +144,7 @@ def _fit_site(
     fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+    leave_speeds(fitted, simulation, levels, site, writer)
 
 
 def _tissue_c(

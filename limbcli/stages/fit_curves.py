@@ -154,7 +154,7 @@ class LawCurve:
         if not self._speeds:
             return Prediction(points.forces, np.asarray(by_shape))
         rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
-        speeds = mean_speeds(model, result.simulation, material, rows, density_kg_per_m3=self._density)
+        speeds = mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)
         unknown = np.full((len(speeds), len(theta)), np.nan)
         return Prediction(np.r_[points.forces, speeds], np.vstack([np.asarray(by_shape), unknown]))
 

@@ -13,7 +13,9 @@ from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
-from limbcli.reporting.figures.wave_speed import SpeedReadings, line_words, wave_speed
+from limbcli.reporting.figures.speed_maps import LevelMaps, Pixels, chosen_levels, speed_maps
+from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
+from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_words, wave_speed
 
 DEPTH = np.linspace(0, 10, 11)
 MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)
@@ -24,6 +26,18 @@ def curve(key: str, factor: float) -> SimulatedCurve:
     return SimulatedCurve(key, key, DEPTH, factor * DEPTH, factor * DEPTH)
 
 
+def maps(n: int, *, measured: bool) -> list[LevelMaps]:
+    lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(-3.0, 4), np.arange(2.0, 8)))
+    own = Pixels(lateral, depth, 2.0 + 0.1 * depth)
+    other = Pixels(lateral[5:], depth[5:], 1.7 + 0.1 * depth[5:]) if measured else None
+    return [LevelMaps(k, 2.0 * k, own, other) for k in range(n)]
+
+
+def tetrahedron() -> StiffnessSection:
+    points = np.array([[0.0, -1, 0], [9, 1, 0], [0, 1, -9], [9, -1, -9]])
+    return StiffnessSection(points, "tet4", np.arange(4)[None], np.array([8.0]), DEPTH, DEPTH)
+
+
 def figures() -> dict[str, Figure]:
     curves = [curve("start", 9.0), curve("mooney-rivlin", 1.4), curve("ogden", 1.5)]
     line = speed_against_force(SPEEDS.force, SPEEDS.mean_m_per_s)
@@ -32,6 +46,9 @@ def figures() -> dict[str, Figure]:
         "force-depth": force_depth(MEASURED, curves),
         "measured only": force_depth(MEASURED, ()),
         "wave speed": wave_speed(SPEEDS, against_force=line, against_depth=None),
+        "predicted speed": wave_speed(None, predicted=PredictedSpeeds(DEPTH, DEPTH, 2.0 + 0.1 * DEPTH)),
+        "speed maps": speed_maps(maps(7, measured=True)),
+        "stiffness": stiffness_figure(tetrahedron()),
         "walk": fit_walk([walk]),
         "newton": newton_residuals(Residuals(np.array([9.0, 0.1, 3.0, 0.2]), np.array([1, 1, 2, 2]))),
     }
@@ -43,7 +60,7 @@ def test_every_labelled_axis_names_its_unit(name):
         for label in (axes.get_xlabel(), axes.get_ylabel()):
             if label and "iteration" not in label:
                 assert re.search(r"\[[^\]]+\]", label), label
-        assert axes.get_xlabel() or axes.get_subplotspec() is not None
+        assert axes.get_xlabel() or axes.get_ylabel() or axes.get_subplotspec() is not None
 
 
 def test_a_start_curve_far_off_does_not_flatten_the_data():
@@ -56,6 +73,21 @@ def test_drawing_leaves_the_callers_settings_alone():
     before = dict(matplotlib.rcParams)
     figures()
     assert dict(matplotlib.rcParams) == before
+
+
+def test_speed_maps_show_measured_predicted_and_the_difference_of_a_handful_of_levels():
+    levels = maps(13, measured=True)
+    assert [each.level for each in chosen_levels(levels)] == [0, 3, 6, 9, 12]
+    panels = [axes for axes in speed_maps(levels).axes if axes.get_label() != "<colorbar>"]
+    assert len(panels) == 3 * 5
+    gaps = panels[-1].collections[0].get_array()
+    assert len(gaps) == len(levels[0].measured.lateral)
+    np.testing.assert_allclose(gaps, 0.3, rtol=1e-9)
+
+
+def test_without_measured_maps_only_the_predicted_ones_are_drawn():
+    panels = [a for a in speed_maps(maps(2, measured=False)).axes if a.get_label() != "<colorbar>"]
+    assert len(panels) == 2
 
 
 def test_a_falling_speed_is_written_with_a_minus():

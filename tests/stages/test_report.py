@@ -298,6 +298,51 @@ def test_speed_line_is_that_of_the_readings(whole):
     assert page.table("speed against")[1][:2] == ["force", "0.0550 m/s per N"]
 
 
+def add_predicted_speeds(out: Path, site: str) -> None:
+    """What `fit` leaves of shear waves, added to its result."""
+    folder = out / "fit" / site
+    rows = ["depth_mm,simulated_force_n,predicted_m_per_s"]
+    rows += [f"{d},{f:.5g},{v - 0.2:.5g}" for d, f, v in zip(DEPTH, FORCE, SPEED, strict=True)]
+    (folder / "swe.csv").write_text("\n".join(rows) + "\n")
+    content = json.loads((folder / "fit.json").read_text())
+    for name in ("swe-maps", "stiffness-map"):
+        small_png(folder / f"{name}.png")
+    content["files"] |= {
+        "swe": "swe.csv", "swe_maps_picture": "swe-maps.png", "stiffness_map": "stiffness-map.png",
+    }  # fmt: skip
+    content["data"] |= {
+        "swe": {"rmse_m_per_s": 0.2},
+        "stiffness_map": {
+            "map": "level_00.csv", "n_elements": 900, "n_elements_within_image": 321,
+            "median_kpa": 8.0, "low_kpa": 5.0, "high_kpa": 12.0,
+        },
+    }  # fmt: skip
+    (folder / "fit.json").write_text(json.dumps(content))
+
+
+def test_predicted_speeds_and_the_stiffness_map_are_shown_where_the_fit_left_them(tmp_path, whole):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    add_predicted_speeds(out, "p1")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    described = " ".join(attrs["alt"] for attrs in page.all("img"))
+    assert "The fitted model predicts 2.05 to" in described
+    assert "predicted by the fitted model" in described
+    assert "stiffness c of every element" in described
+    assert "off by 0.20 m/s" in page.text
+    assert "321 of 900 elements lie within the image" in page.text
+    assert "predicts" not in " ".join(attrs["alt"] for attrs in whole[1].all("img")), "and nowhere else"
+
+
+def test_a_broken_table_of_predicted_speeds_becomes_words(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    add_predicted_speeds(out, "p1")
+    (out / "fit" / "p1" / "swe.csv").write_text("depth_mm,force\n1,2\n")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert "lack the column" in page.text
+
+
 def test_provenance_names_solver_versions_hashes_and_units(whole):
     _, page = whole
     tail = page.text[page.text.index("What made this page?") :]

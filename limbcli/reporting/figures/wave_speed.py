@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from limbcli.measurement.regression import Line
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, INK, QUIET, new_figure, style
+from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,19 +23,43 @@ class SpeedReadings:
     sd_m_per_s: Array
 
 
-def wave_speed(readings: SpeedReadings, *, against_force: Line | None, against_depth: Line | None) -> Figure:
+@dataclass(frozen=True, eq=False)
+class PredictedSpeeds:
+    """What the fitted model says: its force (N), depth (mm) and mean speed at each level, (n,) each."""
+
+    force: Array
+    depth: Array
+    mean_m_per_s: Array
+
+
+def wave_speed(
+    readings: SpeedReadings | None,
+    *,
+    against_force: Line | None = None,
+    against_depth: Line | None = None,
+    predicted: PredictedSpeeds | None = None,
+) -> Figure:
     """Left: speed over force, as in the papers; right: speed over depth, the better test of a model."""
     with style():
         figure = new_figure(7.4, 3.5)
         left, right = figure.subplots(1, 2, sharey=True)
-        _panel(left, readings, readings.force, against_force, "N")
-        _panel(right, readings, readings.depth, against_depth, "mm")
+        for axes, name, line, unit in (
+            (left, "force", against_force, "N"), (right, "depth", against_depth, "mm"),
+        ):  # fmt: skip
+            tops = []
+            if readings is not None:
+                tops.append(_measured(axes, readings, getattr(readings, name), line, unit))
+            if predicted is not None:
+                tops.append(_predicted(axes, predicted, getattr(predicted, name)))
+            axes.set_ylim(bottom=0.0, top=1.45 * max(tops))
+            axes.legend(loc="upper left")
         left.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]", title="against force")
         right.set(xlabel="indentation depth [mm]", title="against depth")
     return figure
 
 
-def _panel(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, unit: str) -> None:
+def _measured(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, unit: str) -> float:
+    """Draw the readings; returns the top of the tallest bar."""
     there = np.isfinite(x) & np.isfinite(readings.mean_m_per_s)
     spread = np.where(np.isfinite(readings.sd_m_per_s), readings.sd_m_per_s, 0.0)
     axes.errorbar(
@@ -47,13 +71,20 @@ def _panel(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, uni
         capsize=3,
         color=INK,
         ecolor=QUIET,
-        label="mean ± SD over pixels",
+        label="measured: mean ± SD over pixels",
     )
     if line is not None:
         ends = np.array([x[there].min(), x[there].max()])
         axes.plot(ends, line.intercept + line.slope * ends, color=BLUE, label=line_words(line, unit))
-    axes.set_ylim(bottom=0.0, top=1.45 * float(np.max((readings.mean_m_per_s + spread)[there])))
-    axes.legend(loc="upper left")
+    return float(np.max((readings.mean_m_per_s + spread)[there]))
+
+
+def _predicted(axes: Axes, predicted: PredictedSpeeds, x: Array) -> float:
+    order = np.argsort(x)
+    axes.plot(
+        x[order], predicted.mean_m_per_s[order], "s-", ms=3.5, color=VERMILION, label="predicted by the fit"
+    )
+    return float(predicted.mean_m_per_s.max())
 
 
 def line_words(line: Line, unit: str) -> str:

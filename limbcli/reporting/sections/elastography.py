@@ -2,40 +2,113 @@
 
 from __future__ import annotations
 
+from limbcli.errors import CaseError
 from limbcli.measurement.regression import Line
-from limbcli.reporting.figures.wave_speed import line_words, wave_speed
-from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.curves import read_predicted_speeds
+from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_words, wave_speed
+from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
+from limbcli.results import StageResult
 
 TITLE = "Does the tissue stiffen with load, as shear waves see it?"
+_LOOK = (
+    "speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
+    "c. Against depth the picture hardly depends on the force zero, on skin or on the mesh"
+)
+_BAD = (
+    "a step or scatter larger than the bars, a speed that falls under load, or bars so tall that "
+    "the first level could mean half or double the stiffness (c goes with the square of the speed)"
+)
+_LOOK_PREDICTED = (
+    ". The prediction knows the speed at zero load only: it should run through the other points too, and "
+    "the maps of the differences should be without pattern"
+)
+_BAD_PREDICTED = (
+    ". A prediction that starts with the wrong slope against depth is no matter of m (the slope is "
+    "kinematics alone: depth zero, anisotropy or a layer); one that bends too little or too much is"
+)
 
 
 def elastography(page: Page, site: SiteMaterial) -> Reportlet:
-    """Speed against force with its line and R2, and against depth."""
+    """Speed against force with its line and R2, and against depth; beside it what the fit predicts."""
     key = f"elastography-{site.name}"
-    if site.speeds is None:
+    fit = page.outcomes.of("fit", site.name).result
+    predicted, warned = _predicted(fit)
+    if site.speeds is None and predicted is None:
         why = site.why_no_levels or "The levels of this site have no shear-wave speeds."
-        return Reportlet(key, TITLE, "missing", site.name, notes=(why,))
+        return Reportlet(key, TITLE, "missing", site.name, notes=(why,), warned=warned)
+    if site.why_no_line:
+        warned += (site.why_no_line,)
     lines = (("force", "N", site.against_force), ("depth", "mm", site.against_depth))
     rows = tuple(_row(name, unit, line, site.why_no_line) for name, unit, line in lines)
     names = head("speed against", "slope", "standard error", "speed at zero [m/s]", "R² [–]", "levels")
-    words = [line_words(line, unit) for _, unit, line in lines[:1] if line]
-    alt = f"Shear-wave speed over probe force and over depth at site {site.name}. "
-    figure = wave_speed(site.speeds, against_force=site.against_force, against_depth=site.against_depth)
+    table = Table(f"Straight lines through the speeds at site {site.name}", (names,), rows)
     return Reportlet(
         key,
         TITLE,
-        "fine" if site.against_force else "warning",
+        "fine" if site.against_force or site.speeds is None else "warning",
         site.name,
-        pictures=(Picture(f"wave-speed-{site.name}", alt + "".join(words), figure=figure),),
-        tables=(Table(f"Straight lines through the speeds at site {site.name}", (names,), rows),),
-        look_for="speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
-        "c. Against depth the picture hardly depends on the force zero, on skin or on the mesh",
-        bad="a step or scatter larger than the bars, a speed that falls under load, or bars so tall that "
-        "the first level could mean half or double the stiffness (c goes with the square of the speed)",
-        warned=(site.why_no_line,) if site.why_no_line else (),
+        pictures=(_speeds(site, predicted), *_pictures(site, fit)),
+        tables=(table,) if site.speeds is not None else (),
+        look_for=_LOOK + (_LOOK_PREDICTED if predicted else ""),
+        bad=_BAD + (_BAD_PREDICTED if predicted else ""),
+        notes=_notes(fit) if predicted else (),
+        warned=warned,
     )
+
+
+def _predicted(fit: StageResult | None) -> tuple[PredictedSpeeds | None, tuple[str, ...]]:
+    try:
+        return (read_predicted_speeds(fit) if fit else None), ()
+    except CaseError as error:
+        return None, (f"{error.what}; {error.fix}.",)
+
+
+def _speeds(site: SiteMaterial, predicted: PredictedSpeeds | None) -> Picture:
+    alt = f"Shear-wave speed over probe force and over depth at site {site.name}. "
+    alt += line_words(site.against_force, "N") if site.against_force else ""
+    if predicted is not None:
+        ends = predicted.mean_m_per_s[[0, -1]]
+        alt += f" The fitted model predicts {ends[0]:.2f} to {ends[1]:.2f} m/s."
+    figure = wave_speed(
+        site.speeds, against_force=site.against_force, against_depth=site.against_depth, predicted=predicted
+    )
+    return Picture(f"wave-speed-{site.name}", alt, figure=figure)
+
+
+def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
+    """The fit's maps, where it left them."""
+    texts = {
+        "swe_maps_picture": f"Shear-wave maps at site {site.name}, level by level, in the probe's frame: "
+        "measured where measured, predicted by the fitted model, and the difference.",
+        "stiffness_map": f"Section through the model at site {site.name} with the stiffness c of every "
+        "element, from the shear-wave map at level 0.",
+    }
+    found = []
+    for name, alt in texts.items():
+        path = fit.path(name) if fit and name in fit.files else None
+        if path is not None and path.is_file():
+            found.append(Picture(f"{path.stem}-{site.name}", alt, source=path, vector=False))
+    return found
+
+
+def _notes(fit: StageResult | None) -> tuple[str, ...]:
+    """How far the prediction is off, and what c was."""
+    told = fit.data.get("swe") if fit else None
+    notes = []
+    if isinstance(told, dict) and number(told.get("rmse_m_per_s")) is not None:
+        off = quantity(told["rmse_m_per_s"], "m/s", digits=2)
+        notes.append(f"Under load the predicted mean speed is off by {off} (root mean square over levels).")
+    c = fit.data.get("stiffness_map") if fit else None
+    if isinstance(c, dict):
+        notes.append(
+            f"c was taken element by element from {c.get('map')}: {c.get('n_elements_within_image')} of "
+            f"{c.get('n_elements')} elements lie within the image; "
+            f"{quantity(c.get('low_kpa'), 'kPa')} to {quantity(c.get('high_kpa'), 'kPa')}, "
+            f"median {quantity(c.get('median_kpa'), 'kPa')}."
+        )
+    return tuple(notes)
 
 
 def _row(name: str, unit: str, line: Line | None, why: str) -> tuple[Cell, ...]:

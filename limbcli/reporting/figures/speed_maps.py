@@ -1,0 +1,126 @@
+"""Shear-wave maps in the probe's frame: measured, predicted, and what is between, level by level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from limbcli.model import Array
+from limbcli.reporting.figures.style import QUIET, bare, new_figure, style
+
+SPEED_MAP, DIFFERENCE_MAP = "viridis", "RdBu_r"
+MOST_LEVELS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """lateral, depth (mm) and speed_m_per_s of a map, all (n_pixels,)."""
+
+    lateral: Array
+    depth: Array
+    speed_m_per_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMaps:
+    """One level: the force (N) it was held at, the predicted map, and the measured one where there is one."""
+
+    level: int
+    force: float
+    predicted: Pixels
+    measured: Pixels | None = None
+
+
+def chosen_levels(levels: Sequence[LevelMaps]) -> list[LevelMaps]:
+    """A handful of them, evenly spread, first and last included; with measured maps where there are any."""
+    best = [each for each in levels if each.measured is not None] or list(levels)
+    index = np.unique(np.linspace(0, len(best) - 1, min(len(best), MOST_LEVELS)).round().astype(int))
+    return [best[k] for k in index]
+
+
+def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
+    """A column a level; measured, predicted, and predicted less measured, or the predicted row alone."""
+    shown = chosen_levels(levels)
+    paired = any(each.measured is not None for each in shown)
+    rows = ("measured", "predicted", "difference") if paired else ("predicted",)
+    scale = Normalize(*np.quantile(np.concatenate([p.speed_m_per_s for p in _all(shown)]), [0.01, 0.99]))
+    gaps = [np.zeros(1), *(gap.speed_m_per_s for each in shown if (gap := _difference(each)) is not None)]
+    reach = max(float(np.quantile(np.abs(np.concatenate(gaps)), 0.98)), 0.05)
+    with style():
+        figure = new_figure(7.6, 0.9 + len(rows) * (0.3 + _height(shown)))
+        panels = figure.subplots(len(rows), len(shown), sharex=True, sharey=True, squeeze=False)
+        for column, each in zip(panels.T, shown, strict=True):
+            column[0].set_title(f"{max(each.force, 0.0):.1f} N")
+            for axes, row in zip(column, rows, strict=True):
+                content = {
+                    "measured": each.measured, "predicted": each.predicted, "difference": _difference(each),
+                }[row]  # fmt: skip
+                norm = Normalize(-reach, reach) if row == "difference" else scale
+                _panel(axes, content, norm, DIFFERENCE_MAP if row == "difference" else SPEED_MAP)
+        for axes_row, row in zip(panels, rows, strict=True):
+            words = "predicted − measured" if row == "difference" else row
+            axes_row[0].set_ylabel(f"{words}\ndepth [mm]")
+            drawn = next(each.collections[0] for each in axes_row if each.collections)
+            label = "difference [m/s]" if row == "difference" else "speed [m/s]"
+            figure.colorbar(drawn, ax=list(axes_row), label=label, shrink=0.9)
+        panels[0, 0].invert_yaxis()
+        figure.supxlabel("lateral [mm], 0 under the probe's centre; depth 0 at its face", fontsize=9.5)
+    return figure
+
+
+def _height(shown: Sequence[LevelMaps]) -> float:
+    """Of one panel (inches), as the maps' sides demand."""
+    wide = max(float(np.ptp(each.lateral)) for each in _all(shown))
+    deep = max(float(np.ptp(each.depth)) for each in _all(shown))
+    return min(5.4 / len(shown) * deep / max(wide, 1.0), 2.4)
+
+
+def _all(levels: Sequence[LevelMaps]) -> list[Pixels]:
+    return [each.predicted for each in levels] + [each.measured for each in levels if each.measured]
+
+
+def _difference(level: LevelMaps) -> Pixels | None:
+    """Predicted less measured on the pixels that both have."""
+    if level.measured is None:
+        return None
+    own, other = level.predicted, level.measured
+    known = dict(zip(_places(other), other.speed_m_per_s, strict=True))
+    measured = np.array([known.get(place, np.nan) for place in _places(own)])
+    both = np.isfinite(measured)
+    if not both.any():
+        return None
+    return Pixels(own.lateral[both], own.depth[both], own.speed_m_per_s[both] - measured[both])
+
+
+def _places(pixels: Pixels) -> list[tuple[float, float]]:
+    at = np.round(np.stack([pixels.lateral, pixels.depth], axis=1), 4)
+    return [(float(x), float(z)) for x, z in at]
+
+
+def _panel(axes: Axes, pixels: Pixels | None, norm: Normalize, colours: str) -> None:
+    bare(axes)
+    if pixels is None:
+        axes.text(0.5, 0.5, "no map", ha="center", va="center", color=QUIET, transform=axes.transAxes)
+        return
+    half = 0.5 * _spacing(pixels)
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    squares = np.column_stack([pixels.lateral, pixels.depth])[:, None, :] + corners
+    drawn = PolyCollection(
+        list(squares), array=pixels.speed_m_per_s, norm=norm, cmap=colours, edgecolors="face", linewidths=0.1
+    )
+    drawn.set_rasterized(True)
+    axes.add_collection(drawn)
+    axes.autoscale_view()
+
+
+def _spacing(pixels: Pixels) -> float:
+    """Distance of neighbouring pixels, mm: the smallest step that occurs along either axis."""
+    steps = [np.diff(np.unique(np.round(each, 4))) for each in (pixels.lateral, pixels.depth)]
+    every = np.concatenate(steps)
+    return float(np.median(every)) if len(every) else 1.0
