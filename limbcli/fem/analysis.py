@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,15 @@ from limbcli.errors import SolveError
 from limbcli.fem.history import Histories
 from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
-from limbcli.fem.system import Forces, State, System
+from limbcli.fem.system import Forces, State, System, norm
 from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
+_FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
+_FAR_OUT = 0.09  # error of a first guess above which a stride is shortened untried
 _EASY = 3  # iterations up to which the next stride may be longer
 
 
@@ -58,6 +61,11 @@ class Analysis:
         return any(material.law == "viscoelastic" for material in self.model.materials.values())
 
     @property
+    def _marching(self) -> bool:
+        """Whether strides are short steps that serve as first guesses only."""
+        return bool(self.model.contacts) and not self.remembers
+
+    @property
     def newton(self) -> Newton:
         assert self._newton is not None
         return self._newton
@@ -83,7 +91,7 @@ class Analysis:
             newton = self._prepare(step, state)
             state = newton.system.start
             reached: list[State] = [state]
-            self._stride = step.step_size if self.model.contacts and not self.remembers else np.inf
+            self._stride = _FIRST * step.step_size if self._marching else np.inf
             musts = {begin + t for t in step_times(step)}
             if self._histories is None and self.remembers:
                 self._histories = Histories(newton.system)
@@ -189,11 +197,26 @@ class Analysis:
         if known is not None:
             newton.system.recall(known.hints)
             guess = newton.system.prescribed(known, time)
-        elif len(reached) >= 3:
-            guess = extrapolate(newton.system, reached, time)
         else:
-            guess = newton.predict(reached[-1], time)
+            guess = self._guess(time, reached, level, patient)
         return newton.equilibrate(guess, level, tolerance=tolerance, patient=patient)
+
+    def _guess(self, time: float, reached: list[State], level: Level, patient: bool) -> State:
+        """The better of two first guesses: along the tangent, or on a parabola through the last states.
+
+        A stride whose guesses are both far out is refused at once, which is cheaper than to fail.
+        """
+        newton = self.newton
+        guesses = [newton.predict(reached[-1], time)]
+        newton.system.at(time)
+        if len(reached) >= 4:
+            guesses.append(extrapolate(newton.system, reached[-3:], time))
+        tried = [(newton.forces(each), each) for each in guesses]
+        sound = [(norm(f.mixed) / f.scale, each) for f, each in tried if f.worst > 0 and f.scale > 0]
+        error, guess = min(sound, key=lambda pair: pair[0], default=(np.inf, guesses[0]))
+        if error > _FAR_OUT and self._marching and not patient and len(reached) > 1:
+            raise newton.failure(guess, tried[0][0], level, 0, "the step is too long for a first guess")
+        return guess
 
     def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
         """Augmentations of the contact pressure until its multipliers settle."""
@@ -251,17 +274,25 @@ def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> 
     )
 
 
-def extrapolate(system: System, reached: list[State], time: float) -> State:
-    """First guess on the line (or parabola) through the last converged states."""
-    states = reached[-3:] if len(reached) >= 4 else reached[-2:]
+def extrapolate(system: System, states: list[State], time: float) -> State:
+    """First guess on the polynomial through converged states; pressures and tractions follow theirs."""
     weights = lagrange(np.array([s.time for s in states]), time)
-    u = sum(w * s.u for w, s in zip(weights, states, strict=True))
     last = states[-1]
-    shifts = [
-        replace(at, shift=sum(w * s.bodies[b].shift for w, s in zip(weights, states, strict=True)))
-        for b, at in enumerate(last.bodies)
+
+    def combined(parts: list[Any]) -> Any:
+        return sum(w * each for w, each in zip(weights, parts, strict=True))
+
+    bodies = [
+        replace(at, shift=combined([s.bodies[b].shift for s in states])) for b, at in enumerate(last.bodies)
     ]
-    return system.prescribed(State(last.time, np.asarray(u), tuple(shifts)), time)
+    guess = system.prescribed(State(last.time, combined([s.u for s in states]), tuple(bodies)), time)
+    still = np.zeros_like(last.u)
+    ratios = [system.linear_volumes(s, still) for s in states]
+    volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
+    tractions = tuple(
+        np.maximum(combined(list(each)), 0.0) for each in zip(*(s.tractions for s in states), strict=True)
+    )
+    return replace(guess, volumes=volumes, tractions=tractions)
 
 
 def lagrange(times: np.ndarray, time: float) -> np.ndarray:

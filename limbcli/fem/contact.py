@@ -47,20 +47,17 @@ class Patch:
     pairs: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
 
+Carried = Sequence[Array]
+
+
 @dataclass(eq=False)
 class Pair:
-    """One contact of the model: soft patches against the facets of a body.
-
-    turning : 1 for the exact tangent; 0 leaves out how the skin's normals turn. Far from
-        equilibrium points that have just touched carry tractions many times too high, and
-        the turning of such a traction leads Newton's method astray.
-    """
+    """One contact of the model: soft patches against the facets of a body."""
 
     contact: Contact
     body: int
     facets2: IntArray
     patches: list[Patch]
-    turning: float = 1.0
 
     def search(self, x: Array) -> int:
         """Refresh the state of all points at current places x (n_points, 3); how many touch."""
@@ -78,17 +75,28 @@ class Pair:
         for p in self.patches:
             kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
 
-    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
-        for p in self.patches:
-            kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, self.turning, out, body
-            )
+    def times(
+        self, x: Array, center: Array, v: Array, motion: Array, carried: Carried, out: Array, body: Array
+    ) -> None:
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, center, v, motion, out, body)
 
-    def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
-        for p in self.patches:
-            kernels.stiffness(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, p.pairs, slots, values
-            )
+    def stiffness(self, x: Array, carried: Carried, slots: IntArray, values: Array) -> None:
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, p.pairs, slots, values)
+
+    def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
+        """Tractions (n_facets, n_gauss) of each patch, changed linearly along v and the body's motion."""
+        out = []
+        for p, t in zip(self.patches, carried, strict=True):
+            out.append(np.empty(p.state.shape[:2]))
+            kernels.linear_tractions(x, p.facets, p.N, p.dN, p.eps, p.state, t, v, motion, out[-1])
+        return out
+
+    def shifted_force(self, carried: Carried, out: Array) -> None:
+        """Add what tractions `carried` instead of the contact's own change in the nodal forces."""
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.shifted_force(p.facets, p.N, p.weights, p.state, t, out)
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         for p in self.patches:

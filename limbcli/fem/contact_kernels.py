@@ -221,6 +221,19 @@ def force(facets, N, weights, state, center, out, body):
 
 
 @njit(cache=True, nogil=True)
+def shifted_force(facets, N, weights, state, carried, out):
+    """out (n_points, 3) += what tractions `carried` instead of those of `state` add to `force`."""
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            if state[f, k, TRACTION] == 0.0:
+                continue
+            change = weights[k] * (carried[f, k] - state[f, k, TRACTION])
+            for a in range(facets.shape[1]):
+                for i in range(3):
+                    out[facets[f, a], i] += N[k, a] * change * state[f, k, NORMAL + i]
+
+
+@njit(cache=True, nogil=True)
 def scaled_force(facets, N, weights, state, deps, center, out, body):
     """Derivative of `force` where eps changes by deps (n_facets,), the positions held."""
     f3, arm, moment = np.empty(3), np.empty(3), np.empty(3)
@@ -241,20 +254,62 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
 
 
 @njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, state, center, v, motion, turning, out, body):
+def linear_tractions(x, facets, N, dN, eps, state, carried, v, motion, out):
+    """out (n_facets, n_gauss) = traction plus its linear change along v (n_points, 3) and the body's motion (6).
+
+    Points without contact carry nothing, however far they come. carried: as in `times`.
+    """
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, dn, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            out[f, k] = 0.0
+            if state[f, k, TRACTION] == 0.0:
+                continue
+            t = carried[f, k] if carried.shape[0] else state[f, k, TRACTION]
+            gap = state[f, k, GAP] + (t - state[f, k, TRACTION]) / eps[f]
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            dr[:] = 0.0
+            d1[:] = 0.0
+            d2[:] = 0.0
+            for a in range(facets.shape[1]):
+                for i in range(3):
+                    value = v[facets[f, a], i]
+                    dr[i] += N[k, a] * value
+                    d1[i] += dN[k, a, 0] * value
+                    d2[i] += dN[k, a, 1] * value
+            _cross(d1, g2, dn)
+            _cross(g1, d2, w)
+            length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+            along = 0.0
+            for i in range(3):
+                dn[i] += w[i]
+                along += n[i] * dn[i] / length
+            top, bottom = 0.0, 0.0
+            for i in range(3):
+                m = state[f, k, OTHER + i]
+                dnu = (dn[i] - n[i] / length * along) / length
+                top += m * (dr[i] - gap * dnu - motion[i])
+                bottom += m * n[i] / length
+            out[f, k] = max(state[f, k, TRACTION] + eps[f] * top / bottom, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def times(x, facets, N, dN, weights, eps, state, carried, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
     motion: translation of the centre and small rotation vector about it.
-    turning: 1 for the exact derivative; 0 leaves the turning of the skin's normals out.
+    carried (n_facets, n_gauss): tractions that turn with the skin's normals; without facets those of
+    `state`, and the derivative is exact.
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dq, dnu, f3, df, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
-            t = state[f, k, TRACTION]
-            if t == 0.0:
+            if state[f, k, TRACTION] == 0.0:
                 continue
+            t = carried[f, k] if carried.shape[0] else state[f, k, TRACTION]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             dr[:] = 0.0
             d1[:] = 0.0
@@ -276,15 +331,15 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, turning, out
                 dnu[i] = (dn[i] - n[i] / length * along) / length
                 arm[i] = state[f, k, POINT + i] - center[i]
             _cross(motion[3:6], arm, dq)
-            gap = state[f, k, GAP]
+            gap = state[f, k, GAP] + (t - state[f, k, TRACTION]) / eps[f]
             top, bottom = 0.0, 0.0
             for i in range(3):
                 m = state[f, k, OTHER + i]
-                top += m * (dr[i] - turning * gap * dnu[i] - dq[i] - motion[i])
+                top += m * (dr[i] - gap * dnu[i] - dq[i] - motion[i])
                 bottom += m * n[i] / length
             dg = top / bottom
             for i in range(3):
-                df[i] = weights[k] * (eps[f] * dg * n[i] + turning * t * dn[i])
+                df[i] = weights[k] * (eps[f] * dg * n[i] + t * dn[i])
                 f3[i] = weights[k] * t * n[i]
                 dq[i] = dr[i] - dg * n[i] / length - gap * dnu[i] - motion[i]  # of the arm
             for i in range(3):
@@ -301,12 +356,12 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, turning, out
 
 
 @njit(cache=True, nogil=True)
-def stiffness(x, facets, N, dN, weights, eps, state, turning, pairs, slots, values):
+def stiffness(x, facets, N, dN, weights, eps, state, carried, pairs, slots, values):
     """Symmetric part of the contact tangent of the soft facets, added to the upper triangle.
 
     The exact block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
     c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`; half of it and of its transpose are added.
-    turning: as in `times`.
+    carried: as in `times`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -315,13 +370,13 @@ def stiffness(x, facets, N, dN, weights, eps, state, turning, pairs, slots, valu
         touching = False
         K[:] = 0.0
         for k in range(N.shape[0]):
-            t = turning * state[f, k, TRACTION]
             if state[f, k, TRACTION] == 0.0:
                 continue
+            t = carried[f, k] if carried.shape[0] else state[f, k, TRACTION]
             touching = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            gap = turning * state[f, k, GAP]
+            gap = state[f, k, GAP] + (t - state[f, k, TRACTION]) / eps[f]
             m = state[f, k, OTHER : OTHER + 3]
             mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
             for b in range(nodes):

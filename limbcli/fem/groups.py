@@ -14,6 +14,7 @@ from limbcli.fem.quadrature import rule
 from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import UNCOUPLED_LAWS
 from limbcli.materials.program import CurveAt
+from limbcli.materials.stress import _evaluate
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
@@ -43,7 +44,19 @@ class Group:
             self._cache["program"] = self.material.program(len(self.cells), curve)
         program: Program = self._cache["program"]
         grad, weight, base = self._prestrained(curve)
-        return Operands(self.cells, grad, weight, program.ops, program.par, base, scale, history)
+        return Operands(
+            self.cells, grad, weight, program.ops, program.par, base, scale, history, self._lame(program)
+        )
+
+    def _lame(self, program: Program) -> Array:
+        """Pressure per volume change at rest (1 or n_cells): Lame's lambda of the whole law."""
+        if self._cache.get("lame_of") is not program:
+            F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
+            S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
+            _evaluate(F, program.ops, program.par, S, CC, True)
+            self._cache["lame"] = (CC[:, 0, 1] + CC[:, 1, 2] + CC[:, 0, 2]) / 3.0
+            self._cache["lame_of"] = program
+        return np.asarray(self._cache["lame"])
 
     def with_material(self, material: Compiled) -> Group:
         return replace(self, material=material, _cache={})
@@ -77,6 +90,7 @@ class Operands:
     base: Array
     scale: float
     history: Array
+    lame: Array
 
     def arguments(self) -> tuple[Any, ...]:
         return (self.cells, self.grad, self.weight, self.ops, self.par, self.base, self.scale, self.history)

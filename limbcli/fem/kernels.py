@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.materials.dispatch import second_piola, workspace
-from limbcli.materials.tensors import VOIGT
+from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, right_cauchy_green
 
 
 @njit(cache=True)
@@ -29,6 +29,69 @@ def _gradient(u, nodes, grad, base, F):
             ui = u[n, i]
             for j in range(3):
                 F[i, j] += ui * grad[a, j]
+
+
+@njit(cache=True)
+def _shift_pressure(F, J, shift, C, D, S, CC):
+    """Add a pressure `shift` to S and CC: shift J C^-1 and its derivative."""
+    right_cauchy_green(F, C)
+    inverse6(C, D)
+    for q in range(6):
+        S[q] += shift * J * D[q]
+        i, j = FIRST[q], SECOND[q]
+        for r in range(6):
+            k, l = FIRST[r], SECOND[r]
+            CC[q, r] += (
+                shift * J * (D[q] * D[r] - D[VOIGT[i, k]] * D[VOIGT[j, l]] - D[VOIGT[i, l]] * D[VOIGT[j, k]])
+            )
+
+
+@njit(cache=True)
+def _cofactor(F, B):
+    """B = J F^-T; returns J."""
+    B[0, 0] = F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1]
+    B[0, 1] = F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2]
+    B[0, 2] = F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0]
+    B[1, 0] = F[0, 2] * F[2, 1] - F[0, 1] * F[2, 2]
+    B[1, 1] = F[0, 0] * F[2, 2] - F[0, 2] * F[2, 0]
+    B[1, 2] = F[0, 1] * F[2, 0] - F[0, 0] * F[2, 1]
+    B[2, 0] = F[0, 1] * F[1, 2] - F[0, 2] * F[1, 1]
+    B[2, 1] = F[0, 2] * F[1, 0] - F[0, 0] * F[1, 2]
+    B[2, 2] = F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
+    return F[0, 0] * B[0, 0] + F[0, 1] * B[0, 1] + F[0, 2] * B[0, 2]
+
+
+@njit(cache=True, nogil=True)
+def linear_volumes(start, stop, u, v, cells, grad, base, out):
+    """out (n_cells, n_gauss) = det F at u plus its linear change along v (n_points, 3)."""
+    F, dF, B = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    zero = np.zeros((3, 3))
+    for e in range(start, stop):
+        for g in range(grad.shape[1]):
+            _gradient(u, cells[e], grad[e, g], base, F)
+            _gradient(v, cells[e], grad[e, g], zero, dF)
+            total = _cofactor(F, B)
+            for i in range(3):
+                for j in range(3):
+                    total += B[i, j] * dF[i, j]
+            out[e, g] = total
+
+
+@njit(cache=True, nogil=True)
+def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force):
+    """force (n_points, 3) += what pressures taken at `volumes` instead of det F add to the internal force."""
+    F, B = np.empty((3, 3)), np.empty((3, 3))
+    for e in range(start, stop):
+        stiffness = lame[e if lame.shape[0] > 1 else 0]
+        for g in range(weight.shape[1]):
+            _gradient(u, cells[e], grad[e, g], base, F)
+            shift = weight[e, g] * stiffness * (volumes[e, g] - _cofactor(F, B))
+            for a in range(cells.shape[1]):
+                n = cells[e, a]
+                for i in range(3):
+                    force[n, i] += shift * (
+                        B[i, 0] * grad[e, g, a, 0] + B[i, 1] * grad[e, g, a, 1] + B[i, 2] * grad[e, g, a, 2]
+                    )
 
 
 @njit(cache=True)
@@ -90,19 +153,26 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
 
 
 @njit(cache=True, nogil=True)
-def tangent_times(start, stop, u, cells, grad, weight, ops, par, base, scale, history, v, force):
-    """force (n_points, 3) += K(u) v."""
+def tangent_times(
+    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
+):
+    """force (n_points, 3) += K(u) v; pressures at `volumes` (n_cells, n_gauss), where it has cells."""
     work = workspace()
     F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
     dF, E, dS, P = np.empty((3, 3)), np.empty(6), np.empty(6), np.empty((3, 3))
     zero = np.zeros((3, 3))
+    C, D = np.empty(6), np.empty(6)
     has_history = history.shape[0] == cells.shape[0]
+    mixed = volumes.shape[0] == cells.shape[0]
     for e in range(start, stop):
         row = e if par.shape[0] > 1 else 0
         for g in range(weight.shape[1]):
             _gradient(u, cells[e], grad[e, g], base, F)
             _gradient(v, cells[e], grad[e, g], zero, dF)
-            second_piola(F, ops, par[row], S, CC, True, work)
+            J = second_piola(F, ops, par[row], S, CC, True, work)
+            if mixed:
+                stiffness = lame[e if lame.shape[0] > 1 else 0]
+                _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, D, S, CC)
             w = weight[e, g]
             for i in range(3):
                 for j in range(i, 3):
@@ -133,8 +203,13 @@ def tangent_times(start, stop, u, cells, grad, weight, ops, par, base, scale, hi
 
 
 @njit(cache=True, nogil=True)
-def tangent(start, stop, u, cells, grad, weight, ops, par, base, scale, history, pairs, slots, values):
+def tangent(
+    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, pairs, slots, values
+):
     """values (nnz of the upper triangle) += element tangents.
+
+    volumes (n_cells, n_gauss): volume ratios that the pressures are taken at instead of det F;
+    without cells, det F. lame (1 or n_cells): pressure per volume change.
 
     pairs (n_cells, n_nodes (n_nodes + 1) / 2): number of the node pair, times two, plus
     one where the pair is stored the other way round; slots (n_pairs, 3, 3): place of
@@ -146,13 +221,18 @@ def tangent(start, stop, u, cells, grad, weight, ops, par, base, scale, history,
     A, T = np.empty((9, 9)), np.empty((9, 6))
     D = np.empty((9, 3))
     K = np.empty((n_nodes * (n_nodes + 1) // 2, 3, 3))
+    C, C_inv = np.empty(6), np.empty(6)
     has_history = history.shape[0] == cells.shape[0]
+    mixed = volumes.shape[0] == cells.shape[0]
     for e in range(start, stop):
         row = e if par.shape[0] > 1 else 0
         K[:] = 0.0
         for g in range(weight.shape[1]):
             _gradient(u, cells[e], grad[e, g], base, F)
-            second_piola(F, ops, par[row], S, CC, True, work)
+            J = second_piola(F, ops, par[row], S, CC, True, work)
+            if mixed:
+                stiffness = lame[e if lame.shape[0] > 1 else 0]
+                _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, C_inv, S, CC)
             for q in range(6):
                 S[q] *= scale
                 if has_history:

@@ -9,14 +9,13 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem import linear as linear_solvers
-from limbcli.fem.system import Forces, State, System
+from limbcli.fem.system import Forces, State, System, norm
 from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
-_MAX_KRYLOV = 24
-_NEAR = 0.1  # residual from which on the turning of the skin's normals helps
+_MAX_KRYLOV = 40
 _LARGE = 20_000  # equations, from which on single precision pays
 
 
@@ -40,8 +39,9 @@ class Settings:
     linear: str = "auto"
     threads: int = 2
     single: bool | None = None
+    mixed: bool = True
     renew_ratio: float = 0.1
-    max_krylov: float = 8.0
+    max_krylov: float = 12.0
 
 
 @dataclass
@@ -152,7 +152,30 @@ class Newton:
         if len(system.rigid) and system.pairs:
             for k, (b, dof) in enumerate(system.rigid):
                 rhs[system.n_tissue + k] += bodies[b, dof]
-        return system.moved(aim, self.solve_linear(state, -rhs, 1e-2))
+        guess = system.moved(aim, self.solve_linear(state, -rhs, 1e-2))
+        return self.with_volumes(guess, state)
+
+    def with_volumes(self, guess: State, state: State) -> State:
+        """The guess with pressures that follow its step from `state` linearly.
+
+        A step of the displacements changes the volumes in second order too; times the bulk stiffness
+        that is a pressure far beyond those at play, and its tangent leads nowhere. So the tangent is
+        taken at pressures of their own, which catch up as the iteration converges: Newton's method on
+        displacements and pressures, the latter eliminated (Magisano, Leonetti and Garcea 2017, Comput.
+        Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
+        """
+        if not self.settings.mixed:
+            return guess
+        volumes, tractions = self.linear_stresses(state, guess)
+        return replace(guess, volumes=volumes, tractions=tractions)
+
+    def linear_stresses(self, state: State, after: State) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Volume ratios and contact tractions, changed linearly from a state (searched last) to another."""
+        v = after.u - state.u
+        motions = np.zeros((len(self.system.bodies), 6))
+        for b in range(len(motions)):
+            motions[b, :3] = after.bodies[b].shift - state.bodies[b].shift
+        return self.system.linear_volumes(state, v), self.system.linear_tractions(state, v, motions)
 
     def equilibrate(
         self, guess: State, level: Level, *, tolerance: float | None = None, patient: bool = True
@@ -173,7 +196,7 @@ class Newton:
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
             if forces.error <= target:
-                return replace(state, hints=system.hints()), forces
+                return replace(state, hints=system.hints(), volumes=(), tractions=system.tractions()), forces
             if iteration == settings.max_iterations:
                 break
             if not patient and _too_long(iteration, forces.error, first):
@@ -190,8 +213,6 @@ class Newton:
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
         settings = self.settings
-        for pair in self.system.pairs:
-            pair.turning = 1.0 if forces.error < _NEAR else 0.0
         if self.inverse is None or self.slow > settings.max_krylov:
             self.refresh(state, forces)
         elif renew or self.tangent is None:
@@ -211,14 +232,25 @@ class Newton:
         While the set of touching points still changes, the residual of a good step may be
         several times the one before; only later must it fall.
         """
-        before = float(np.linalg.norm(forces.residual))
+        before = norm(forces.mixed)
+        full = self.system.moved(state, step)
+        mixed = self.settings.mixed
+        if mixed:
+            nows = (
+                state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u)),
+                state.tractions or self.system.tractions(),
+            )
+            aims = self.linear_stresses(state, full)
         allowed = _PATIENCE if iteration < _PATIENT_ITERATIONS else 1.0
         length = 1.0
         best: tuple[float, State, Forces, float] | None = None
         for _ in range(7):
             trial = self.system.moved(state, length * step)
+            if mixed:
+                volumes, tractions = (_between(*both, length) for both in zip(nows, aims, strict=True))
+                trial = replace(trial, volumes=volumes, tractions=tractions)
             result = self.forces(trial)
-            size = float(np.linalg.norm(result.residual))
+            size = norm(result.mixed)
             if result.worst > 0 and np.isfinite(size):
                 if size <= allowed * (1.0 - 0.1 * length) * before:
                     return trial, result, length
@@ -269,6 +301,10 @@ class Newton:
         if self.linear is not None:
             self.linear.close()
         self.system.close()
+
+
+def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> tuple[Array, ...]:
+    return tuple(now + part * (aim - now) for now, aim in zip(nows, aims, strict=True))
 
 
 def _too_long(iteration: int, error: float, first: float) -> bool:

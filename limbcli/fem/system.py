@@ -7,6 +7,7 @@ equations; their part of the tangent enters as a few dense columns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.fem import curves, kernels
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
-from limbcli.fem.contact_kernels import FACET
+from limbcli.fem.contact_kernels import FACET, TRACTION
 from limbcli.fem.groups import Group, Operands, make_groups
 from limbcli.fem.rigid import (
     AT_REST,
@@ -30,18 +31,32 @@ from limbcli.fem.rigid import (
 )
 from limbcli.model import Array, Drive, IntArray, LimbModel, NodeMap, Support
 
+_NO_VOLUMES = np.zeros((0, 1))
+_NO_TRACTIONS = np.zeros((0, 1))
 _AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def norm(v: Array) -> float:
+    """Euclidean norm; waking the threads of a BLAS costs more than this sum."""
+    return float(np.sqrt(np.einsum("i,i", v, v)))
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """Displacements u (n_points, 3) of all nodes, where the bodies are, and (where converged) what
-    rigid facets the contact points are with."""
+    rigid facets the contact points are with.
+
+    volumes : volume ratios (n_cells, n_gauss) of each group that pressures are taken at on the way to
+        equilibrium; empty: those of u, as at equilibrium
+    tractions : contact tractions (n_facets, n_gauss) of each patch, likewise
+    """
 
     time: float
     u: Array
     bodies: tuple[BodyState, ...]
     hints: tuple[Array, ...] = ()
+    volumes: tuple[Array, ...] = ()
+    tractions: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +67,7 @@ class Forces:
     bodies (n_bodies, 6) : force and moment needed from outside to hold each body
     residual : of the unknowns; scale : size of the forces at play (N)
     worst, place : smallest det F and its (group, cell)
+    mixed : residual with the pressures taken at the state's own volume ratios
     """
 
     nodal: Array
@@ -61,11 +77,12 @@ class Forces:
     n_touching: int
     worst: float
     place: tuple[int, int]
+    mixed: Array
 
     @property
     def error(self) -> float:
         """Norm of the residual over the forces at play."""
-        return float(np.linalg.norm(self.residual)) / max(self.scale, 1e-14)
+        return norm(self.residual) / max(self.scale, 1e-14)
 
 
 class System:
@@ -312,7 +329,15 @@ class System:
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
         held = internal[~self.free]
         scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
-        return Forces(nodal, bodies, residual, float(scale), touching, worst, place)
+        mixed = residual
+        if state.volumes or state.tractions:
+            shift = self.volume_force(state) if state.volumes else np.zeros_like(nodal)
+            if state.tractions:
+                for k, pair in enumerate(self.pairs):
+                    pair.shifted_force(self._carried(state, k), shift)
+            mixed = residual.copy()
+            mixed[: self.n_tissue] += shift[self.free]
+        return Forces(nodal, bodies, residual, float(scale), touching, worst, place, mixed)
 
     def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
         """Internal nodal forces, smallest det F and where."""
@@ -331,6 +356,34 @@ class System:
         for each in parts[1:]:
             total += each
         return total, worst, place
+
+    def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
+        """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
+        out = []
+        for o in self.operands:
+            J = np.empty(o.weight.shape)
+            self.threads.run(
+                lambda w, a, b, o=o, J=J: kernels.linear_volumes(
+                    a, b, state.u, v, o.cells, o.grad, o.base, J
+                ),
+                len(o.cells),
+            )
+            out.append(J)
+        return tuple(out)
+
+    def volume_force(self, state: State) -> Array:
+        """What pressures at the state's own volume ratios add to the internal forces (n_points, 3)."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        for o, volumes in zip(self.operands, state.volumes, strict=True):
+            self.threads.run(
+                lambda w, a, b, o=o, volumes=volumes: kernels.volume_force(
+                    a, b, state.u, o.cells, o.grad, o.weight, o.base, o.lame, volumes, parts[w]
+                ),
+                len(o.cells),
+            )
+        for each in parts[1:]:
+            parts[0] += each
+        return parts[0]
 
     def gather_tied(self, state: State, nodal: Array, bodies: Array) -> None:
         """Add the forces of nodes that are tied to a body to the body's forces and moments."""
@@ -365,8 +418,8 @@ class System:
     def stiffness(self, state: State) -> Array:
         """Upper triangle of the elastic tangent of the tissue's unknowns (without contact)."""
         parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
-        for o, pairs in zip(self.operands, self.pattern.pairs, strict=False):
-            args = (*o.arguments(), pairs, self.pattern.slots)
+        for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
+            args = (*o.arguments(), *self._mixed(state, k), pairs, self.pattern.slots)
 
             def task(worker: int, begin: int, end: int, args: Any = args) -> None:
                 kernels.tangent(begin, end, state.u, *args, parts[worker])
@@ -376,18 +429,41 @@ class System:
             parts[0] += each
         return parts[0]
 
+    def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
+        volumes = state.volumes[group] if state.volumes else _NO_VOLUMES
+        return self.operands[group].lame, volumes
+
+    def _carried(self, state: State, pair: int) -> Sequence[Array]:
+        """The state's own tractions of the patches of one pair."""
+        begin = sum(len(each.patches) for each in self.pairs[:pair])
+        n = len(self.pairs[pair].patches)
+        return state.tractions[begin : begin + n] if state.tractions else [_NO_TRACTIONS] * n
+
+    def tractions(self) -> tuple[Array, ...]:
+        """Contact tractions (n_facets, n_gauss) of each patch as searched last."""
+        return tuple(p.state[..., TRACTION].copy() for pair in self.pairs for p in pair.patches)
+
+    def linear_tractions(self, state: State, v: Array, motions: Array) -> tuple[Array, ...]:
+        """The tractions as searched last, changed linearly along nodal and body motions."""
+        x = self.X + state.u
+        return tuple(
+            each
+            for k, pair in enumerate(self.pairs)
+            for each in pair.linear_tractions(x, v, motions[pair.body], self._carried(state, k))
+        )
+
     def add_contact(self, state: State, values: Array) -> Array:
         """The matrix with the symmetric part of the contact (as searched last) added."""
         values = values.copy()
-        for pair in self.pairs:
-            pair.stiffness(self.X + state.u, self.pattern.slots, values)
+        for k, pair in enumerate(self.pairs):
+            pair.stiffness(self.X + state.u, self._carried(state, k), self.pattern.slots, values)
         return values
 
     def tangent_times(self, state: State, v: Array) -> Array:
         """Elastic tangent of all nodes times v (n_points, 3)."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
-        for o in self.operands:
-            args = o.arguments()
+        for k, o in enumerate(self.operands):
+            args = (*o.arguments(), *self._mixed(state, k))
 
             def task(worker: int, begin: int, end: int, args: Any = args) -> None:
                 kernels.tangent_times(begin, end, state.u, *args, v, parts[worker])
@@ -401,9 +477,10 @@ class System:
         """Exact contact tangent times nodal and body motions: nodal (n_points, 3), bodies (n_bodies, 6)."""
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
         x = self.X + state.u
-        for pair in self.pairs:
+        for k, pair in enumerate(self.pairs):
             body = np.zeros(6)
-            pair.times(x, self.center(pair.body, state), v, motions[pair.body], nodal, body)
+            carried = self._carried(state, k)
+            pair.times(x, self.center(pair.body, state), v, motions[pair.body], carried, nodal, body)
             bodies[pair.body] -= body
         return nodal, bodies
 

@@ -18,7 +18,7 @@ from numba import njit
 
 from limbcli.errors import SolveError
 from limbcli.fem.linear import LinearSolver
-from limbcli.fem.system import State, System
+from limbcli.fem.system import State, System, norm
 from limbcli.model import Array
 
 
@@ -188,19 +188,19 @@ def gmres(
 
     first : inverse(rhs), where the caller has it already
     """
-    norm = float(np.linalg.norm(rhs))
-    if norm == 0.0:
+    size = norm(rhs)
+    if size == 0.0:
         return np.zeros_like(rhs), 0, 0.0
     V = np.empty((max_iterations + 1, len(rhs)))
-    V[0] = rhs / norm
+    V[0] = rhs / size
     Z: list[Array] = []
     H = np.zeros((max_iterations + 1, max_iterations))
     beta = np.zeros(max_iterations + 1)
-    beta[0] = norm
+    beta[0] = size
     cs, sn = np.zeros(max_iterations), np.zeros(max_iterations)
     k = 0
     for k in range(max_iterations):
-        z = first / norm if (k == 0 and first is not None) else inverse(V[k])
+        z = first / size if (k == 0 and first is not None) else inverse(V[k])
         w = apply(z)
         Z.append(z)
         H[k + 1, k] = orthogonalise(V, k + 1, w, H[:, k])
@@ -217,12 +217,12 @@ def gmres(
         H[k, k], H[k + 1, k] = length, 0.0
         beta[k + 1] = -sn[k] * beta[k]
         beta[k] = cs[k] * beta[k]
-        if abs(beta[k + 1]) <= tolerance * norm or last == 0.0:
+        if abs(beta[k + 1]) <= tolerance * size or last == 0.0:
             break
         V[k + 1] = w / last
-    size = k + 1
-    y = np.linalg.solve(H[:size, :size], beta[:size])
+    n = k + 1
+    y = np.linalg.solve(H[:n, :n], beta[:n])
     solution = np.zeros_like(rhs)
     for weight, z in zip(y, Z, strict=False):
         solution += weight * z
-    return solution, size, abs(float(beta[size])) / norm
+    return solution, n, abs(float(beta[n])) / size
