@@ -121,9 +121,14 @@ def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
         _count(content.get("n_solves")),
         number(content.get("seconds")),
         str(content.get("reason") or ""),
-        tuple(_estimate(name, each, locks=locks) for name, each in content.get("parameters", {}).items()),
+        read_estimates(content.get("parameters", {}), locks=locks),
         number(content.get("correlation")),
     )
+
+
+def read_estimates(parameters: Mapping[str, Any], *, locks: bool) -> tuple[EstimateView, ...]:
+    """The table `parameters` of a fit; `locks`: it was found with four-node tetrahedra."""
+    return tuple(_estimate(name, each, locks=locks) for name, each in parameters.items())
 
 
 OF_THE_MESH = "of this tet4 mesh, not of the tissue"

@@ -12,6 +12,14 @@ from limbcli.results import StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+# Stages that not every case goes through: part of the page once they have been run.
+EXTRA_SUBJECT_STAGES = ("fit-joint",)
+EXTRA_SITE_STAGES = ("fit-elements", "mesh-study", "diagnose")
+_COMMANDS = {
+    "fit-joint": "fit {case} --objective joint",
+    "fit-elements": "fit {case} --compare-element",
+    "mesh-study": "mesh {case} --study",
+}
 ERROR_FILE = "error.json"
 
 Status = Literal["done", "failed", "missing"]
@@ -56,6 +64,10 @@ class Outcomes:
     def of(self, stage: str, site: str | None = None) -> Outcome:
         return next(each for each in self.all if (each.stage, each.site) == (stage, site))
 
+    def maybe(self, stage: str, site: str | None = None) -> Outcome | None:
+        """One of the stages that not every case goes through, or None where it was not run."""
+        return next((each for each in self.all if (each.stage, each.site) == (stage, site)), None)
+
     @property
     def done(self) -> tuple[Outcome, ...]:
         return tuple(each for each in self.all if each.result is not None)
@@ -83,6 +95,10 @@ def read_outcomes(out: Path, sites: tuple[str, ...], *, case_name: str = "CASE")
         outcome = _outcome(out, stage, site, case_name)
         before = (each for each in outcomes if each.site in (None, site) and each.status == "failed")
         outcomes.append(_held(outcome, next(before, None)))
+    extra: list[tuple[str, str | None]] = [(stage, None) for stage in EXTRA_SUBJECT_STAGES]
+    extra += [(stage, site) for site in sites for stage in EXTRA_SITE_STAGES]
+    found = [_outcome(out, stage, site, case_name) for stage, site in extra]
+    outcomes += [each for each in found if each.status != "missing"]
     return Outcomes(tuple(outcomes))
 
 
@@ -95,7 +111,8 @@ def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
 
 def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome:
     folder = stage_folder(out, stage, site)
-    command = f"limbcli {stage} {case_name}" + (f" --site {site}" if site else "") + f" --out {out}"
+    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=case_name)
+    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {out}"
     failure = _failure(folder / ERROR_FILE)
     result = None
     if (folder / f"{stage}.json").is_file():

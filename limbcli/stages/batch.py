@@ -15,9 +15,10 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
-from limbcli.files import atomic_file
+from limbcli.files import atomic_file, sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, stage_folder
+from limbcli.stages.extras import Extra, extras, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
 ERROR_FILE = "error.json"
@@ -108,10 +109,27 @@ class _Run:
         if not done:
             for site in self.case.sites:
                 self._skip(("mesh", "build-feb", "run", "fit"), site.name, because="segment")
+        made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
+        keys += [*made, *(sha256(path) for path in shown_only(self.case, self.out))]
         everything = key_of(key, *keys, raw, [str(each.error) for each in self.outcome.failures])
         if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
         return self.outcome
+
+    def _extra(self, extra: Extra, keys: Sequence[str]) -> str:
+        """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
+        folder = stage_folder(self.out, extra.stage, extra.site)
+        by_site = zip(self.case.sites, keys, strict=False)
+        key = key_of(extra.stage, *(each for site, each in by_site if site.name in extra.sites))
+        sound = extra.is_current and not (folder / ERROR_FILE).exists()
+        if sound and self.memory.made_since(extra.stage, extra.site):
+            self.memory.remember(extra.stage, extra.site, key)
+        failed = [each for each in self.outcome.failures if each.site in (None, *extra.sites)]
+        if failed:
+            self._skip((extra.stage,), extra.site, because=failed[0].stage, keep_result=True)
+        else:
+            self._stage(extra.stage, extra.site, key, extra.redo, keep_result=True)
+        return sha256(folder)
 
     def _common(self) -> dict[str, Any]:
         return {"out": self.out, "progress": self.progress}
@@ -150,7 +168,9 @@ class _Run:
                 break
         return key
 
-    def _skip(self, stages: Sequence[str], site: str | None, *, because: str) -> None:
+    def _skip(
+        self, stages: Sequence[str], site: str | None, *, because: str, keep_result: bool = False
+    ) -> None:
         """Stages that cannot run say so, and results of an earlier run no longer count."""
         for stage in stages:
             error = CaseError(
@@ -158,10 +178,12 @@ class _Run:
                 where=f"site {site}" if site else str(self.case.folder),
                 fix=f"mend what `{because}` says, then run the batch again",
             )
-            keep_error(self.out, stage, site, error)
+            keep_error(self.out, stage, site, error, keep_result=keep_result)
 
-    def _stage(self, stage: str, site: str | None, key: str, work: Callable[[], object]) -> bool:
-        """Run a stage unless it is fresh; False if it failed."""
+    def _stage(
+        self, stage: str, site: str | None, key: str, work: Callable[[], object], *, keep_result: bool = False
+    ) -> bool:
+        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays)."""
         label = f"{stage} {site}" if site else stage
         if not self.options.force and self.memory.is_fresh(stage, site, key):
             self.outcome.fresh.append(label)
@@ -172,7 +194,7 @@ class _Run:
             self._pass_on(work())
         except LimbError as error:
             self.outcome.failures.append(Failure(stage, site, error))
-            keep_error(self.out, stage, site, error)
+            keep_error(self.out, stage, site, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")
             return False
         self.memory.remember(stage, site, key)
@@ -187,10 +209,16 @@ class _Run:
                     self.progress.event("note", text=line)
 
 
-def keep_error(out: Path, stage: str, site: str | None, error: LimbError) -> None:
-    """Leave a stage's failure where the report finds it; the stale result no longer counts."""
+def keep_error(
+    out: Path, stage: str, site: str | None, error: LimbError, *, keep_result: bool = False
+) -> None:
+    """Leave a stage's failure where the report finds it; the stale result no longer counts.
+
+    keep_result : it stays beside the failure, to tell another time how to make it again
+    """
     folder = stage_folder(out, stage, site)
-    (folder / f"{stage}.json").unlink(missing_ok=True)
+    if not keep_result:
+        (folder / f"{stage}.json").unlink(missing_ok=True)
     with atomic_file(folder / ERROR_FILE) as path:
         path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
 

@@ -57,6 +57,10 @@ class FitOptions:
     templates: Path | None = None
     time_limit_s: float | None = None
 
+    def asked(self) -> dict[str, float | None]:
+        """What another run of the same kind needs to be told."""
+        return {"c_kpa": self.c_kpa, "c_deviation": self.c_deviation, "tolerance": self.tolerance}
+
 
 def fit(
     case: Case,

@@ -94,6 +94,7 @@ def _compare_site(
         found.append(
             ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, _unknowns(same))
         )
+    writer.data["asked"] = options.asked()
     _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 
@@ -161,13 +162,19 @@ def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Arr
         for each, colour in zip(found, (BLUE, VERMILION), strict=True):
             depths = np.r_[0.0, each.depths]
             left.plot(
-                depths, np.r_[0.0, each.start_force], ":", color=colour, label=f"{each.element}, f_κ 100, m 2"
+                depths,
+                np.r_[0.0, each.start_force],
+                ":",
+                color=colour,
+                label=rf"{each.element}, $f_\kappa$ 100, m 2",
             )
             left.plot(depths, np.r_[0.0, each.fitted_force], color=colour, label=f"{each.element}, fitted")
             right.plot(SWEEP, each.sweep_force / each.sweep_force[0], "o-", color=colour, label=each.element)
         right.axhline(1.0, color=QUIET, lw=0.8)
         left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
-        right.set(xlabel="f_κ [–]", ylabel="last force over that at f_κ 10 [–]", xscale="log")
+        right.set(xlabel=r"$f_\kappa$ [–]", ylabel=r"last force over that at $f_\kappa$ 10 [–]", xscale="log")
+        right.set_xticks(SWEEP, [f"{each:g}" for each in SWEEP])
+        right.minorticks_off()
         left.legend(fontsize=8)
         right.legend(fontsize=8)
         figure.savefig(writer.file("picture", "elements.png"))

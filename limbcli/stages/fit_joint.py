@@ -105,6 +105,7 @@ def fit_joint(
                 leave_joint(writer, models, law, problem, found, n_solves)
         if joint.compare_laws:
             leave_comparison(writer, table)
+        writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
     assert writer.result is not None
     return writer.result

@@ -43,6 +43,10 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
     profiles = []
     for k, (name, each) in enumerate(found.profiles.items()):
         unit = kpa_from_mpa(1.0) if name == "c" else 1.0
-        label = "c in kPa" if name == "c" else name
-        profiles.append(ProfileCurve(label, unit * each.values, each.deviance, unit * float(found.best[k])))
+        values = unit * each.values
+        profiles.append(
+            ProfileCurve(
+                name, values, each.deviance, unit * float(found.best[k]), "kPa" if name == "c" else "–"
+            )
+        )
     profile_figure(profiles).savefig(writer.file("profiles", "profiles.png"))

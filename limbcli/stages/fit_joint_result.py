@@ -39,6 +39,7 @@ def leave_joint(
         interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
         gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
         chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
+        element="+".join(sorted({b.kind for _, model in measured for b in model.mesh.solid_blocks})),
         n_solves=n_solves, sites=[name for name, _ in measured], solver="reference",
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)

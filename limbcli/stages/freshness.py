@@ -57,6 +57,11 @@ class Memory:
             return False
         return remembered == [key, sha256(folder)]
 
+    def made_since(self, stage: str, site: str | None) -> bool:
+        """Whether the stage's result is not the one that was remembered: made, or made again, by hand."""
+        remembered = self._done.get(_name(stage, site))
+        return remembered is None or remembered[1] != sha256(stage_folder(self._out, stage, site))
+
     def remember(self, stage: str, site: str | None, key: str) -> None:
         folder = stage_folder(self._out, stage, site)
         self._done[_name(stage, site)] = [key, sha256(folder)]

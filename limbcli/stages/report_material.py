@@ -96,19 +96,31 @@ def _with_state(material: SiteMaterial, outcome: Outcome, result: StageResult) -
 
 
 _ORDER = ("segment", "mesh", "build-feb", "run", "fit")
+_EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "diagnose"))
 
 
 def _stale(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
     """Results that are older than what they were made from."""
-    found = []
+    pairs: list[tuple[Outcome | None, Outcome | None]] = []
     for site in sites:
         chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
-        made = [(each, str(each.result.provenance.get("finished_utc", ""))) for each in chain if each.result]
-        for (before, early), (after, late) in pairwise(made):
-            if late and early > late:
-                found.append(
-                    f"The result of “{after.label}” ({late}) is older than that of “{before.label}” "
-                    f"({early}) "
-                    f"it builds on; run it again: {after.command}"
-                )
-    return found
+        pairs += pairwise(each for each in chain if each.result)
+        pairs += [(outcomes.of(before, site), outcomes.maybe(after, site)) for before, after in _EXTRA]
+        joint = outcomes.maybe("fit-joint")
+        if joint and joint.result and site in joint.result.data.get("sites", ()):
+            pairs.append((outcomes.of("build-feb", site), joint))
+    told = [_older(before, after) for before, after in pairs]
+    return [each for each in told if each]
+
+
+def _older(before: Outcome | None, after: Outcome | None) -> str:
+    """The sentence for a result made before what it builds on, or nothing."""
+    if before is None or after is None or before.result is None or after.result is None:
+        return ""
+    early, late = (str(r.provenance.get("finished_utc", "")) for r in (before.result, after.result))
+    if not late or early <= late:
+        return ""
+    return (
+        f"The result of “{after.label}” ({late}) is older than that of “{before.label}” ({early}) "
+        f"it builds on; run it again: {after.command}"
+    )

@@ -11,6 +11,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage
 from limbcli.stages import batch as module
+from limbcli.stages import fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from tests.test_case_text import two_sites
 
@@ -29,7 +30,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
                 if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
                     raise MeshError("no skin under the probe", where="site p2", fix="move it")
                 with open_stage(out, stage, subject=case.subject, site=site) as writer:
-                    writer.file("text", "report.html" if stage == "report" else "a.txt").write_text("x")
+                    name = {"report": "report.html", "build-feb": "model.feb"}.get(stage, "a.txt")
+                    writer.file("text", name).write_text((case.folder / "p1.csv").read_text())
 
         return work
 
@@ -126,3 +128,74 @@ def test_labels_edited_by_hand_redo_everything_that_follows(tmp_path: Path, call
     calls.clear()
     batch(case, out=out)
     assert calls == []
+
+
+JOINT = {"law": "holmes-mow", "laws": [{}], "sites": ["p1", "p2"], "asked": {"c_kpa": 7.0}}
+
+
+@pytest.fixture
+def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch):
+    """A case after a batch, with a joint fit of both sites and elements compared at p2, made by hand."""
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    asked: list[dict] = []
+
+    def leave(stage: str, site: str | None, data: dict, sites: tuple[str, ...]) -> None:
+        opened = Case.open(case)
+        with open_stage(out, stage, subject="S1", site=site) as writer:
+            for name in sites:
+                label = f"{name}/" if site is None else ""
+                writer.used(f"{label}model", out / "build-feb" / name / "model.feb")
+                writer.used(f"{label}levels", opened.site(name).levels)
+            writer.data.update(data)
+
+    def joint(case: Case, *, out: Path, sites, joint, options, **_) -> None:
+        calls.append("fit-joint")
+        asked.append({"law": joint.law, "compare": joint.compare_laws, "c_kpa": options.c_kpa})
+        leave("fit-joint", None, JOINT, tuple(sites))
+
+    def elements(case: Case, *, out: Path, sites, options, **_) -> None:
+        calls.append(f"fit-elements {sites[0]}")
+        leave("fit-elements", sites[0], {}, (sites[0],))
+
+    monkeypatch.setattr(fit_joint, "fit_joint", joint)
+    monkeypatch.setattr(fit_elements, "compare_elements", elements)
+    leave("fit-joint", None, JOINT, ("p1", "p2"))
+    leave("fit-elements", "p2", {}, ("p2",))
+    calls.clear()
+    return case, out, asked
+
+
+def test_fits_made_on_demand_are_taken_over_and_shown(on_demand, calls: list[str]):
+    case, out, _ = on_demand
+    outcome = batch(case, out=out)
+    assert calls == ["report"], "there is more to show"
+    assert {"fit-joint", "fit-elements p2"} <= set(outcome.fresh)
+    calls.clear()
+    assert batch(case, out=out).ran == []
+
+
+def test_fits_made_on_demand_are_made_again_as_they_were_where_something_changed(on_demand, calls: list[str]):
+    case, out, asked = on_demand
+    batch(case, out=out)
+    calls.clear()
+    (case / "p1.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
+    batch(case, out=out)
+    assert calls == ["build-feb p1", "run p1", "fit p1", "fit-joint", "report"]
+    assert asked == [{"law": "holmes-mow", "compare": True, "c_kpa": 7.0}]
+    calls.clear()
+    assert batch(case, out=out).ran == []
+
+
+def test_a_fit_on_demand_behind_a_failure_waits_and_comes_back(on_demand, calls: list[str]):
+    case, out, _ = on_demand
+    (case / "break").touch()
+    batch(case, out=out, options=BatchOptions(force=True))
+    assert "fit-joint" not in calls
+    assert "not run" in json.loads((out / "fit-joint" / "error.json").read_text())["what"]
+    (case / "break").unlink()
+    calls.clear()
+    outcome = batch(case, out=out)
+    assert not outcome.failures
+    assert {"fit-joint", "fit-elements p2"} <= set(calls)
+    assert not (out / "fit-joint" / "error.json").exists()

@@ -452,3 +452,63 @@ def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_pat
         report(case, out=tmp_path / "out", templates=tmp_path / "mine")
     assert "mine" in caught.value.where
     assert not list((tmp_path / "out").iterdir())
+
+
+def add_on_demand(out: Path) -> None:
+    """Joint fit with laws, elements side by side and a mesh study, as their stages leave them."""
+    parameters = step_data(m=4.1, m_free=True, r2=0.99, rmse_n=0.2)["parameters"]
+    laws = [
+        {
+            "law": law, "n_parameters": 3, "held_out_depth_mm": miss, "held_out_speed_fraction": speed,
+            "chi_square": 9.1, "c_kpa": 8.0, "shape": {"f_kappa": 20.2},
+        }
+        for law, miss, speed in (("two-term-ogden", 0.21, 0.021), ("holmes-mow", 0.25, None))
+    ]  # fmt: skip
+    with open_stage(out, "fit-joint", subject="S1") as writer:
+        writer.data.update(
+            parameters=parameters, laws=laws, law="ogden", law_words="Ogden type", element="tet10",
+            sites=["p1"], chi_square=11.5, n_freedom=12, gains={"p1": 1.02}, gain_deviations={"p1": 0.03},
+        )  # fmt: skip
+        small_png(writer.file("picture", "fit-joint.png"))
+    with open_stage(out, "fit-elements", subject="S1", site="p1") as writer:
+        row = {"n_unknowns": 315, "f_kappa": 20.0, "m": 5.0, "r2": 0.99, "rmse_n": 0.1}
+        writer.data["elements"] = {"tet4": row, "tet10": {**row, "f_kappa": 777.0}}
+        small_png(writer.file("picture", "elements.png"))
+    with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
+        writer.data.update(numerical_error_fraction=0.034, force_n=12.0)
+        small_png(writer.file("picture", "study.png"))
+
+
+def test_what_was_made_on_demand_is_on_the_page(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    add_on_demand(out)
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert page.table("two-term-ogden")[1][:4] == ["two-term-ogden", "3", "0.210", "2.10"]
+    assert "not predicted" in page.table("two-term-ogden")[2][3]
+    assert page.table("777")[2][:3] == ["tet10", "315", "777"]
+    assert "chi-square 11.5 for 12 degrees of freedom" in page.text
+    assert "times 1.02 (numerical error allowed: 3.0 %)" in page.text
+    assert {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"} <= {
+        attrs["id"] for _, attrs in page.tags if "id" in attrs
+    }
+    assert "f_κ" not in page.text, "set as a symbol everywhere"
+
+
+def test_what_was_not_made_on_demand_is_not_missed(whole):
+    ids = {attrs["id"] for _, attrs in whole[1].tags if "id" in attrs}
+    assert not ids & {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"}
+
+
+def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_on_demand(out)
+    with open_stage(out, "build-feb", subject="S1", site="p1"):
+        pass
+    path = out / "fit-joint" / "fit-joint.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["finished_utc"] = "2020-01-01T00:00:00Z"
+    path.write_text(json.dumps(content))
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
+    assert "--objective joint" in page.text

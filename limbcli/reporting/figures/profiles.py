@@ -25,6 +25,7 @@ class ProfileCurve:
     values: Array
     deviance: Array
     estimate: float
+    unit: str = "–"
 
 
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
@@ -45,7 +46,7 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
             symbol = _SYMBOLS.get(profile.name, profile.name)
-            axes.set(xlabel=f"{symbol} [–]", title=symbol, ylim=(-0.3, 2 * THRESHOLD_95))
+            axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * THRESHOLD_95))
         panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
         panels[0].legend(loc="upper center")
     return figure

@@ -14,7 +14,9 @@ from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
 from limbcli.reporting.sections.force_depth import force_over_depth
+from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.mesh import mesh
+from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
 from limbcli.reporting.sections.segmentation import segmentation
@@ -30,15 +32,16 @@ class Group:
 
 
 SITE_REPORTLETS: tuple[Callable[[Page, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, diagnosis, profiles, elastography, deformation, mesh, convergence,
+    force_over_depth, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study, convergence,
 )  # fmt: skip
 
 
 def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
     """Results first, then what they rest on, then where they come from."""
     sites = [_site(page, site) for site in page.sites]
+    together = [each for make in (joint, laws) if (each := make(page)) is not None]
     return (
-        Group("chapter-parameters", "Parameters", (parameters(page),)),
+        Group("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
         Group("chapter-segmentation", "Segmentation", (segmentation(page),)),
         Group("chapter-provenance", "Provenance", (provenance(page, own),)),

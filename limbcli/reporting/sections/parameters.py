@@ -109,12 +109,13 @@ def _details(site: str, view: FitView) -> Table:
     for step in view.steps:
         for k, each in enumerate(step.estimates):
             label = (Cell(step.label, lead=True, down=len(step.estimates)),) if k == 0 else ()
-            rows.append((*label, *_estimate_cells(each)))
+            rows.append((*label, *estimate_cells(each)))
     caption = f"Site {site}: intervals and what can be said of each parameter ({view.element}, {view.solver})"
     return Table(caption, (names,), tuple(rows), numeric=False)
 
 
-def _estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
+def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
+    """Name, value, 95 % interval and verdict."""
     unit = f"\u00a0{each.unit}" if each.unit else ""
     return (
         Cell(each.name),

@@ -1,0 +1,112 @@
+"""What depth and shear waves say together, and which law foretells best what it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.fit_view import EstimateView, read_estimates
+from limbcli.reporting.numbers import DASH, cell, quantity
+from limbcli.reporting.page import Page
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
+from limbcli.results import StageResult
+
+TITLE = "What do depth and shear waves say together?"
+LAWS_TITLE = "Which law foretells best what it has not seen?"
+
+
+def joint(page: Page) -> Reportlet | None:
+    """Parameters of the joint fit, its curves and profiles; None where it was not run."""
+    outcome = page.outcomes.maybe("fit-joint")
+    if outcome is None:
+        return None
+    if outcome.result is None or outcome.status == "failed":
+        return placeholder("fit-joint", TITLE, outcome)
+    result, data = outcome.result, outcome.result.data
+    locks = "tet4" in str(data.get("element", ""))
+    estimates = read_estimates(data.get("parameters", {}), locks=locks)
+    sites = ", ".join(map(str, data.get("sites", [])))
+    return Reportlet(
+        "fit-joint",
+        TITLE,
+        "fine" if all(each.is_sound for each in estimates) else "warning",
+        pictures=tuple(_pictures(result, sites)),
+        tables=(_table(estimates, data, sites),),
+        look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
+        "a c that agrees with the shear-wave reading at zero load: one tissue explains both",
+        bad="a fit that follows one column and misses the other, or parameters that leave the intervals of "
+        "the fit to the force alone: then the model cannot have both right",
+        notes=tuple(_notes(data)),
+        warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+    )
+
+
+def _pictures(result: StageResult, sites: str) -> list[Picture]:
+    texts = {
+        "picture": ("joint-curves", f"Force over depth and shear-wave speed over force at {sites}, with the "
+                    "joint fit."),
+        "profiles": ("joint-profiles", "Fall of the joint likelihood over c and the law's other parameters."),
+    }  # fmt: skip
+    return [
+        Picture(name, alt, source=result.path(key), vector=False)
+        for key, (name, alt) in texts.items()
+        if key in result.files and result.path(key).is_file()
+    ]
+
+
+def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: str) -> Table:
+    rows = tuple(tuple(estimate_cells(each)) for each in estimates)
+    law = data.get("law_words") or data.get("law") or DASH
+    names = head("parameter", "value", "95 % interval", "verdict")
+    return Table(f"Joint fit of {sites}: {law}; c is free", (names,), rows, numeric=False)
+
+
+def _notes(data: Mapping[str, Any]) -> list[str]:
+    notes = [
+        f"Depth residuals at the measured force and the logarithm of every level's speed, each against its "
+        f"stated noise: chi-square {quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} "
+        "degrees of freedom."
+    ]
+    gains, deviations = data.get("gains") or {}, data.get("gain_deviations") or {}
+    notes += [
+        f"Site {site}: the simulated force was taken times {quantity(gain, '')} "
+        f"(numerical error allowed: {quantity(100 * deviations[site], '%', digits=2)})."
+        for site, gain in gains.items()
+        if site in deviations
+    ]
+    return notes
+
+
+def laws(page: Page) -> Reportlet | None:
+    """The laws by the error of levels that were left out; None where they were not compared."""
+    outcome = page.outcomes.maybe("fit-joint")
+    if outcome is None or outcome.result is None or not outcome.result.data.get("laws"):
+        return None
+    rows = tuple(_law_row(each) for each in outcome.result.data["laws"])
+    names = head(
+        "law", "parameters", "left-out depth [mm]", "left-out speed [%]", "chi-square", "c [kPa]", "its shape"
+    )
+    return Reportlet(
+        "laws",
+        LAWS_TITLE,
+        tables=(Table("Laws, best first, by the root-mean-square error of left-out levels", (names,), rows),),
+        look_for="a law that is better by more than the noise of the depth; among equals the one with fewer "
+        "parameters",
+        bad="laws compared by R²: every law that rises has it near 1. Where all laws miss by the same, the "
+        "tissue's law is not what is wrong",
+    )
+
+
+def _law_row(row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    speed = row.get("held_out_speed_fraction")
+    shape = "; ".join(f"{name} {quantity(value, '')}" for name, value in (row.get("shape") or {}).items())
+    return (
+        Cell(str(row.get("law", DASH)), lead=True),
+        cell(row.get("n_parameters"), digits=1),
+        cell(row.get("held_out_depth_mm")),
+        cell(None if speed is None else 100 * speed, reason="this law's speed is not predicted"),
+        cell(row.get("chi_square")),
+        cell(row.get("c_kpa")),
+        Cell(shape),
+    )

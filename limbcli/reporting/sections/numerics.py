@@ -1,0 +1,91 @@
+"""How much of the answer is the mesh: elements side by side, and the mesh study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.numbers import DASH, cell, plain_rows
+from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+from limbcli.results import StageResult
+
+ELEMENTS_TITLE = "How much of f_κ is the element?"
+STUDY_TITLE = "How much of the force is mesh and crop?"
+_LARGE = 0.1  # numerical error of the force, relative
+
+
+def elements(page: Page, site: SiteMaterial) -> Reportlet | None:
+    """Linear and quadratic tetrahedra on the same mesh; None where they were not compared."""
+    key = f"fit-elements-{site.name}"
+    outcome = page.outcomes.maybe("fit-elements", site.name)
+    if outcome is None:
+        return None
+    if outcome.result is None or outcome.status == "failed":
+        return placeholder(key, ELEMENTS_TITLE, outcome)
+    found = outcome.result.data.get("elements", {})
+    rows = tuple(_element_row(name, each) for name, each in found.items())
+    names = head("element", "unknowns", "f_κ [–]", "m [–]", "f_κ at m = 2 [–]", "R² [–]", "RMSE [N]")
+    alt = (
+        f"Site {site.name}: forces of tet4 and tet10 on the same mesh at the same parameters and after "
+        "each fit, and how the last force grows with f_κ."
+    )
+    return Reportlet(
+        key,
+        ELEMENTS_TITLE,
+        site=site.name,
+        pictures=_picture(outcome.result, f"elements-{site.name}", alt),
+        tables=(Table(f"The same mesh in two elements at site {site.name}", (names,), rows),),
+        look_for="dotted curves that lie together and right-hand curves that are flat: then the element "
+        "does not matter",
+        bad="a tet4 curve that rises with f_κ where tet10's is flat. It locks, and the f_κ fitted with it "
+        "sets how stiff the mesh is, not how compressible the tissue",
+        notes=outcome.result.summary,
+        warned=outcome.result.warnings,
+    )
+
+
+def _element_row(name: str, row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    return (
+        Cell(name, lead=True),
+        Cell(str(row.get("n_unknowns", DASH))),
+        cell(row.get("f_kappa")),
+        cell(row.get("m")),
+        cell(row.get("f_kappa_mooney_rivlin")),
+        cell(row.get("r2"), digits=4),
+        cell(row.get("rmse_n")),
+    )
+
+
+def mesh_study(page: Page, site: SiteMaterial) -> Reportlet | None:
+    """Force over element size and margin; None where the study was not made."""
+    key = f"mesh-study-{site.name}"
+    outcome = page.outcomes.maybe("mesh-study", site.name)
+    if outcome is None:
+        return None
+    if outcome.result is None or outcome.status == "failed":
+        return placeholder(key, STUDY_TITLE, outcome)
+    result = outcome.result
+    rows = tuple(plain_rows(result.data))
+    error = result.data.get("numerical_error_fraction")
+    alt = f"Site {site.name}: force at full depth over element size and over the margin of the model."
+    return Reportlet(
+        key,
+        STUDY_TITLE,
+        "warning" if result.warnings or not isinstance(error, float) or error > _LARGE else "fine",
+        site.name,
+        pictures=_picture(result, f"mesh-study-{site.name}", alt),
+        more=(Table(f"Mesh study at site {site.name}", (head("figure", "value"),), rows, numeric=False),),
+        look_for="curves that level off towards small elements and wide margins, and a numerical error well "
+        "below the noise of the measurement",
+        bad="a force that still moves at the mesh in use: that share of it is the mesh, and no parameter "
+        "found with it is better than that",
+        notes=result.summary,
+        warned=result.warnings,
+    )
+
+
+def _picture(result: StageResult, name: str, alt: str) -> tuple[Picture, ...]:
+    if "picture" not in result.files or not result.path("picture").is_file():
+        return ()
+    return (Picture(name, alt, source=result.path("picture"), vector=False),)
