@@ -68,6 +68,7 @@ class Site:
     levels, trace, swe_maps : paths of levels.csv, trace.csv, and the folder of SWE maps
     instruments : tables "load_cell", "b_mode", "swe_images" for `limbcli measure`, with
         defaults filled in and `path` added; where there are any, levels.csv may be missing
+    layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
     """
 
     name: str
@@ -80,6 +81,7 @@ class Site:
     density_kg_per_m3: float
     noise: Noise
     instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +261,8 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
     problems += found
     instruments, found = _read_instruments(values, folder, label)
     problems += found
+    layers, found = _read_layers(values["layers"], label, file)
+    problems += found
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
         if key == "levels" and instruments and isinstance(values.get(key), str):
@@ -268,7 +272,7 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
         problems += found
     if problems or paths["levels"] is None:
         return None, problems
-    return _make_site(values, noise, paths, paths["levels"], instruments), problems
+    return _make_site(values, noise, paths, paths["levels"], instruments, layers), problems
 
 
 def _read_instruments(
@@ -290,12 +294,30 @@ def _read_instruments(
     return tables, problems
 
 
+def _read_layers(
+    tables: Mapping[str, Any] | None, label: str, file: str
+) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
+    """The tables of `[site.layers]`: one for each of skin and fat that the model is to have."""
+    layers: dict[str, dict[str, Any]] = {}
+    problems: list[Problem] = []
+    for name, table in (tables or {}).items():
+        title = f"{label} layers.{name}"
+        if name not in schema.LAYER_NAMES:
+            fix = f"the layers are {' and '.join(schema.LAYER_NAMES)}"
+            problems.append(Problem(f"unknown layer {name!r} in [{label} layers]", file, fix))
+            continue
+        layers[name], found = schema.check_table(table, schema.LAYER, name=title, file=file)
+        problems += found
+    return layers, problems
+
+
 def _make_site(
     values: Mapping[str, Any],
     noise: Mapping[str, Any],
     paths: Mapping[str, Path | None],
     levels: Path,
     instruments: Mapping[str, Mapping[str, Any]],
+    layers: Mapping[str, Mapping[str, Any]],
 ) -> Site:
     position, long_axis = values["position_mm"], values["long_axis"]
     return Site(
@@ -317,6 +339,7 @@ def _make_site(
             source=noise["source"],
         ),
         instruments=instruments,
+        layers=layers,
     )  # fmt: skip
 
 

@@ -113,6 +113,11 @@ def numbers(count: int) -> Check:
     return check
 
 
+def thickness(value: object) -> str | None:
+    """A thickness in mm, or "mri" for what the images show."""
+    return None if value == "mri" else number(0.2, 40.0, "mm")(value)
+
+
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
     "limb": Key("left | right", one_of("left", "right"), required=True),
@@ -143,6 +148,7 @@ SITE = {
     "swe_maps": Key("folder", text),
     "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
     "noise": Key("table", table),
+    "layers": Key("table", table),
     "load_cell": Key("table", table),
     "b_mode": Key("table", table),
     "swe_images": Key("table", table),
@@ -179,6 +185,15 @@ SWE_IMAGES = {
     "roi_lateral_mm": Key("[from, to] mm", numbers(2)),
 }
 INSTRUMENTS = {"load_cell": LOAD_CELL, "b_mode": B_MODE, "swe_images": SWE_IMAGES}
+LAYER_NAMES = ("skin", "fat")
+LAYER = {
+    "thickness_mm": Key('mm | "mri"', thickness, required=True),
+    "law": Key("ogden | neo_hooke | holmes_mow", one_of("ogden", "neo_hooke", "holmes_mow")),
+    "c_kpa": Key("kPa", number(0.01, 1e4, "kPa")),
+    "f_kappa": Key("1", number(0.01, 1000.0, "")),
+    "m": Key("1", number(1.0, 100.0, "")),
+    "beta": Key("1", number(0.0, 50.0, "")),
+}
 NOISE = {
     "force_n": Key("N", number(0.0, 5.0, "N"), default=0.1),
     "depth_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.3),

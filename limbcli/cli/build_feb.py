@@ -20,6 +20,15 @@ def command(
     ] = None,
     f_kappa: Annotated[float, typer.Option("--f-kappa", min=0.01, max=1000, help="kappa' / c.")] = 100.0,
     m: Annotated[float, typer.Option("--m", min=1, max=100, help="Exponent of the law.")] = 2.0,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--layer",
+            metavar="NAME:KEY=VALUE,...",
+            help="Law of a layer, such as fat:c_kpa=2,f_kappa=100,m=2 or skin:law=neo_hooke,c_kpa=40; "
+            "default: the case's, else assumed values. May be repeated.",
+        ),
+    ] = None,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -29,12 +38,13 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.build_feb import TissueOptions, build_feb
+    from limbcli.stages.site_layers import parse_law
 
     results = build_feb(
         Case.open(case),
         out=out or default_out(case),
         sites=site,
-        options=TissueOptions(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
+        options=TissueOptions(c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=dict(map(parse_law, layer or []))),
         templates=templates,
         progress=terminal(quiet=quiet, verbose=verbose),
     )

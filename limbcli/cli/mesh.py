@@ -26,8 +26,22 @@ MarginOpt = Annotated[
         "--margin-mm", help="Tissue kept beyond the probe; default: the case's.", show_default=False
     ),
 ]
-SkinOpt = Annotated[float, typer.Option("--skin-mm", help="Thickness of a skin layer; 0: none.")]
-FatOpt = Annotated[float, typer.Option("--fat-mm", help="Thickness of a fat layer below the skin; 0: none.")]
+SkinOpt = Annotated[
+    str | None,
+    typer.Option(
+        "--skin-mm", metavar="MM|mri", help="Thickness of a skin layer, 0 for none; default: the case's.",
+        show_default=False,
+    ),
+]  # fmt: skip
+FatOpt = Annotated[
+    str | None,
+    typer.Option(
+        "--fat-mm", metavar="MM|mri",
+        help="Thickness of a fat layer below the skin, 0 for none; mri: as segment found it at the site; "
+        "default: the case's.",
+        show_default=False,
+    ),
+]  # fmt: skip
 AtOpt = Annotated[
     tuple[float, float] | None,
     typer.Option(
@@ -51,8 +65,8 @@ def command(
     size: SizeOpt = None,
     far_size: FarSizeOpt = None,
     margin: MarginOpt = None,
-    skin: SkinOpt = 0.0,
-    fat: FatOpt = 0.0,
+    skin: SkinOpt = None,
+    fat: FatOpt = None,
     at: AtOpt = None,
     study: StudyOpt = False,
     json: JsonOpt = False,
@@ -63,6 +77,7 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.mesh import mesh
+    from limbcli.stages.site_layers import thickness_of
 
     results = mesh(
         Case.open(case),
@@ -72,8 +87,8 @@ def command(
         size=size,
         far_size=far_size,
         margin=margin,
-        skin_layer=skin,
-        fat_layer=fat,
+        skin_layer=None if skin is None else thickness_of(skin, "--skin-mm"),
+        fat_layer=None if fat is None else thickness_of(fat, "--fat-mm"),
         place=at,
         study=study,
         progress=terminal(quiet=quiet, verbose=verbose),

@@ -33,16 +33,20 @@ class Layer:
 
 
 def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tuple[Layer, ...]:
-    """The layers asked for by thickness (mm, 0: none), outermost first.
+    """The layers asked for by thickness (mm, 0: none), outermost first; `size` is the edge length.
+
+    Skin, much stiffer than what is below, stretches as a sheet: one cell does. Fat takes most
+    of an indentation: at least two.
 
     >>> [(each.name, each.n_cells) for each in layers_of(skin=1.5, fat=8.0)]
-    [('skin', 1), ('fat', 2)]
+    [('skin', 1), ('fat', 3)]
     """
     for name, value in (("--skin-mm", skin), ("--fat-mm", fat)):
         if not 0 <= value <= _THICKEST:
             raise CaseError(f"{name} is {value:g}", where="layers", fix=f"give 0 to {_THICKEST:g} mm")
+    cells = {"skin": max(1, round(skin / (1.5 * size))), "fat": max(2, round(fat / size))}
     wanted = (("skin", skin), ("fat", fat))
-    return tuple(Layer(name, t, max(1, round(t / (1.5 * size)))) for name, t in wanted if t > 0)
+    return tuple(Layer(name, t, cells[name]) for name, t in wanted if t > 0)
 
 
 def core_of(domain: Domain, layers: tuple[Layer, ...]) -> Domain:

@@ -139,7 +139,7 @@ def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:
 
 
 def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:
-    """Placeholder law and load on a mesh: indentation along -z, all else of the probe held."""
+    """Placeholder laws and load on a mesh: indentation along -z, all else of the probe held."""
     half = _STIFFNESS / 2
     tissue = Material(
         "ogden",
@@ -150,8 +150,8 @@ def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbMod
     down = Drive("probe", "z", "displacement", -(options.depth - options.start_depth), "load")
     return LimbModel(
         mesh=mesh,
-        materials={"tissue": tissue},
-        domains=tuple(MaterialDomain(each.name, "tissue") for each in mesh.solid_blocks),
+        materials={each.name: tissue for each in mesh.solid_blocks},
+        domains=tuple(MaterialDomain(each.name, each.name) for each in mesh.solid_blocks),
         bodies=(body,),
         supports=(Support("fixed", ("x", "y", "z")),),
         drives=(*held, down),

@@ -7,8 +7,10 @@ at each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,24 +29,37 @@ from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.indentation_model import (
     PROBE,
     TISSUE,
+    facet_gap,
     indentation_model,
     starting_depth,
     tissue_nodes,
     touching_points,
 )
+from limbcli.stages.site_layers import (
+    LayerLaw,
+    layer_laws,
+    layers_in,
+    locking_warning,
+    with_layer_laws,
+)
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
+_WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
 @dataclass(frozen=True)
 class TissueOptions:
-    """Start values of the law. c_kpa: c = 2 mu by hand (None: from SWE at level 0)."""
+    """Start values of the law. c_kpa: c = 2 mu by hand (None: from SWE at level 0).
+
+    layers : a table (law, c_kpa, f_kappa, m, beta) for "skin" or "fat", over what the case says
+    """
 
     c_kpa: float | None = None
     f_kappa: float = 100.0
     m: float = 2.0
+    layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def build_feb(
@@ -84,7 +99,9 @@ def _build_site(
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     meshed_model, depths = load_model(path), simulated_depths(levels).tolist()
     plan = schedule(depths, start=starting_depth(meshed_model, depths[0]))
-    model = indentation_model(meshed_model, plan, c=c, f_kappa=options.f_kappa, m=options.m)
+    laws = layer_laws(site, layers_in(meshed_model), options.layers)
+    layered = with_layer_laws(meshed_model, laws)
+    model = indentation_model(layered, plan, c=c, f_kappa=options.f_kappa, m=options.m)
     write_feb(model, writer.file("feb", MODEL_FILE), templates)
     writer.used("mesh", path)
     writer.used("levels", site.levels)
@@ -93,6 +110,7 @@ def _build_site(
     writer.warnings.extend(meshed.warnings)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)
+    _tell_layers(writer, laws)
 
 
 def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) -> tuple[float, str]:
@@ -141,6 +159,22 @@ def simulated_depths(levels: Levels) -> Array:
     return np.array(apart(depths.tolist()))
 
 
+def _tell_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:
+    """Laws of the layers, which of their values are assumed, and where the element makes them stiffer."""
+    writer.data["layers"] = {name: law.to_json() for name, law in laws.items()}
+    for name, law in laws.items():
+        given = {key: value for key, value in law.to_json().items() if key not in ("law", "assumed")}
+        values = ", ".join(f"{key} {value:g}" for key, value in given.items())
+        assumed = f" ({', '.join(law.assumed)} assumed)" if law.assumed else ""
+        writer.summary.append(f"layer {name}: {law.law}, {values}{assumed}; held fixed in a fit")
+        if "c_kpa" in law.assumed:
+            writer.warnings.append(
+                f"the stiffness of the {name} is assumed (c = {given['c_kpa']:g} kPa); a fit puts what it "
+                f"is off by into the tissue. Give it: --layer {name}:c_kpa=VALUE, or [site.layers.{name}]"
+            )
+    writer.warnings.extend(locking_warning(laws, str(writer.data["element"])))
+
+
 def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Levels, site: Site) -> None:
     law = model.materials[TISSUE].parameters
     c, kappa = float(law["c1"]) + float(law["c2"]), float(law["kappa"])  # type: ignore[arg-type]
@@ -168,6 +202,12 @@ def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Level
         f"start values: c {kpa_from_mpa(c):.3f} kPa ({writer.data['c_source']}), "
         f"f_kappa {writer.data['f_kappa']:g}, m {writer.data['m']:g}"
     )
+    gap = facet_gap(model)
+    if gap > _WIDE_GAP:
+        writer.warnings.append(
+            f"the skin's facets begin {gap:.2f} mm below first touch, too coarse for its bend there: "
+            "the force sets in that much late; mesh finer (--size-mm)"
+        )
     if not np.array_equal(np.sort(levels.depth[levels.loading]), levels.depth[levels.loading]):
         writer.warnings.append(
             "the loading depths do not grow with the levels; they are simulated in sorted order"

@@ -67,28 +67,52 @@ def _check(model: LimbModel) -> None:
 def starting_depth(model: LimbModel, first_level: float) -> float:
     """How far inside the probe should start (mm) so that at least a dozen contact points touch.
 
-    With none, FEBio's first iteration has no force to measure its convergence by. Looked
+    With none, no solver's first iteration has a force to measure its convergence by. Looked
     at are the three-point contact points of the skin's facets under the flat of the
-    probe; where even the deepest start touches too few, it is taken all the same.
+    probe; where even the deepest start touches too few, it is taken all the same. Where it
+    touches none (coarse facets cut off the crest that the probe meets first), the
+    start goes on to the first of them, but never beyond half of the first level.
     """
     _check(model)
     allowed = [each for each in START_DEPTHS if each <= first_level / 2] or [LEAST_START]
     for depth in allowed:
         if touching_points(start_at(model, depth)) >= _FEWEST_TOUCHING:
             return depth
-    return allowed[-1]
+    if touching_points(start_at(model, allowed[-1])):
+        return allowed[-1]
+    beyond = 0.05 * np.ceil(facet_gap(model) / 0.05 + 1)
+    return float(round(beyond, 2)) if beyond <= first_level / 2 else allowed[-1]
+
+
+def facet_gap(model: LimbModel) -> float:
+    """Depth (mm) at which the flat of the probe meets the first contact point of the skin; NaN if none.
+
+    First touch is at the true skin; facets of a bent skin lie below it by their sag.
+    """
+    heights = _heights_under_flat(model)
+    return float(-heights.max()) if len(heights) else float("nan")
 
 
 def touching_points(model: LimbModel) -> int:
     """Contact points of the skin that lie above the flat of the probe's face, within its outline."""
+    return int((_heights_under_flat(model) > _flat(model)[:, 2].min()).sum())
+
+
+def _flat(model: LimbModel) -> Array:
+    """Nodes (n, 3) of the flat of the probe's face."""
     body = next(each for each in model.bodies if each.name == PROBE)
     probe = model.mesh.points[_body_nodes(model, body.blocks)]
-    flat = probe[probe[:, 2] < probe[:, 2].min() + _FLAT]
+    return np.asarray(probe[probe[:, 2] < probe[:, 2].min() + _FLAT])
+
+
+def _heights_under_flat(model: LimbModel) -> Array:
+    """Heights z (n,) of the skin's contact points within the outline of the flat."""
+    flat = _flat(model)
     facets = model.mesh.surfaces[model.contacts[0].primary].facets.values()
     corners = model.mesh.points[np.concatenate([each[:, :3] for each in facets])]
     points = np.einsum("qi,nij->nqj", _CONTACT_POINTS, corners).reshape(-1, 3)
     under = (points[:, :2] >= flat[:, :2].min(axis=0)) & (points[:, :2] <= flat[:, :2].max(axis=0))
-    return int((under.all(axis=1) & (points[:, 2] > flat[:, 2].min())).sum())
+    return np.asarray(points[under.all(axis=1), 2])
 
 
 def _body_nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
@@ -112,10 +136,14 @@ def tissue_nodes(model: LimbModel) -> IntArray:
 
 
 def window_cells(model: LimbModel, deepest: float) -> IntArray:
-    """Solid cells (numbered over all blocks) that may come into the shear-wave window; all if none does."""
+    """Tissue cells (numbered over all blocks) that may come into the shear-wave window; all if none does.
+
+    Not cells of layers: the speeds are read, and predicted, in the tissue.
+    """
+    of_tissue = {each.block for each in model.domains if each.material == TISSUE}
     found, every, first = [], [], 0
     for block in model.mesh.blocks:
-        if block.is_solid:
+        if block.name in of_tissue:
             x, y, z = np.abs(model.mesh.points[block.cells].mean(axis=1)).T
             near = (x <= _SWE_HALF_WIDTH) & (y <= _SWE_HALF_THICKNESS) & (z <= _SWE_DEPTH + deepest)
             found.append(first + np.flatnonzero(near))

@@ -9,7 +9,7 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import skin_point_at
-from limbcli.meshing.layers import layers_of
+from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.probe import ProbeShape
@@ -21,6 +21,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
 from limbcli.stages.mesh_study import study_site
+from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
 
 _OFF_SKIN = 3.0  # mm: a site further from the skin than this was moved, and that is said
 
@@ -34,8 +35,8 @@ def mesh(
     size: float | None = None,
     far_size: float | None = None,
     margin: float | None = None,
-    skin_layer: float = 0.0,
-    fat_layer: float = 0.0,
+    skin_layer: Thickness | None = None,
+    fat_layer: Thickness | None = None,
     place: tuple[float, float] | None = None,
     study: bool = False,
     progress: Progress = SILENT,
@@ -43,7 +44,8 @@ def mesh(
     """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
 
     element, margin : instead of the case's; size, far_size : edges (mm) under the probe, far from it
-    skin_layer, fat_layer : thickness (mm) of blocks of their own that follow the skin, 0 for none
+    skin_layer, fat_layer : thickness (mm) of blocks of their own that follow the skin, 0 for none, or
+        "mri" for what `segment` found there; None: as the case's `[site.layers]` says
     place : (angle in degrees, height in mm) round and along the limb, instead of one site's place
     study : also a refinement study of each site (its result follows the site's)
 
@@ -58,11 +60,10 @@ def mesh(
     if place is not None and len(chosen) != 1:
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
     options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
-    layers = layers_of(skin=skin_layer, fat=fat_layer, size=options.sizes.under_probe)
-    options = replace(options, layers=layers)
     segmented = read_result(out, "segment")
     progress.event("note", text="reading and mending the surfaces")
     limb = read_limb(segmented)
+    thickness = Layering(skin_layer, fat_layer, seen=place is None)
     if place is not None:
         point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
         chosen = (
@@ -70,10 +71,12 @@ def mesh(
         )
     results = []
     for site in chosen:
-        results.append(_mesh_site(case, site, limb, segmented, options, out, progress))
+        layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
+        own = replace(options, layers=layers)
+        results.append(_mesh_site(case, site, limb, segmented, own, sources, out, progress))
         if study:
             position = site_position(site, segmented)
-            results.append(study_site(case, site, limb, position, options, out=out, progress=progress))
+            results.append(study_site(case, site, limb, position, own, out=out, progress=progress))
     return results
 
 
@@ -129,6 +132,7 @@ def _mesh_site(
     limb: Limb,
     segmented: StageResult,
     options: MeshOptions,
+    layer_sources: dict[str, str],
     out: Path,
     progress: Progress,
 ) -> StageResult:
@@ -139,7 +143,8 @@ def _mesh_site(
         for path in sorted(segmented.folder.glob("*.ply")):
             writer.used(path.name, path)
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
-        save_model(found.model, writer.file("model", "model.npz"))
+        laws = layer_laws(site, layers_in(found.model))
+        save_model(with_layer_laws(found.model, laws), writer.file("model", "model.npz"))
         write_vtu(found.model.mesh, writer.file("mesh", "mesh.vtu"))
         mesh_picture(
             found.model.mesh,
@@ -150,8 +155,16 @@ def _mesh_site(
             start_depth=options.start_depth,
         )
         _report(writer, found, options, limb, segmented, site)
+        _tell_layers(writer, options.layers, layer_sources)
     assert writer.result is not None
     return writer.result
+
+
+def _tell_layers(writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str]) -> None:
+    writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
+    writer.data["layer_sources"] = sources
+    for each in layers:
+        writer.summary.append(f"layer {each.name}: {each.thickness:.1f} mm ({sources[each.name]})")
 
 
 def _report(
@@ -183,7 +196,6 @@ def _report(
             "size_far_mm": options.sizes.far,
             "start_depth_mm": options.start_depth,
             "cuts": found.model.info["cuts"],
-            "layers": {f"{each.name}_mm": each.thickness for each in options.layers},
             "measured_skin_bone_mm": measured_skin_bone(site),
         }
     )

@@ -79,7 +79,7 @@ def test_on_curved_skin_the_probe_starts_deeper(
     points[tissue, 2] -= (points[tissue, :2] ** 2).sum(axis=1) / 2 / radius
     curved = model.with_mesh(replace(model.mesh, points=points))
     assert starting_depth(curved, 2.0) == start
-    assert start == 0.2 or touching_points(start_at(curved, start)) >= 12
+    assert touching_points(start_at(curved, start)) >= (12 if start < 0.2 else 1)
     assert starting_depth(curved, 0.11) == 0.05, "never beyond half of the first level"
 
 
