@@ -14,6 +14,7 @@ from limbcli.model import Array
 _NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
 _WEAK_RATIO = 3.0  # upper over lower end of the interval
 _TRADES_OFF = 0.95
+_TWO_SIDED = 1.96  # standard errors to either side of a 95 % interval
 
 
 def force_variance(slope: Array, *, force_deviation: float, depth_deviation: float) -> Array:
@@ -60,11 +61,16 @@ def log_covariance(
 
 
 def correlation(covariance: Array) -> Array:
-    """
+    """Correlations; NaN for what does not vary or is not known.
+
     >>> correlation(np.array([[4.0, 1.0], [1.0, 1.0]]))
     array([[1. , 0.5], [0.5, 1. ]])
+    >>> correlation(np.array([[4.0, 0.0], [0.0, 0.0]]))
+    array([[ 1., nan],
+           [nan, nan]])
     """
     deviation = np.sqrt(np.diag(covariance))
+    deviation = np.where(deviation > 0.0, deviation, np.nan)
     return covariance / np.outer(deviation, deviation)
 
 
@@ -90,10 +96,13 @@ def verdict(
     *,
     influence: bool,
     correlations: Sequence[tuple[str, float]] = (),
+    log_deviation: float = np.nan,
+    why_no_profile: str = "no interval was computed",
 ) -> Verdict:
     """One plain word for a parameter, and the sentence behind it.
 
     correlations : (other parameter, correlation) of the logs
+    log_deviation : standard error of ln theta; it decides where there is no profile, NaN if unknown
     """
     name = parameter.name
     if not influence:
@@ -105,9 +114,10 @@ def verdict(
     excluded = _excluded(parameter, profile)
     if side:
         bound = parameter.low if side == "low" else parameter.high
+        excluded = why_no_profile if profile is None else excluded
         return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}; {excluded}.")
     if profile is None:
-        return Verdict("identified", f"{name} = {value:.4g}; no interval was computed.")
+        return _without_profile(name, value, log_deviation, why_no_profile)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
     partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
     if wide and abs(partner[1]) > _TRADES_OFF:
@@ -120,6 +130,16 @@ def verdict(
     if wide:
         return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
     return Verdict("identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g} (95 %).")
+
+
+def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
+    """By the standard error alone, or, where there is none, without a claim."""
+    if not np.isfinite(log_deviation):
+        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be told: {why}.")
+    reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
+    flag = "identified" if reach <= _WEAK_RATIO else "weak"
+    share = 100.0 * log_deviation
+    return Verdict(flag, f"{name} = {value:.4g}, standard error {share:.2g} %; {why}.")
 
 
 def _excluded(parameter: Parameter, profile: Profile | None) -> str:

@@ -138,13 +138,19 @@ def _fit_site(
         tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
     )  # fmt: skip
     theta = steps[-1].theta
-    intervals = None
-    if options.intervals:
+    intervals, why_none = None, "no interval was asked for"
+    if not (site.noise.force > 0 or site.noise.depth > 0):
+        why_none = "the case states no noise of force or depth"
+        writer.warnings.append(
+            f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
+            "parameters are cannot be told"
+        )
+    elif options.intervals:
         limit = options.max_interval_solves
         full = force_intervals(curve, knots, data, stiffness, theta, max_solves=limit, progress=progress)
         first = force_intervals(curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=2)
         intervals = (first, full)
-    identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold)
+    identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none)
     fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)

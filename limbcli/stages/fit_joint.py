@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.errors import FitError, SolveError
+from limbcli.errors import CaseError, FitError, SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
@@ -88,6 +88,8 @@ def fit_joint(
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
         measured = [_measured(site, out, writer, options) for site in case.selected(sites)]
+        for each in measured:
+            _check_noise(each.site, speeds=each.levels.has_swe)
         models = [(each.site.name, each.model) for each in measured]
         names = [law.name] + [each for each in LAWS if joint.compare_laws and each != law.name]
         table = []
@@ -184,6 +186,21 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
         np.maximum(deviation, 1e-4), gain_deviation(measured.model, given),
     )  # fmt: skip
+
+
+def _check_noise(site: Site, *, speeds: bool) -> None:
+    """A likelihood needs the noise of all that it weighs."""
+    noise = site.noise
+    none = [] if noise.force > 0 or noise.depth > 0 else ["force_n", "depth_mm"]
+    if speeds and not (noise.swe_level_fraction > 0 or noise.swe_pixel_fraction > 0):
+        none += ["swe_level_fraction", "swe_pixel_fraction"]
+    if none:
+        raise CaseError(
+            f"site {site.name} states no noise ({', '.join(none)} are 0); a joint fit weighs depth against "
+            "speed by it",
+            where="case.toml, [site.noise]",
+            fix="state one standard deviation each, or fit with --objective force",
+        )
 
 
 def gain_deviation(model: LimbModel, given: float | None) -> float:

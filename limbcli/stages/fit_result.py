@@ -52,6 +52,7 @@ class Identified:
     steps: Sequence[FittedStep]
     intervals: Sequence[Intervals] | None
     cold_seconds: float
+    why_no_intervals: str = "no interval was asked for"
 
     def simulated(self, theta: Array, depths: Array) -> Array:
         values = self.curve(theta).values
@@ -141,7 +142,7 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
         "flags": {name: each.flag for name, each in verdicts.items()},
         "words": {name: each.words for name, each in verdicts.items()},
         "parameters": {
-            name: _parameter(values[name], intervals.get(name), verdicts[name], errors[name])
+            name: _parameter(found, values[name], intervals.get(name), verdicts[name], errors[name])
             for name in ("c_kpa", *NAMES) if name in verdicts
         },
         "profiles": _profiles(found, k),
@@ -167,6 +168,8 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     covariance = np.full((3, 3), np.nan)
     covariance[0, 0] = sigma**2
     if not free:
+        return covariance
+    if not variance.any():  # without stated noise there is no standard error
         return covariance
     block = log_covariance(columns, variance, nuisance=answer.values, nuisance_deviation=sigma)
     places = [1 + k for k in free]
@@ -197,6 +200,8 @@ def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict
         verdicts[parameter.name] = verdict(
             parameter, float(step.theta[index]), profile,
             influence=bool(influence[index]), correlations=others,
+            log_deviation=float(np.sqrt(covariance[1 + index, 1 + index])),
+            why_no_profile=found.why_no_intervals,
         )  # fmt: skip
     return verdicts
 
@@ -215,14 +220,14 @@ def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float 
 
 
 def _parameter(
-    value: float, interval: Sequence[float | None] | None, found: Verdict, error: float
+    found: Identified, value: float, interval: Sequence[float | None] | None, said: Verdict, error: float
 ) -> dict[str, Any]:
     low, high = interval or (None, None)
-    reason = "open to both bounds: nothing is excluded" if interval else "not computed"
+    reason = "open to both bounds: nothing is excluded" if interval else found.why_no_intervals
     return {
         "value": value, "low": low, "high": high, "standard_error": error,
         "interval_reason": reason if low is None and high is None else "",
-        "flag": found.flag, "words": found.words,
+        "flag": said.flag, "words": said.words,
     }  # fmt: skip
 
 
@@ -282,9 +287,8 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
 def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
     for name in NAMES:
-        low, high = last["interval_95"].get(name, (None, None))
-        words = f"{'open' if low is None else f'{low:.3g}'} to {'open' if high is None else f'{high:.3g}'}"
-        writer.summary.append(f"{name} = {last[name]:.4g} (95 %: {words}): {last['flags'][name]}")
+        words = _interval_words(last["interval_95"].get(name))
+        writer.summary.append(f"{name} = {last[name]:.4g} ({words}): {last['flags'][name]}")
     first = found.steps[0]
     writer.summary.append(
         f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (m = 2: f_kappa {first.theta[0]:.4g}, "
@@ -293,6 +297,17 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
     for name in NAMES:
         if last["flags"][name] not in ("identified", "fixed"):
             writer.warnings.append(last["words"][name])
+
+
+def _interval_words(interval: Sequence[float | None] | None) -> str:
+    """
+    >>> _interval_words([47.6, None]), _interval_words(None)
+    ('95 %: 47.6 to open', 'no interval')
+    """
+    if interval is None:
+        return "no interval"
+    low, high = ("open" if each is None else f"{each:.3g}" for each in interval)
+    return f"95 %: {low} to {high}"
 
 
 def _element(model: LimbModel) -> str:

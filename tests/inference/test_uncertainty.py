@@ -4,7 +4,7 @@ import numpy as np
 
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.profile import Profile
-from limbcli.inference.uncertainty import has_influence, log_covariance, verdict
+from limbcli.inference.uncertainty import correlation, has_influence, log_covariance, verdict
 
 F_KAPPA = Parameter("f_kappa", 100.0, 0.01, 1000.0)
 
@@ -51,3 +51,21 @@ def test_every_verdict_has_its_case():
     wide = verdict(F_KAPPA, 100.0, profile(0.01, 1000.0, True, True), influence=True)
     assert wide.flag == "weak"
     assert "exclude no value" in wide.words
+
+
+def test_without_noise_there_is_no_correlation_and_no_warning():
+    with np.errstate(all="raise"):
+        found = correlation(np.zeros((2, 2)))
+    assert np.isnan(found).all()
+
+
+def test_without_an_interval_the_standard_error_decides_and_without_noise_nothing_does():
+    sure = verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=0.05)
+    assert (sure.flag, "standard error 5 %" in sure.words) == ("identified", True)
+    assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=0.5).flag == "weak"
+    assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=1e9).flag == "weak"
+    unknown = verdict(F_KAPPA, 100.0, None, influence=True, why_no_profile="the case states no noise")
+    assert unknown.flag == "weak"
+    assert unknown.words == "f_kappa = 100; how sure that is cannot be told: the case states no noise."
+    bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
+    assert bound.words.endswith("the case states no noise.")

@@ -21,6 +21,7 @@ from limbcli.results import StageResult
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, run_side_by_side
+from limbcli.stages.fit_joint import fit_joint
 
 
 def _load(name: str):
@@ -147,6 +148,30 @@ def test_without_speed_at_level_0_c_must_be_given(case, tmp_path, forces):
     assert "--c-kpa" in source
     with pytest.raises(MeasurementError, match="not positive"):
         initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=-1.0))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_without_stated_noise_nothing_is_claimed_of_how_sure_the_parameters_are(case, tmp_path):
+    text = (
+        case.file.read_text()
+        .replace("force_n = 0.05", "force_n = 0")
+        .replace("depth_mm = 0.1", "depth_mm = 0")
+    )
+    silent = "swe_level_fraction = 0\nswe_pixel_fraction = 0\n"
+    case.file.write_text(text.replace('source = "assumed"', f'{silent}source = "assumed"'))
+    silent_case = Case.open(case.folder)
+    result = fit(silent_case, out=tmp_path / "out", solver="reference")[0]
+    data = result.data
+    assert data["f_kappa"] == pytest.approx(150.0, rel=0.01)
+    assert data["r2"] > 0.999999
+    assert data["standard_error"]["f_kappa"] is None
+    assert set(data["interval_95"]) == {"c_kpa"}
+    assert data["flags"]["f_kappa"] == data["flags"]["m"] == "weak"
+    assert "states no noise" in data["words"]["m"]
+    assert any("no interval" in line for line in result.summary)
+    assert any("[site.noise]" in text for text in result.warnings)
+    with pytest.raises(CaseError, match="states no noise"):
+        fit_joint(silent_case, out=tmp_path / "out")
 
 
 def test_deviation_of_c_is_that_of_the_speed_twice(case):
