@@ -18,7 +18,7 @@ from limbcli.fem.history import Histories
 from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
 from limbcli.fem.system import Forces, State, System, norm
-from limbcli.model import LimbModel, Step
+from limbcli.model import Array, LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
@@ -26,6 +26,7 @@ _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
 _FAR_OUT = 0.09  # error of a first guess above which a stride is shortened untried
+_FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _EASY = 3  # iterations up to which the next stride may be longer
 
 
@@ -40,6 +41,7 @@ class Snapshot:
 
 
 Visitor = Callable[["Analysis", Snapshot], None]
+Guesses = Callable[[System, float], State | None]
 
 
 class Analysis:
@@ -74,12 +76,10 @@ class Analysis:
     def system(self) -> System:
         return self.newton.system
 
-    def run(
-        self, visit: Visitor | None = None, *, guesses: dict[float, State] | None = None
-    ) -> list[Snapshot]:
+    def run(self, visit: Visitor | None = None, *, guesses: Guesses | None = None) -> list[Snapshot]:
         """All steps from rest to the end; `visit` is called at every converged time.
 
-        guesses : first guesses by time, from an earlier run of the same load
+        guesses : first guess at a time, from earlier runs of the same load, or None
         """
         snapshots: list[Snapshot] = []
         state: State | None = None
@@ -91,6 +91,7 @@ class Analysis:
             newton = self._prepare(step, state)
             state = newton.system.start
             reached: list[State] = [state]
+            self._known: State | None = None
             self._stride = _FIRST * step.step_size if self._marching else np.inf
             musts = {begin + t for t in step_times(step)}
             if self._histories is None and self.remembers:
@@ -98,7 +99,7 @@ class Analysis:
             for target in step_times(step, every=self.remembers):
                 number += 1
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
-                known = (guesses or {}).get(begin + target)
+                known = guesses(newton.system, begin + target) if guesses else None
                 state = self._reach(begin + target, step, reached, level, known)
                 must = begin + target in musts
                 snapshot = Snapshot(len(snapshots) + 1, state, self._last_forces, must)
@@ -165,7 +166,7 @@ class Analysis:
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
-                newton.slow, known = np.inf, None
+                newton.debt, known = np.inf, None
                 newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
@@ -178,6 +179,7 @@ class Analysis:
                 self._histories.accept(aim - begin, state)
             if aim == target:
                 self._last_forces = forces
+                self._known = known
                 return state
 
     def _solve(
@@ -194,28 +196,38 @@ class Analysis:
         tolerance = None if must or self.remembers else _LOOSE
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
-        if known is not None:
-            newton.system.recall(known.hints)
-            guess = newton.system.prescribed(known, time)
-        else:
-            guess = self._guess(time, reached, level, patient)
+        guess = self._guess(time, reached, level, known, patient)
         return newton.equilibrate(guess, level, tolerance=tolerance, patient=patient)
 
-    def _guess(self, time: float, reached: list[State], level: Level, patient: bool) -> State:
-        """The better of two first guesses: along the tangent, or on a parabola through the last states.
+    def _guess(
+        self, time: float, reached: list[State], level: Level, known: State | None, patient: bool
+    ) -> State:
+        """The best of the first guesses there are; with the contact searched for it.
 
-        A stride whose guesses are both far out is refused at once, which is cheaper than to fail.
+        From an earlier solve: its level as it is, and its increment added to the last level. Else
+        along the tangent, and on a parabola through the last states. A stride whose guesses are all far
+        out is refused at once, which is cheaper than to fail.
         """
-        newton = self.newton
-        guesses = [newton.predict(reached[-1], time)]
-        newton.system.at(time)
-        if len(reached) >= 4:
-            guesses.append(extrapolate(newton.system, reached[-3:], time))
-        tried = [(newton.forces(each), each) for each in guesses]
+        newton, system = self.newton, self.newton.system
+        if known is not None:
+            guesses = [system.prescribed(known, time)]
+            if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
+                guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
+        else:
+            guesses = [newton.predict(reached[-1], time)]
+            if len(reached) >= 4:
+                guesses.append(extrapolate(system, reached[-3:], time))
+        system.at(time)
+        tried = []
+        for each in guesses:
+            system.recall(each.hints)
+            tried.append((newton.forces(each), each))
         sound = [(norm(f.mixed) / f.scale, each) for f, each in tried if f.worst > 0 and f.scale > 0]
         error, guess = min(sound, key=lambda pair: pair[0], default=(np.inf, guesses[0]))
-        if error > _FAR_OUT and self._marching and not patient and len(reached) > 1:
+        limit = _FAR_OUT if known is None else _FAR_OFF
+        if error > limit and self._marching and not patient and len(reached) > 1:
             raise newton.failure(guess, tried[0][0], level, 0, "the step is too long for a first guess")
+        system.recall(guess.hints)
         return guess
 
     def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
@@ -272,6 +284,23 @@ def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> 
         level=level.number,
         depth=level.depth,
     )
+
+
+def continued(system: System, last: State, before: State, after: State) -> State:
+    """The last level plus what an earlier solve changed by, between two of its levels."""
+    still = np.zeros_like(last.u)
+    change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
+    volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]
+    tractions = tuple(
+        np.maximum(a + c - b, 0.0)
+        for a, b, c in zip(last.tractions, before.tractions, after.tractions, strict=True)
+    )
+    u = last.u + after.u - before.u
+    return replace(after, u=u, volumes=tuple(volumes), tractions=tractions)
+
+
+def _ratios(system: System, state: State) -> tuple[Array, ...]:
+    return state.volumes or system.linear_volumes(state, np.zeros_like(state.u))
 
 
 def extrapolate(system: System, states: list[State], time: float) -> State:

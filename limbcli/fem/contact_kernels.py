@@ -255,7 +255,7 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
 
 @njit(cache=True, nogil=True)
 def linear_tractions(x, facets, N, dN, eps, state, carried, v, motion, out):
-    """out (n_facets, n_gauss) = traction plus its linear change along v (n_points, 3) and the body's motion (6).
+    """out (n_facets, n_gauss) = traction plus its linear change along v (n_points, 3) and the body's motion.
 
     Points without contact carry nothing, however far they come. carried: as in `times`.
     """

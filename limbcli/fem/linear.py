@@ -28,6 +28,9 @@ class LinearSolver(Protocol):
     n_solves: int
     seconds: float
 
+    @property
+    def solves_per_factor(self) -> float: ...
+
     def factor(self, values: Array) -> None: ...
 
     def solve(self, rhs: Array) -> Array: ...
@@ -93,6 +96,14 @@ class Pardiso:
     @property
     def factor_entries(self) -> int:
         return int(self._iparm[17])
+
+    @property
+    def solves_per_factor(self) -> float:
+        """What a factorisation costs, in solves, as found for limbs of 14,000 to 49,000 equations.
+
+        A rule, not a measured time, so that the same model always takes the same way.
+        """
+        return 12.0 + self.n / 3000.0
 
     def close(self) -> None:
         if self._pt.any():
@@ -171,6 +182,10 @@ class SuperLU:
         if not np.isfinite(x).all():
             raise _singular("the solution is not finite")
         return x
+
+    @property
+    def solves_per_factor(self) -> float:
+        return 40.0
 
     def close(self) -> None:
         self._lu = None

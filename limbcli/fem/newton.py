@@ -16,7 +16,8 @@ from limbcli.progress import SILENT, Progress
 
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _MAX_KRYLOV = 40
-_LARGE = 20_000  # equations, from which on single precision pays
+_LARGE = 6_000  # equations, from which on single precision pays
+_FRESH = 3.0  # Krylov iterations a decade takes with a fresh factor
 
 
 class NotConverged(SolveError):
@@ -29,7 +30,6 @@ class Settings:
 
     tolerance : residual over the forces at play, both as norms
     renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
-    max_krylov : Krylov iterations per decade above which the factor is renewed
     single : factor in single precision (None: for large systems); GMRES makes up for it
     linear : "auto", "pardiso" or "superlu"
     """
@@ -41,7 +41,6 @@ class Settings:
     single: bool | None = None
     mixed: bool = True
     renew_ratio: float = 0.1
-    max_krylov: float = 12.0
 
 
 @dataclass
@@ -73,7 +72,8 @@ class Newton:
         self.counts = Counts()
         self.tangent: Tangent | None = None
         self.inverse: Inverse | None = None
-        self.slow = 0.0
+        self.debt = 0.0
+        self.rate = _FRESH
         self.stuck = False
         single = settings.single if settings.single is not None else system.n_tissue > _LARGE
         pattern = system.pattern
@@ -102,37 +102,47 @@ class Newton:
         self.tangent = assemble(self.system, state, forces.nodal)
         self.inverse = Inverse(self.tangent, state, self.linear)
         self.counts.factorisations += 1
-        self.slow = 0.0
-
-    def exact_tangent(self, state: State, forces: Forces) -> None:
-        """The elastic tangent at this very state; the factor may stay older, GMRES makes up for it."""
-        if self.inverse is None:
-            self.refresh(state, forces)
-        elif self.tangent is None or self.tangent.state is not state:
-            self.tangent = assemble(self.system, state, forces.nodal)
+        self.debt = 0.0
 
     def solve_linear(self, state: State, rhs: Array, tolerance: float) -> Array:
         """Solve with the exact contact tangent and the last elastic tangent.
 
-        `slow` becomes the number of Krylov iterations per decade, which tells how far the
-        factor has aged.
+        `debt` counts the Krylov iterations that a fresh factor would have saved, in factorisations:
+        at 1 it has cost as much as a new one.
         """
         assert self.tangent is not None
         assert self.inverse is not None
         tangent, inverse = self.tangent, self.inverse
         step, n, reached = gmres(
-            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=_MAX_KRYLOV
+            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=self.patience
         )
         self.counts.krylov += n
         self.stuck = reached > max(3 * tolerance, 1e-9)
-        self.slow = n / max(-np.log10(max(reached, 1e-16)), 0.3)
+        decades = max(-np.log10(max(reached, 1e-16)), 0.3)
+        self.rate = n / decades
+        self.debt += max(n - _FRESH * decades, 0.0) / self.linear.solves_per_factor
         return step
+
+    @property
+    def patience(self) -> int:
+        """Krylov iterations after which a stale factor has cost more than a new one."""
+        per_factor = self.linear.solves_per_factor if self.linear is not None else 0.0
+        return int(np.clip(per_factor, 12, _MAX_KRYLOV))
+
+    def ready_for(self, n_solves: int, decades: float, state: State, forces: Forces) -> None:
+        """The exact tangent at a state, with a new factor if that pays for so many solves to come."""
+        wasted = n_solves * decades * (self.rate - _FRESH)
+        if self.inverse is None or wasted > self.linear.solves_per_factor:
+            self.refresh(state, forces)
+            self.rate = _FRESH
+        elif self.tangent is None or self.tangent.state is not state:
+            self.tangent = assemble(self.system, state, forces.nodal)
 
     def predict(self, state: State, time: float) -> State:
         """The state moved to `time` along the tangent: no element sees the whole step at once."""
         system = self.system
         forces = self.forces(state)
-        if self.inverse is None or self.slow > self.settings.max_krylov:
+        if self.inverse is None or self.debt > 1.0:
             self.refresh(state, forces)
         else:
             self.tangent = assemble(system, state, forces.nodal)
@@ -191,7 +201,7 @@ class Newton:
         state, forces = guess, self.forces(guess)
         if forces.worst <= 0:
             raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
-        first = forces.error
+        sizes: list[float] = []
         renew = True
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
@@ -199,7 +209,8 @@ class Newton:
                 return replace(state, hints=system.hints(), volumes=(), tractions=system.tractions()), forces
             if iteration == settings.max_iterations:
                 break
-            if not patient and _too_long(iteration, forces.error, first):
+            sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
+            if not patient and _too_long(sizes):
                 raise self.failure(state, forces, level, iteration, "the step is too long")
             self.counts.iterations += 1
             step = self.direction(state, forces, renew, target)
@@ -212,8 +223,7 @@ class Newton:
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
-        settings = self.settings
-        if self.inverse is None or self.slow > settings.max_krylov:
+        if self.inverse is None or self.debt > 1.0:
             self.refresh(state, forces)
         elif renew or self.tangent is None:
             self.tangent = assemble(self.system, state, forces.nodal)
@@ -230,9 +240,10 @@ class Newton:
         """Shorten the step until no cell is inverted and the residual does not run away.
 
         While the set of touching points still changes, the residual of a good step may be
-        several times the one before; only later must it fall.
+        several times the one before; only later must it fall, at the step's own pressures or at those
+        of its displacements.
         """
-        before = norm(forces.mixed)
+        before, before_all = norm(forces.mixed), norm(forces.residual)
         full = self.system.moved(state, step)
         mixed = self.settings.mixed
         if mixed:
@@ -250,9 +261,10 @@ class Newton:
                 volumes, tractions = (_between(*both, length) for both in zip(nows, aims, strict=True))
                 trial = replace(trial, volumes=volumes, tractions=tractions)
             result = self.forces(trial)
-            size = norm(result.mixed)
+            size, size_all = norm(result.mixed), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
-                if size <= allowed * (1.0 - 0.1 * length) * before:
+                enough = allowed * (1.0 - 0.1 * length)
+                if size <= enough * before or size_all <= (1.0 - 0.1 * length) * before_all:
                     return trial, result, length
                 if best is None or size < best[0]:
                     best = (size, trial, result, length)
@@ -307,10 +319,12 @@ def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> t
     return tuple(now + part * (aim - now) for now, aim in zip(nows, aims, strict=True))
 
 
-def _too_long(iteration: int, error: float, first: float) -> bool:
-    """Whether a step that has come this far is better given up and halved."""
-    running_away = iteration >= 3 and error > max(0.5 * first, 0.15)
-    return running_away or (iteration >= 10 and error > 1e-2)
+def _too_long(sizes: list[float]) -> bool:
+    """Whether a step whose residuals these are is better given up and halved."""
+    now, first = sizes[-1], sizes[0]
+    running_away = len(sizes) > 3 and now > max(0.5 * first, 0.15)
+    standing = len(sizes) > 6 and now > 0.5 * sizes[-6]
+    return running_away or standing or (len(sizes) > 10 and now > 1e-2)
 
 
 def _coupled(system: System) -> Array:

@@ -34,6 +34,13 @@ class LawParameter:
 
 
 @dataclass(frozen=True, eq=False)
+class Tied:
+    """Numbers of materials that move together: each by its rate times theta."""
+
+    parts: tuple[tuple[LawParameter, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
 class BodyMotion:
     """Where a body starts: `motion` (6) per unit theta, a translation (mm) and a rotation vector
     about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y."""
@@ -53,13 +60,19 @@ class Shape:
     _systems: dict[int, Any] = field(default_factory=dict)
 
 
-Parameter = LawParameter | BodyMotion | Shape
+Parameter = LawParameter | Tied | BodyMotion | Shape
 
 
 def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
     """dR/dtheta at held displacements."""
     if isinstance(parameter, LawParameter):
         return _law(system, state, parameter)
+    if isinstance(parameter, Tied):
+        found = [(_law(system, state, each), rate) for each, rate in parameter.parts]
+        return (
+            np.asarray(sum(rate * nodal for (nodal, _), rate in found)),
+            np.asarray(sum(rate * bodies for (_, bodies), rate in found)),
+        )
     if isinstance(parameter, BodyMotion):
         return _motion(system, state, parameter)
     return _shape(system, state, parameter)

@@ -39,7 +39,7 @@ def sensitivities(
     """Derivatives at a converged state by each parameter."""
     system = newton.system
     loads = [partial(system, state, each) for each in parameters]
-    newton.exact_tangent(state, forces)
+    newton.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces)
     return [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
 
 

@@ -239,14 +239,15 @@ class System:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)
 
     def prescribed(self, state: State, time: float) -> State:
-        """The state with everything that is given moved to `time`; free unknowns as they were."""
+        """The state with everything that is given moved to `time`; all else as it was."""
         u = state.u.copy()
         for nodes, axis, values, curve, relative in self._prescribed:
             factor = 1.0 if curve is None else self.curve_at(curve, time)
             base = self.start.u[nodes, axis] if relative else 0.0
             u[nodes, axis] = base + values * factor
         bodies = [self._given(b, body, state, time) for b, body in enumerate(self.bodies)]
-        return self._followed(State(time, u, tuple(bodies)))
+        after = State(time, u, tuple(bodies), state.hints, state.volumes, state.tractions)
+        return self._followed(after)
 
     def _given(self, b: int, body: Body, state: State, time: float) -> BodyState:
         now, begin = state.bodies[b], self.start.bodies[b]
@@ -359,28 +360,26 @@ class System:
 
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
-        out = []
-        for o in self.operands:
-            J = np.empty(o.weight.shape)
-            self.threads.run(
-                lambda w, a, b, o=o, J=J: kernels.linear_volumes(
-                    a, b, state.u, v, o.cells, o.grad, o.base, J
-                ),
-                len(o.cells),
-            )
-            out.append(J)
-        return tuple(out)
+        out = tuple(np.empty(o.weight.shape) for o in self.operands)
+        for o, J in zip(self.operands, out, strict=True):
+            args = (o.cells, o.grad, o.base, J)
+
+            def task(worker: int, begin: int, end: int, args: Any = args) -> None:
+                kernels.linear_volumes(begin, end, state.u, v, *args)
+
+            self.threads.run(task, len(o.cells))
+        return out
 
     def volume_force(self, state: State) -> Array:
         """What pressures at the state's own volume ratios add to the internal forces (n_points, 3)."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for o, volumes in zip(self.operands, state.volumes, strict=True):
-            self.threads.run(
-                lambda w, a, b, o=o, volumes=volumes: kernels.volume_force(
-                    a, b, state.u, o.cells, o.grad, o.weight, o.base, o.lame, volumes, parts[w]
-                ),
-                len(o.cells),
-            )
+            args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
+
+            def task(worker: int, begin: int, end: int, args: Any = args) -> None:
+                kernels.volume_force(begin, end, state.u, *args, parts[worker])
+
+            self.threads.run(task, len(o.cells))
         for each in parts[1:]:
             parts[0] += each
         return parts[0]

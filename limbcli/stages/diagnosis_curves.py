@@ -27,7 +27,7 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.swe_prediction import Window, predict_map
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
 

@@ -21,7 +21,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Solver
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.stages.fit_speeds import mean_speeds
 from limbcli.stages.indentation_model import TISSUE
@@ -95,7 +95,7 @@ class ReferenceCurve:
         try:
             result = self._session.solve(
                 with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m),
-                wrt=[(TISSUE, name) for name in ("kappa", "m1", "m2")],
+                wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")],
                 weights=self._weights,
             )
         except ArithmeticError as error:
@@ -104,10 +104,10 @@ class ReferenceCurve:
                 where="reference solver",
                 fix="a smaller m; check the depths in levels.csv",
             ) from error
-        by_kappa, by_m1, by_m2 = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1", "m2"))
+        by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
         self.depths = result.must_points.depths
         by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
-        return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m1 - by_m2]))
+        return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m]))
 
     def close(self) -> None:
         self._session.close()

@@ -25,7 +25,7 @@ from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.phantom.simulated import Indentation, Speed, true_levels
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 from limbcli.units import mpa_from_kpa
 

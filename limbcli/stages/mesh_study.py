@@ -20,8 +20,9 @@ from limbcli.meshing.study_picture import study_picture
 from limbcli.model import LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.indentation_model import indentation_model, starting_depth
+from limbcli.stages.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.units import kpa_from_mpa
 
 STAGE = "mesh-study"
@@ -60,7 +61,8 @@ def study_site(
 ) -> StageResult:
     """Force at the deepest level for finer and coarser meshes and nearer and farther cuts.
 
-    The tissue is the same in all (c = 8 kPa, f_kappa = 100, m = 2). What comes out as
+    The tissue is the same in all (c = 8 kPa, f_kappa = 100, m = 2), layers are as `build-feb` takes
+    them without options. What comes out as
     `numerical_error_fraction` is the error of the model's own mesh (extrapolated, with a
     safety factor) and of its crop (against the farthest cut), added as squares.
     """
@@ -73,7 +75,8 @@ def study_site(
         for number, (varied, changed) in enumerate(wanted):
             progress.event("task", name=f"{STAGE} {site.name}", done=number, total=len(wanted))
             made = site_model(limb, position, site.long_axis, probe, changed, name=site.name)
-            force = solve(made.model, depth)
+            laws = layer_laws(site, layers_in(made.model))
+            force = solve(with_layer_laws(made.model, laws), depth)
             found.append(
                 Variant(varied, changed.sizes.under_probe, changed.margin, made.quality.n_cells, force)
             )

@@ -27,7 +27,7 @@ from limbcli.inference.prediction import Memory
 from limbcli.meshing.elements import with_element
 from limbcli.model_io import load_model
 from limbcli.phantom.protocol import depth_at_force
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
 from limbcli.stages.fit_curves import ReferenceCurve
 from limbcli.stages.indentation_model import indentation_model

@@ -17,7 +17,8 @@ from limbcli.feb.records import read_records
 from limbcli.materials import ogden_type
 from limbcli.model import Material
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers.reference import ReferenceSession, ReferenceSolver
+from limbcli.solvers.reference import ReferenceSolver
+from limbcli.solvers.session import ReferenceSession
 
 CUBES = (
     "cube-shear-hex8-m8-fk100", "cube-shear-tet10-m1.389-fk113", "cube-shear-tet10-m8-fk1",

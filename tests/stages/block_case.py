@@ -31,7 +31,7 @@ from limbcli.model import (
 )  # fmt: skip
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.indentation_model import indentation_model
 

@@ -14,7 +14,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.model import ElementMap
-from limbcli.solvers.reference import ReferenceSession
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START, FitOptions, check_choice, fit
 from limbcli.stages.fit_curves import ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import tissue_map
