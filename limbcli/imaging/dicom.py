@@ -6,6 +6,7 @@ could tell who the patient is.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
-from limbcli.imaging.frames import Slice, slices_of
+from limbcli.imaging.frames import Slice, slices_of, turned_over
 from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
@@ -29,6 +30,8 @@ _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
+_PIXEL, _STEP = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
+_WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
 
 
@@ -72,7 +75,11 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     order = np.argsort(heights, kind="stable")
     slices, heights = [slices[n] for n in order], heights[order]
     step = _slice_step(slices, heights, folder)
+    _plausible(slices[0], step, folder)
     volume, notes = stack(slices, heights, step)
+    if turned_over(datasets[0][1]):
+        volume = volume.with_values(volume.values - volume.values.min())
+        notes = (*notes, "Photometric Interpretation (0028,0004) is MONOCHROME1: the signal was turned over")
     return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
 
 
@@ -91,7 +98,7 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
         if dataset is None:
             continue
         if any(each in dataset for each in _PIXELS):
-            found.append((path.name, dataset))
+            found.append((_public_name(path, dataset, number), dataset))
         else:
             without_pixels += 1
         if number % 20 == 0 or number == len(paths):
@@ -124,6 +131,14 @@ def _read(path: Path) -> Dataset | None:
         except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError, NotImplementedError):
             return None
     return dataset if "SOPClassUID" in dataset and "Rows" in dataset else None
+
+
+def _public_name(path: Path, dataset: Dataset, number: int) -> str:
+    """The file's name for messages, unless it tells who the patient is."""
+    private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
+    words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
+    told = any(each in path.name.lower() for each in words)
+    return f"file {number} in order of name" if told else path.name
 
 
 def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
@@ -232,6 +247,20 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
             n_missing=missing,
         )
     return step
+
+
+def _plausible(first: Slice, step: float, folder: Path) -> None:
+    """Pixels and slices of a limb's image; others come from a wrong unit or tag."""
+    for what, tag, value, (low, high) in (
+        ("Pixel Spacing", "0028,0030", max(first.pixel_spacing), _PIXEL),
+        ("the distance of slices by Image Position", "0020,0032", step, _STEP),
+    ):
+        if not low <= value <= high:
+            raise CaseError(
+                f"{what} ({tag}) is {value:g} mm; a limb's image has {low:g} to {high:g} mm",
+                where=str(folder),
+                fix="correct the tag (mm), or bring a label map or surfaces instead",
+            )
 
 
 def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from limbcli.model import Array
 
 _EXPORT = "export the series again with its geometry, or bring a label map or surfaces instead"
 _PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
+_STORAGE = ("Rows", "Columns", "BitsAllocated", "PixelRepresentation")
 _USABLE = ("MR", "CT", "OT", "")
 
 
@@ -149,6 +150,7 @@ def _require_grey(dataset: Dataset, name: str) -> None:
 
 
 def _decoded(dataset: Dataset, name: str) -> NDArray:
+    _complete(dataset, name)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -163,9 +165,38 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
         ) from error
 
 
+def _complete(dataset: Dataset, name: str) -> None:
+    """Tags that say how pixels are stored: the harmless ones filled in, the others must be there."""
+    for keyword in _STORAGE:
+        if keyword not in dataset:
+            tag = pydicom.datadict.tag_for_keyword(keyword) or 0
+            described = pydicom.datadict.dictionary_description(keyword)
+            raise CaseError(
+                f"{described} ({tag >> 16:04X},{tag & 0xFFFF:04X}) is missing, so the pixels cannot be read",
+                where=name,
+                fix="export the series again, or bring a label map or surfaces instead",
+            )
+    usual = {
+        "SamplesPerPixel": 1,
+        "PhotometricInterpretation": "MONOCHROME2",
+        "BitsStored": dataset.BitsAllocated,
+    }
+    for keyword, value in usual.items():
+        if keyword not in dataset:
+            setattr(dataset, keyword, value)
+    if "HighBit" not in dataset:
+        dataset.HighBit = dataset.BitsStored - 1
+
+
+def turned_over(dataset: Dataset) -> bool:
+    """Whether high values mean dark. Of CT that concerns the display only: its values stay HU."""
+    inverse = str(dataset.get("PhotometricInterpretation", "")) == "MONOCHROME1"
+    return inverse and str(dataset.get("Modality", "")) != "CT"
+
+
 def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -> NDArray[np.float32]:
     """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over."""
-    if str(header.get("PhotometricInterpretation", "")) == "MONOCHROME1":
+    if turned_over(header):
         top = 2 ** int(header.get("BitsStored", 16)) - 1
         pixels = (-1 if int(header.get("PixelRepresentation", 0)) else top) - pixels.astype(np.int64)
     values = []

@@ -134,9 +134,11 @@ def test_slices_that_are_not_parallel_are_told(ramp, tmp_path):
         ("ImageOrientationPatient", "0020,0037"),
         ("ImagePositionPatient", "0020,0032"),
         ("PixelSpacing", "0028,0030"),
+        ("BitsAllocated", "0028,0100"),
+        ("PixelRepresentation", "0028,0103"),
     ],
 )
-def test_an_absent_geometry_tag_is_named(ramp, tmp_path, keyword, tag):
+def test_an_absent_tag_that_is_needed_is_named(ramp, tmp_path, keyword, tag):
     def strip(dataset, k):
         if k == 1:
             del dataset[keyword]
@@ -174,7 +176,31 @@ def test_monochrome1_is_turned_over(ramp, tmp_path):
         dataset.PhotometricInterpretation = "MONOCHROME1"
 
     write_dicom(tmp_path, ramp, change=turn)
-    assert np.array_equal(read_series(tmp_path).volume.values, 65535 - ramp.values)
+    series = read_series(tmp_path)
+    assert np.array_equal(series.volume.values, ramp.values.max() - ramp.values)
+    assert any("turned over" in note for note in series.notes)
+
+
+def test_monochrome1_of_ct_concerns_the_display_only(ramp, tmp_path):
+    def turn(dataset, k):
+        dataset.PhotometricInterpretation, dataset.Modality = "MONOCHROME1", "CT"
+
+    write_dicom(tmp_path, ramp, change=turn)
+    assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+
+
+@pytest.mark.parametrize("keyword", ["SamplesPerPixel", "PhotometricInterpretation", "BitsStored", "HighBit"])
+def test_an_absent_storage_tag_that_is_clear_is_filled_in(ramp, tmp_path, keyword):
+    write_dicom(tmp_path, ramp, change=lambda dataset, k: delattr(dataset, keyword))
+    assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+
+
+def test_a_patients_name_in_a_file_name_does_not_reach_a_message(ramp, tmp_path):
+    write_dicom(tmp_path, ramp, stem="SECRET_Name_", skip=(2,))
+    message = str(refused(tmp_path))
+    assert "missing" in message
+    assert "file 3 in order of name" in message
+    assert "secret" not in message.lower().replace(str(tmp_path).lower(), "")
 
 
 def test_signed_and_8_bit_values_are_read(ramp, tmp_path):
@@ -193,6 +219,7 @@ def test_signed_and_8_bit_values_are_read(ramp, tmp_path):
         ("Modality", "US", "0008,0060"),
         ("ImageOrientationPatient", ["1", "0", "0", "1", "0", "0"], "0020,0037"),
         ("PixelSpacing", ["0", "1"], "0028,0030"),
+        ("PixelSpacing", ["100", "100"], "0028,0030"),
     ],
 )
 def test_a_wrong_tag_is_named(ramp, tmp_path, keyword, value, tag):
