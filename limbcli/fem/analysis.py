@@ -27,6 +27,7 @@ _LOOSE = 3e-2  # residual at which a stride on the way is good enough
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
 _FAR_OUT = 0.09  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
+_WARY = 5  # strides after a cut before they may grow again
 _EASY = 3  # iterations up to which the next stride may be longer
 
 
@@ -55,6 +56,7 @@ class Analysis:
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
+        self._wary = 0
         self._histories: Histories | None = None
 
     @property
@@ -166,13 +168,15 @@ class Analysis:
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
+                self._wary = _WARY if known is None else 0
                 newton.debt, known = np.inf, None
                 newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
             cuts = 0
             easy = _EASY + (2 if aim == target else 0)
-            if aim - begin >= 0.6 * self._stride and used <= easy:
+            self._wary = max(self._wary - 1, 0)
+            if aim - begin >= 0.6 * self._stride and used <= easy and not self._wary:
                 self._stride *= 1.5
             reached.append(state)
             if self._histories is not None:
@@ -196,12 +200,12 @@ class Analysis:
         tolerance = None if must or self.remembers else _LOOSE
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
-        guess = self._guess(time, reached, level, known, patient)
-        return newton.equilibrate(guess, level, tolerance=tolerance, patient=patient)
+        guess, forces = self._guess(time, reached, level, known, patient)
+        return newton.equilibrate(guess, level, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
         self, time: float, reached: list[State], level: Level, known: State | None, patient: bool
-    ) -> State:
+    ) -> tuple[State, Forces | None]:
         """The best of the first guesses there are; with the contact searched for it.
 
         From an earlier solve: its level as it is, and its increment added to the last level. Else
@@ -216,7 +220,7 @@ class Analysis:
         else:
             guesses = [newton.predict(reached[-1], time)]
             if len(reached) >= 4:
-                guesses.append(extrapolate(system, reached[-3:], time))
+                guesses.insert(0, extrapolate(system, reached[-3:], time))
         system.at(time)
         tried = []
         for each in guesses:
@@ -227,8 +231,10 @@ class Analysis:
         limit = _FAR_OUT if known is None else _FAR_OFF
         if error > limit and self._marching and not patient and len(reached) > 1:
             raise newton.failure(guess, tried[0][0], level, 0, "the step is too long for a first guess")
+        if guess is guesses[-1]:
+            return guess, tried[-1][0]
         system.recall(guess.hints)
-        return guess
+        return guess, None
 
     def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
         """Augmentations of the contact pressure until its multipliers settle."""

@@ -141,12 +141,12 @@ class Newton:
     def predict(self, state: State, time: float) -> State:
         """The state moved to `time` along the tangent: no element sees the whole step at once."""
         system = self.system
-        forces = self.forces(state)
+        system.at(time)
+        forces = self.forces(replace(state, time=time, volumes=(), tractions=()))
         if self.inverse is None or self.debt > 1.0:
             self.refresh(state, forces)
         else:
             self.tangent = assemble(system, state, forces.nodal)
-        system.at(time)
         aim = system.prescribed(state, time)
         v = np.where(system.free, 0.0, aim.u - state.u)
         motions = np.zeros((len(system.bodies), 6))
@@ -156,8 +156,7 @@ class Newton:
         if system.pairs:
             nodal, bodies = system.contact_times(state, v, motions)
             change += nodal
-        forces_then = self.forces(State(time, state.u, state.bodies))
-        rhs = forces_then.residual.copy()
+        rhs = forces.residual.copy()
         rhs[: system.n_tissue] += change[system.free]
         if len(system.rigid) and system.pairs:
             for k, (b, dof) in enumerate(system.rigid):
@@ -188,17 +187,25 @@ class Newton:
         return self.system.linear_volumes(state, v), self.system.linear_tractions(state, v, motions)
 
     def equilibrate(
-        self, guess: State, level: Level, *, tolerance: float | None = None, patient: bool = True
+        self,
+        guess: State,
+        level: Level,
+        *,
+        forces: Forces | None = None,
+        tolerance: float | None = None,
+        patient: bool = True,
     ) -> tuple[State, Forces]:
         """The equilibrium near a guess; raises NotConverged.
 
+        forces : at the guess, where nothing else was evaluated since
         tolerance : other than the settings', for a level on the way
         patient : False gives up early, where a shorter step is the better answer
         """
         system, settings = self.system, self.settings
         target = settings.tolerance if tolerance is None else tolerance
         system.at(guess.time)
-        state, forces = guess, self.forces(guess)
+        state = guess
+        forces = forces if forces is not None else self.forces(guess)
         if forces.worst <= 0:
             raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
         sizes: list[float] = []
