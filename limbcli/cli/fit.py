@@ -61,7 +61,7 @@ def command(
         float | None,
         typer.Option(
             "--gain-deviation-fraction",
-            help="Joint only: numerical error of the force; default: by element and size.",
+            help="Numerical error of the force to allow for; default: mesh study, else by element and size.",
             show_default=False,
         ),
     ] = None,
@@ -80,9 +80,17 @@ def command(
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation, stiffness_map=stiffness_map, tolerance=tolerance,
-        max_iterations=max_iterations, intervals=intervals, templates=templates, time_limit_s=time_limit_s,
+        max_iterations=max_iterations, intervals=intervals, gain_deviation=gain_deviation,
+        templates=templates, time_limit_s=time_limit_s,
     )  # fmt: skip
-    check_choice(objective, compare_element=compare_element, solver=solver, stiffness_map=stiffness_map)
+    given = {
+        "--law": law != "ogden",
+        "--compare-laws": compare_laws,
+    }
+    check_choice(
+        objective, compare_element=compare_element, solver=solver, stiffness_map=stiffness_map,
+        joint_only=[name for name, is_given in given.items() if is_given],
+    )  # fmt: skip
     opened, folder = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     if compare_element:

@@ -329,7 +329,8 @@ class System:
         applied = self._applied(state.time)
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
         held = internal[~self.free]
-        scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
+        with np.errstate(over="ignore"):  # of a step far astray
+            scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
         mixed = residual
         if state.volumes or state.tractions:
             shift = self.volume_force(state) if state.volumes else np.zeros_like(nodal)

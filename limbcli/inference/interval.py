@@ -1,9 +1,9 @@
 """95 % intervals of the paper's fit, by profile likelihood.
 
 The likelihood knows what the paper's objective does not: that depth is the noisy
-quantity, and that c, held fixed in the fit, is only known to the precision of the
-shear-wave reading. At fixed f_kappa and m every stress, hence every force, is
-proportional to c, so c costs no simulation.
+quantity, that c, held fixed in the fit, is only known to the precision of the
+shear-wave reading, and that the mesh puts the force off. At fixed f_kappa and m every stress,
+hence every force, is proportional to c, so c costs no simulation.
 """
 
 from __future__ import annotations
@@ -29,13 +29,23 @@ _REACH = 6.0  # of c, in its standard deviations
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """c (MPa) and the standard deviation of its logarithm."""
+    """c (MPa) and the standard deviation of its logarithm.
+
+    gain_deviation : of ln of the simulated force, by the mesh alone. All forces are proportional
+        to c, so an error common to them is told by nothing from an error of c.
+    """
 
     c: float
     log_deviation: float
+    gain_deviation: float = 0.0
+
+    @property
+    def force_deviation(self) -> float:
+        """Standard deviation of ln force that c and the mesh leave together."""
+        return float(np.hypot(self.log_deviation, self.gain_deviation))
 
     def parameter(self) -> Parameter:
-        spread = float(np.exp(_REACH * max(self.log_deviation, _LEAST_LOG_DEVIATION)))
+        spread = float(np.exp(_REACH * max(self.force_deviation, _LEAST_LOG_DEVIATION)))
         return Parameter("c", self.c, self.c / spread, self.c * spread, "log")
 
 
@@ -50,7 +60,7 @@ def force_intervals(
     max_solves: int = 12,
     progress: Progress = SILENT,
 ) -> Intervals:
-    """Profiles of f_kappa and m (those in `free`), with c moving within its own uncertainty.
+    """Profiles of f_kappa and m (those in `free`), with c moving within its and the mesh's uncertainty.
 
     Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2,
     slopes dF/dd those of the fit. At most `max_solves` simulations are added to those in
@@ -86,7 +96,7 @@ class _ForceProblem:
         predict = sampled(self.emulator, self.knots, self.depth, free=(0, 1), fixed=self.fitted)
         scaled = _times_c(predict, self.stiffness.c, self.fitted, self.free)
         force = force_residual(scaled, self.force, deviation=self.deviation)
-        spread = max(self.stiffness.log_deviation, _LEAST_LOG_DEVIATION)
+        spread = max(self.stiffness.force_deviation, _LEAST_LOG_DEVIATION)
         return with_prior(force, 0, mean=self.stiffness.c, log_deviation=spread)
 
     def starts(self) -> list[Array]:

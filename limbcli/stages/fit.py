@@ -7,6 +7,7 @@ m = 2 first, then f_kappa and m. Beside each number stands how far it can be tru
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from limbcli.files import sha256
 from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.indentation import Levels, doubts_about_levels, read_levels
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
@@ -32,6 +33,7 @@ from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_result import Identified, leave_result
 from limbcli.stages.fit_swe import leave_speeds
+from limbcli.stages.numerical_error import gain_deviation, studied_error
 
 STAGE = "fit"
 START = np.array([START_F_KAPPA, 2.0])
@@ -45,6 +47,8 @@ class FitOptions:
         standard deviation `c_deviation` (None: that of the shear-wave reading)
     stiffness_map : c(x), element by element, from the shear-wave map of level 0
     intervals : profile intervals (more simulations), or only standard errors
+    gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
+        `mesh --study` where it was run, else by element and edge length)
     """
 
     c_kpa: float | None = None
@@ -54,6 +58,7 @@ class FitOptions:
     max_iterations: int = 50
     max_interval_solves: int = 12
     intervals: bool = True
+    gain_deviation: float | None = None
     templates: Path | None = None
     time_limit_s: float | None = None
 
@@ -88,6 +93,7 @@ def fit(
         If the model cannot be solved at the start values, or the search does not settle.
     """
     options = options or FitOptions()
+    check_numbers(options)
     engine = choose(solver, febio)
     results = []
     for site in case.selected(sites):
@@ -99,29 +105,73 @@ def fit(
     return results
 
 
-def check_choice(objective: str, *, compare_element: bool, solver: str, stiffness_map: bool = False) -> None:
+def check_choice(
+    objective: str,
+    *,
+    compare_element: bool,
+    solver: str,
+    stiffness_map: bool = False,
+    joint_only: Sequence[str] = (),
+) -> None:
     """Whether these options go together.
+
+    joint_only : options given that speak to the joint fit alone
 
     Raises
     ------
     CaseError
-        If the objective is unknown, FEBio is asked for what only the reference solver does, or a
-        stiffness map for what takes one c.
+        If the objective is unknown, FEBio is asked for what only the reference solver does, a
+        stiffness map for what takes one c, or an option says nothing to what was asked for.
     """
     if objective not in ("force", "joint"):
         raise CaseError(f"there is no objective {objective!r}", where="--objective", fix="use force or joint")
-    if solver == "febio" and (objective == "joint" or compare_element):
+    joint = objective == "joint"
+    if joint and compare_element:
+        raise CaseError(
+            "two different things are asked for",
+            where="--objective joint, --compare-element",
+            fix="one a time",
+        )
+    if joint_only and not joint:
+        raise CaseError(
+            f"{joint_only[0]} says nothing to the fit of the force alone",
+            where=joint_only[0],
+            fix="add --objective joint, or leave it out",
+        )
+    if solver == "febio" and (joint or compare_element):
         raise CaseError(
             "this needs derivatives that FEBio does not give",
             where="--solver febio",
             fix="leave --solver out: the reference solver does it",
         )
-    if stiffness_map and (objective == "joint" or compare_element):
+    if stiffness_map and (joint or compare_element):
         raise CaseError(
             "a stiffness map goes with the fit of the force alone",
             where="--stiffness-map",
             fix="leave --objective joint and --compare-element out, or the map",
         )
+
+
+def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
+    """Whether the numbers given by hand can be meant.
+
+    Raises
+    ------
+    CaseError
+        Naming the option and what is possible.
+    """
+    rules = (
+        ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
+        ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
+        ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
+        ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),
+        ("--gain-deviation-fraction", gain_deviation, 0.0, 2.0, "a share of the force, e.g. 0.03"),
+    )
+    for name, value, low, high, meaning in rules:
+        if value is not None and not low <= value <= high:
+            raise CaseError(
+                f"{name} is {value:g}; possible is {low:g} to {high:g}", where=name, fix=f"give {meaning}"
+            )
 
 
 def _fit_site(
@@ -132,6 +182,9 @@ def _fit_site(
     levels = read_levels(site.levels)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
+    given = options.gain_deviation
+    error = given if given is not None else studied_error(site, out, writer)
+    stiffness = replace(stiffness, gain_deviation=gain_deviation(model, error))
     curve, knots, cold = _first_solve(solver, model, c, options, progress)
     steps = two_step(
         curve, knots, data,
@@ -171,7 +224,7 @@ def _tissue_c(
             fix="leave one of the two out",
         )
     found = tissue_map(model, site)
-    leave_map(found, model, levels, site, writer)
+    leave_map(found, model, levels, writer)
     stiffness = found.stiffness(site)
     if options.c_deviation is not None:
         stiffness = Stiffness(stiffness.c, options.c_deviation)
@@ -195,7 +248,9 @@ def built_model(site: Site, out: Path, writer: StageWriter, *, label: str = "") 
         )
     writer.used(f"{prefix}model", feb)
     writer.used(f"{prefix}levels", site.levels)
-    writer.warnings.extend(built.warnings)
+    for text in (*built.warnings, *doubts_about_levels(site.levels)):
+        if text not in writer.warnings:
+            writer.warnings.append(text)
     return read_feb(feb)
 
 

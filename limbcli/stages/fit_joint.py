@@ -22,17 +22,14 @@ from limbcli.inference.prediction import Memory
 from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
-from limbcli.stages.fit import FitOptions, built_model, initial_stiffness
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
+from limbcli.stages.numerical_error import gain_deviation, studied_error
 
 STAGE = "fit-joint"
-# What the mesh may add to the force, relative: of tet10 the change under refinement and with
-# the penalty (2 to 3 % at 2.5 mm edges); of tet4 what locking leaves at f_kappa 1 (13 %).
-GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
-_USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +81,7 @@ def fit_joint(
     """
     joint, options = joint or JointOptions(), options or FitOptions()
     law = law_named(joint.law)
+    check_numbers(options, gain_deviation=joint.gain_deviation)
     progress.event("stage", name=STAGE, site=None)
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
@@ -117,17 +115,7 @@ def _measured(site: Site, out: Path, writer: StageWriter, options: FitOptions) -
     model = built_model(site, out, writer, label=site.name)
     levels = read_levels(site.levels)
     stiffness, _ = initial_stiffness(levels, site, options)
-    return Measured(site, model, levels, stiffness.c, _studied_error(site, out, writer))
-
-
-def _studied_error(site: Site, out: Path, writer: StageWriter) -> float | None:
-    """What the mesh study of this site found, if there is one."""
-    study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
-    if not study.is_file():
-        return None
-    writer.used(f"{site.name}/mesh-study", study)
-    found = read_result(out, "mesh-study", site=site.name).data.get("numerical_error_fraction")
-    return float(found) if found is not None else None
+    return Measured(site, model, levels, stiffness.c, studied_error(site, out, writer, label=f"{site.name}/"))
 
 
 # ---------------------------------------------------------------- identification
@@ -201,28 +189,6 @@ def _check_noise(site: Site, *, speeds: bool) -> None:
             where="case.toml, [site.noise]",
             fix="state one standard deviation each, or fit with --objective force",
         )
-
-
-def gain_deviation(model: LimbModel, given: float | None) -> float:
-    """Numerical error of the force, relative: stated, or a default by element and edge length."""
-    if given is not None:
-        return given
-    size = _edge_under_probe(model)
-    return GAIN_DEVIATION.get(model.mesh.solid_blocks[0].kind, 0.05) * size / _USUAL_SIZE
-
-
-def _edge_under_probe(model: LimbModel) -> float:
-    """Median edge (mm) of the skin's facets within 10 mm of the probe's centre; 2.5 where there are none."""
-    surface, points = model.mesh.surfaces.get("contact"), model.mesh.points
-    if surface is None:
-        return _USUAL_SIZE
-    lengths = []
-    for facets in surface.facets.values():
-        corners = points[facets[:, :3]]
-        near = np.hypot(*corners.mean(axis=1)[:, :2].T) < _NEAR_CENTRE
-        lengths.append(np.linalg.norm(corners[near] - np.roll(corners[near], 1, axis=1), axis=2).ravel())
-    edges = np.concatenate(lengths) if lengths else np.zeros(0)
-    return float(np.median(edges)) if len(edges) else _USUAL_SIZE
 
 
 def _c_prior(measured: Sequence[Measured], options: FitOptions) -> float:

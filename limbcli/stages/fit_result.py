@@ -84,6 +84,7 @@ def leave_result(
         solver=simulation.solver, solver_version=simulation.version,
         linear_solver=simulation.linear_solver, c_source=found.c_source,
         c_deviation_fraction=found.stiffness.log_deviation,
+        numerical_error_fraction=found.stiffness.gain_deviation,
         correlation=last["correlations"], steps=tables,
         n_iterations=sum(step.fit.n_iterations for step in found.steps),
         n_solves=sum(step.n_solves for step in found.steps) + 1,
@@ -164,9 +165,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     )
     free = _inside(step)
     columns = answer.jacobian[:, free]
-    sigma = found.stiffness.log_deviation
+    sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
     covariance = np.full((3, 3), np.nan)
-    covariance[0, 0] = sigma**2
+    covariance[0, 0] = sigma_c**2
     if not free:
         return covariance
     if not variance.any():  # without stated noise there is no standard error
@@ -175,7 +176,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
     if np.isfinite(block).all():
-        carried = -(sigma**2) * np.linalg.pinv(columns) @ answer.values
+        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
 
@@ -294,6 +295,13 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
         f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (m = 2: f_kappa {first.theta[0]:.4g}, "
         f"R2 {first.r2:.4f}); {writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
     )
+    error = 100 * found.stiffness.gain_deviation
+    writer.summary.append(f"counted as uncertainty of the simulated force: {error:.2g} % by the mesh")
+    if "tet4" in writer.data["element"]:
+        writer.warnings.append(
+            "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
+            "interval holds on this mesh; tet10 elements do not lock (--compare-element shows both)"
+        )
     for name in NAMES:
         if last["flags"][name] not in ("identified", "fixed"):
             writer.warnings.append(last["words"][name])

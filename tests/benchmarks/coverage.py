@@ -1,7 +1,7 @@
 """How often the 95 % intervals of `fit` hold the truth, and what an identification costs.
 
     python tests/benchmarks/coverage.py MODEL.npz --seeds 20 --out coverage.jsonl
-        [--truth-model OTHER.npz] [--element tet4] [--c-kpa 8 --f-kappa 100 --m 6]
+        [--truth-model OTHER.npz] [--element tet4] [--gain-deviation 0] [--c-kpa 8 --f-kappa 100 --m 6]
 
 MODEL.npz is a site's mesh as `limbcli mesh` leaves it. A measurement is simulated on
 it (or on another mesh), noise is added seed by seed, and `fit`'s own functions identify
@@ -31,6 +31,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
 from limbcli.stages.fit_curves import ReferenceCurve
 from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.numerical_error import gain_deviation
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.1, 0.3, 0.05
@@ -47,7 +48,7 @@ def true_levels(model, *, c, f_kappa, m, step_n, max_force_n, max_depth_mm):
     return forces, depth_at_force(depth, force, forces)
 
 
-def one_seed(seed, model, truth, forces, depths):
+def one_seed(seed, model, truth, forces, depths, gain):
     """Measure with noise, identify, and see whether the intervals hold the truth."""
     rng = np.random.default_rng(seed)
     first = np.arange(len(forces)) == 0
@@ -65,7 +66,8 @@ def one_seed(seed, model, truth, forces, depths):
     steps = two_step(memory, curve.depths, data)
     identified, fit_work = time.perf_counter() - clock, time.process_time() - work
     n_fit = memory.n_solves
-    found = force_intervals(memory, curve.depths, data, Stiffness(c, 2 * SPEED_SD), steps[-1].theta)
+    stiffness = Stiffness(c, 2 * SPEED_SD, gain_deviation(model, gain))
+    found = force_intervals(memory, curve.depths, data, stiffness, steps[-1].theta)
     curve.close()
     row = {
         "seed": seed, "c_kpa": 1e3 * c, "f_kappa": steps[-1].theta[0], "m": steps[-1].theta[1],
@@ -112,7 +114,9 @@ def main():
     )
     parser.add_argument("model", type=Path)
     parser.add_argument("--truth-model", type=Path)
-    parser.add_argument("--element")
+    parser.add_argument("--element", help="of the fit's mesh, and of the truth's")
+    parser.add_argument("--truth-element", help="of the truth's mesh, where it is another")
+    parser.add_argument("--gain-deviation", type=float, help="numerical error allowed for, relative")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
     parser.add_argument("--c-kpa", type=float, default=8.0)
@@ -126,6 +130,8 @@ def main():
     model = with_element(model, given.element) if given.element else model
     truth = {"c": mpa_from_kpa(given.c_kpa), "f_kappa": given.f_kappa, "m": given.m}
     other = load_model(given.truth_model) if given.truth_model else model
+    truth_element = given.truth_element or given.element
+    other = with_element(other, truth_element) if truth_element else other
     forces, depths = true_levels(
         other, **truth, step_n=given.step_n, max_force_n=given.max_force_n, max_depth_mm=given.max_depth_mm
     )
@@ -136,7 +142,7 @@ def main():
         if seed in done:
             continue
         try:
-            rows.append(one_seed(seed, model, truth, forces, depths))
+            rows.append(one_seed(seed, model, truth, forces, depths, given.gain_deviation))
         except LimbError as error:
             rows.append({"seed": seed, "error": error.what})
         with given.out.open("a") as stream:

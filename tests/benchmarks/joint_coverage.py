@@ -24,7 +24,7 @@ from limbcli.inference.joint import JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
 from limbcli.model_io import load_model
 from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_joint import gain_deviation
+from limbcli.stages.numerical_error import gain_deviation
 from limbcli.stages.fit_laws import LAWS
 from limbcli.stages.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa

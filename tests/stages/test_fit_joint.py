@@ -16,9 +16,10 @@ from limbcli.results import open_stage
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_elements import compare_elements
-from limbcli.stages.fit_joint import JointOptions, fit_joint, gain_deviation
+from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fit_laws import LAWS, law_named
 from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.numerical_error import gain_deviation
 
 
 def _load(name: str):
