@@ -182,15 +182,16 @@ def _fit_site(
     levels = read_levels(site.levels)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
-    given = options.gain_deviation
-    error = given if given is not None else studied_error(site, out, writer)
-    stiffness = replace(stiffness, gain_deviation=gain_deviation(model, error))
     curve, knots, cold = _first_solve(solver, model, c, options, progress)
     steps = two_step(
         curve, knots, data,
         tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
     )  # fmt: skip
     theta = steps[-1].theta
+    given = options.gain_deviation
+    error = given if given is not None else studied_error(site, out, writer)
+    gain = gain_deviation(model, error, f_kappa=float(theta[0]))
+    stiffness = replace(stiffness, gain_deviation=gain)
     intervals, why_none = None, "no interval was asked for"
     if not (site.noise.force > 0 or site.noise.depth > 0):
         why_none = "the case states no noise of force or depth"

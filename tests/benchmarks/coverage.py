@@ -66,7 +66,7 @@ def one_seed(seed, model, truth, forces, depths, gain):
     steps = two_step(memory, curve.depths, data)
     identified, fit_work = time.perf_counter() - clock, time.process_time() - work
     n_fit = memory.n_solves
-    stiffness = Stiffness(c, 2 * SPEED_SD, gain_deviation(model, gain))
+    stiffness = Stiffness(c, 2 * SPEED_SD, gain_deviation(model, gain, f_kappa=float(steps[-1].theta[0])))
     found = force_intervals(memory, curve.depths, data, stiffness, steps[-1].theta)
     curve.close()
     row = {

@@ -24,9 +24,9 @@ from limbcli.inference.joint import JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
 from limbcli.model_io import load_model
 from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.numerical_error import gain_deviation
 from limbcli.stages.fit_laws import LAWS
 from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.numerical_error import gain_deviation
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0

@@ -163,3 +163,5 @@ def test_numerical_error_goes_with_element_and_size():
     quadratic, linear = block.block_model("tet10"), block.block_model("tet4")
     assert gain_deviation(linear, None) > 2 * gain_deviation(quadratic, None) > 0.0
     assert gain_deviation(linear, 0.07) == 0.07
+    assert gain_deviation(linear, None, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
+    assert gain_deviation(quadratic, None, f_kappa=100.0) == gain_deviation(quadratic, None)
