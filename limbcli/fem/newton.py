@@ -32,6 +32,7 @@ class Settings:
     renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
     single : factor in single precision (None: for large systems); GMRES makes up for it
     linear : "auto", "pardiso" or "superlu"
+    mixed : pressures and tractions of their own on the way to equilibrium (see `Newton.with_volumes`)
     """
 
     tolerance: float = 1e-6
@@ -120,19 +121,23 @@ class Newton:
         self.stuck = reached > max(3 * tolerance, 1e-9)
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
-        self.debt += max(n - _FRESH * decades, 0.0) / self.linear.solves_per_factor
+        self.debt += max(n - _FRESH * decades, 0.0) / self.per_factor
         return step
+
+    @property
+    def per_factor(self) -> float:
+        """What a factorisation costs, in solves."""
+        return float(self.linear.solves_per_factor) if self.linear is not None else 1.0
 
     @property
     def patience(self) -> int:
         """Krylov iterations after which a stale factor has cost more than a new one."""
-        per_factor = self.linear.solves_per_factor if self.linear is not None else 0.0
-        return int(np.clip(per_factor, 12, _MAX_KRYLOV))
+        return int(np.clip(self.per_factor, 12, _MAX_KRYLOV))
 
     def ready_for(self, n_solves: int, decades: float, state: State, forces: Forces) -> None:
         """The exact tangent at a state, with a new factor if that pays for so many solves to come."""
         wasted = n_solves * decades * (self.rate - _FRESH)
-        if self.inverse is None or wasted > self.linear.solves_per_factor:
+        if self.inverse is None or wasted > self.per_factor:
             self.refresh(state, forces)
             self.rate = _FRESH
         elif self.tangent is None or self.tangent.state is not state:
