@@ -233,6 +233,7 @@ def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 1
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), ties, domain)
             points = keep_unfolded(points, moved, faces)
     for _ in range(4):  # what moving the nodes along the features pushed together
+        labels = _without_ears(points, faces, labels, domain)
         ranks, _ = _ranks(points, faces, labels)
         points, faces, labels, n = collapse_short(points, faces, labels, ranks, field.at(points))
         faces, turned = flip(points, faces, labels)
@@ -241,6 +242,18 @@ def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 1
     surface = Triangles(points, faces)
     _check_closed(surface)
     return Boundary(surface, labels)
+
+
+def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Domain) -> IntArray:
+    """Faces of skin or bone whose three nodes lie in a cut belong to the cut.
+
+    As skin they would tie three nodes to the cut's edge where two will do.
+    """
+    out = labels.copy()
+    for k, plane in enumerate(domain.planes):
+        inside = (np.abs(plane.height(points)) < 1e-3)[faces].all(axis=1)
+        out[inside & (labels < CUT)] = CUT + k
+    return out
 
 
 def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, Ties]:

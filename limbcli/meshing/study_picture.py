@@ -47,6 +47,6 @@ def _curve(axes: Any, pairs: list[tuple[float, float]], used: float, label: str,
     mine = [(a, f) for a, f in pairs if a == used]
     axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
     axes.set_xlabel(label)
-    axes.set_ylabel(f"force at {depth:g} mm, N")
+    axes.set_ylabel(f"force at {depth:.2f} mm, N")
     axes.set_ylim(0, 1.12 * max(force))
     axes.legend(frameon=False)

@@ -19,20 +19,29 @@ from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.study_picture import study_picture
 from limbcli.model import LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.site_layers import layer_laws, layers_in, with_layer_laws
-from limbcli.units import kpa_from_mpa
+from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "mesh-study"
 SIZE_FACTORS = (1.6, 1.25, 1.0, 0.8)
 MARGIN_FACTORS = (0.5, 0.75, 1.0, 1.5)
-_C, _F_KAPPA, _M = 0.008, 100.0, 2.0  # MPa, -, -: the comparison is of meshes, not of tissues
 _DEPTH = 8.0  # mm, where no measurement says how deep
 _N_LEVELS = 4
 
 ForceOf = Callable[[LimbModel, float], float]
+
+
+@dataclass(frozen=True)
+class StudiedTissue:
+    """The tissue that all meshes of a study share: c (MPa), f_kappa, m, and where they come from."""
+
+    c: float = 0.008
+    f_kappa: float = 100.0
+    m: float = 2.0
+    source: str = "assumed"
 
 
 @dataclass(frozen=True)
@@ -61,15 +70,17 @@ def study_site(
 ) -> StageResult:
     """Force at the deepest level for finer and coarser meshes and nearer and farther cuts.
 
-    The tissue is the same in all (c = 8 kPa, f_kappa = 100, m = 2), layers are as `build-feb` takes
+    The tissue is the same in all: that of the site's fit where there is one (how much linear
+    elements lock depends on it), else c = 8 kPa, f_kappa = 100, m = 2. Layers are as `build-feb` takes
     them without options. What comes out as
     `numerical_error_fraction` is the error of the model's own mesh (extrapolated, with a
     safety factor) and of its crop (against the farthest cut), added as squares.
     """
     depth = full_depth(site)
-    solve = force_of or reference_force
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+        tissue = studied_tissue(site, out, writer)
+        solve = force_of or (lambda model, depth: reference_force(model, depth, tissue))
         found: list[Variant] = []
         wanted = list(variants(options, size_factors, margin_factors))
         for number, (varied, changed) in enumerate(wanted):
@@ -81,7 +92,7 @@ def study_site(
                 Variant(varied, changed.sizes.under_probe, changed.margin, made.quality.n_cells, force)
             )
         progress.event("task", name=f"{STAGE} {site.name}", done=len(wanted), total=len(wanted))
-        _report(writer, found, options, depth, title=f"{case.subject}, site {site.name}")
+        _report(writer, found, options, depth, tissue, title=f"{case.subject}, site {site.name}")
     assert writer.result is not None
     return writer.result
 
@@ -109,16 +120,36 @@ def full_depth(site: Site) -> float:
     return float(levels.depth[levels.loading].max())
 
 
-def reference_force(model: LimbModel, depth: float) -> float:
+def studied_tissue(site: Site, out: Path, writer: StageWriter) -> StudiedTissue:
+    """The parameters of the site's fit, or usual ones."""
+    if not (stage_folder(out, "fit", site.name) / "fit.json").is_file():
+        return StudiedTissue()
+    fitted = read_result(out, "fit", site=site.name)
+    c, f_kappa, m = (float(fitted.data[key]) for key in ("c_kpa", "f_kappa", "m"))
+    writer.used("fit", fitted.folder / "fit.json")
+    return StudiedTissue(mpa_from_kpa(c), f_kappa, m, "fit")
+
+
+def reference_force(model: LimbModel, depth: float, tissue: StudiedTissue = StudiedTissue()) -> float:
     """Force (N) at `depth` (mm) by the reference solver."""
     depths = [depth * (k + 1) / _N_LEVELS for k in range(_N_LEVELS)]
     plan = schedule(depths, start=starting_depth(model, depths[0]))
-    ready = indentation_model(model, plan, c=_C, f_kappa=_F_KAPPA, m=_M)
-    return float(ReferenceSession(ready).solve().must_points.forces[-1])
+    ready = indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m)
+    session = ReferenceSession(ready)
+    try:
+        return float(session.solve().must_points.forces[-1])
+    finally:
+        session.close()
 
 
 def _report(
-    writer: StageWriter, found: list[Variant], options: MeshOptions, depth: float, *, title: str
+    writer: StageWriter,
+    found: list[Variant],
+    options: MeshOptions,
+    depth: float,
+    tissue: StudiedTissue,
+    *,
+    title: str,
 ) -> None:
     own = found[0]
     by_size = [own, *(each for each in found if each.varied == "size")]
@@ -137,17 +168,24 @@ def _report(
         depth=depth,
         title=title,
     )
-    writer.data.update(_figures(limit, crop, total, own, options, depth))
+    writer.data.update(_figures(limit, crop, total, own, options, depth, tissue))
     writer.summary.append(
-        f"force at {depth:g} mm: {own.force:.3f} N; numerical error {100 * total:.1f} % "
-        f"(element size {100 * limit.error_fraction[0]:.1f} %, crop {100 * crop:.1f} %)"
+        f"force at {depth:.2f} mm: {own.force:.3f} N; numerical error {100 * total:.1f} % "
+        f"(element size {100 * limit.error_fraction[0]:.1f} %, crop {100 * crop:.1f} %) with f_kappa "
+        f"{tissue.f_kappa:.4g}, m {tissue.m:.4g} ({tissue.source})"
     )
     if limit.order_is_assumed:
         writer.warnings.append("the force does not approach a limit evenly; the error carries a factor of 3")
 
 
 def _figures(
-    limit: Extrapolation, crop: float, total: float, own: Variant, options: MeshOptions, depth: float
+    limit: Extrapolation,
+    crop: float,
+    total: float,
+    own: Variant,
+    options: MeshOptions,
+    depth: float,
+    tissue: StudiedTissue,
 ) -> dict[str, object]:
     return {
         "depth_mm": depth,
@@ -161,9 +199,10 @@ def _figures(
         "element": options.element,
         "size_under_probe_mm": own.size,
         "margin_mm": own.margin,
-        "c_kpa": kpa_from_mpa(_C),
-        "f_kappa": _F_KAPPA,
-        "m": _M,
+        "c_kpa": kpa_from_mpa(tissue.c),
+        "f_kappa": tissue.f_kappa,
+        "m": tissue.m,
+        "tissue_source": tissue.source,
     }
 
 

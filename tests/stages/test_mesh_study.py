@@ -12,8 +12,8 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions
 from limbcli.meshing.surfaces import Triangles
-from limbcli.results import read_result
-from limbcli.stages.mesh_study import full_depth, reference_force, study_site
+from limbcli.results import open_stage, read_result
+from limbcli.stages.mesh_study import StudiedTissue, full_depth, reference_force, studied_tissue, study_site
 
 CASE = """format = 1
 [subject]
@@ -78,6 +78,16 @@ def test_error_of_a_known_law_is_found(case, tmp_path):
     with back.path("table").open() as stream:
         assert len(list(csv.DictReader(stream))) == 4
     assert back.path("picture").stat().st_size > 5000
+
+
+def test_a_site_that_was_fitted_is_studied_with_its_own_tissue(case, tmp_path):
+    out = tmp_path / "out"
+    with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
+        assert studied_tissue(case.sites[0], out, writer) == StudiedTissue()
+    with open_stage(out, "fit", subject="S1", site="p1") as fitted:
+        fitted.data.update(c_kpa=5.0, f_kappa=1.3, m=4.0)
+    with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
+        assert studied_tissue(case.sites[0], out, writer) == StudiedTissue(0.005, 1.3, 4.0, "fit")
 
 
 def test_depth_is_that_of_the_deepest_level(case):
