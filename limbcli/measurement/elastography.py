@@ -7,7 +7,7 @@ A map is in the probe's frame: `lateral` along its long side from its centre,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,8 @@ COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
 _MAX_LATERAL, _MAX_DEPTH = 75.0, 120.0
 _SHOWN = 4
+_WIDEST = 1.3  # half width of a map over that of the probe
+_AT_ODDS = 1.3  # mean of a map over that of levels.csv, either way
 
 
 def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m3: float = 1000.0) -> Array:
@@ -185,6 +187,34 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
             fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
             problems.append(_problem(f"{path.name} belongs to no level", folder, fix))
     return maps, problems
+
+
+def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
+    """A map wider than the image can be: a linear probe sees what lies under its face.
+
+    probe_length : mm
+    """
+    half = float(np.abs(swe.lateral).max()) if len(swe) else 0.0
+    if half <= _WIDEST * probe_length / 2:
+        return []
+    what = f"the map reaches {half:g} mm to the side; the probe's image ends at {probe_length / 2:g} mm"
+    fix = "lateral_mm is in mm from the probe's centre, not pixels nor from the image's edge"
+    return [_problem(what, swe.path or Path("shear-wave map"), fix)]
+
+
+def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
+    """Whether a level's map and the mean that levels.csv states can belong to the same reading.
+
+    mean_m_per_s : m/s, NaN where levels.csv has none
+    """
+    if not len(swe) or not np.isfinite(mean_m_per_s):
+        return []
+    own = float(swe.speed_m_per_s.mean())
+    if 1 / _AT_ODDS <= own / mean_m_per_s <= _AT_ODDS:
+        return []
+    what = f"the map's mean speed is {own:.2f} m/s, that of levels.csv {mean_m_per_s:.2f} m/s"
+    fix = "one of them is not in m/s, of another level, or of another region of interest"
+    return [replace(_problem(what, swe.path or Path("shear-wave map"), fix), severity="warning")]
 
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:

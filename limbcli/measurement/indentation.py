@@ -33,6 +33,7 @@ _PUNCH_LENGTH = 260.0
 _RATIO_LOW, _RATIO_HIGH = 0.2, 10.0
 _RATIO_UNUSUAL_LOW, _RATIO_UNUSUAL_HIGH = 0.4, 6.0
 _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
+_SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_DEPTH_DROP = 1.0
 _TOLERATED_FORCE_DROP = 1.0
 
@@ -96,6 +97,12 @@ def read_levels(path: Path) -> Levels:
     return levels
 
 
+def doubts_about_levels(path: Path) -> tuple[str, ...]:
+    """What is unusual about the levels though they can be used, in words."""
+    _, problems = check_levels(path)
+    return tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
+
+
 def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
     """The levels, where they can be used, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=REQUIRED, optional=OPTIONAL, texts=TEXTS)
@@ -106,9 +113,11 @@ def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
     problems += _check_phase(levels, table, path)
     problems += _check_columns(levels, table, path)
     if not any(each.severity == "error" for each in problems):
+        speeds = _check_swe(levels, table, path)
+        trusted = not any(each.severity == "error" for each in speeds)
         problems += _check_order(levels, table, path)
-        problems += _check_plausible(levels, path)
-        problems += _check_swe(levels, table, path)
+        problems += _check_plausible(levels, path, speed_is_possible=trusted)
+        problems += speeds
     return levels, problems
 
 
@@ -200,7 +209,7 @@ def _check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     return problems
 
 
-def _check_plausible(levels: Levels, path: Path) -> list[Problem]:
+def _check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
     """Wrong units show in the stiffness: cm make it ten times too high, kgf ten times too low."""
     problems = []
     span_depth = float(np.ptp(levels.depth[levels.loading]))
@@ -209,7 +218,8 @@ def _check_plausible(levels: Levels, path: Path) -> list[Problem]:
         fix = "check both columns; the depth is counted from level 0"
         return [_problem("force or depth does not grow over the levels", path, fix)]
     stiffness = span_force / span_depth
-    problems += _check_stiffness(stiffness, levels, path)
+    expected = _expected_stiffness(levels) if speed_is_possible else np.nan
+    problems += _check_stiffness(stiffness, expected, path)
     if levels.force[0] > 2.0 or levels.depth[0] > 2.0:
         fix = "level 0 is first touch: about 0 N and 0 mm"
         what = f"the first level is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
@@ -217,12 +227,15 @@ def _check_plausible(levels: Levels, path: Path) -> list[Problem]:
     return problems
 
 
-def _check_stiffness(stiffness: float, levels: Levels, path: Path) -> list[Problem]:
-    """Against what limbs give, and against what this tissue's own wave speed lets expect."""
+def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
+    """Against what limbs give, and against what this tissue's own wave speed lets expect (NaN: unknown)."""
     text = f"force over depth is {stiffness:.3g} N/mm"
     stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
     soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
-    ratio = stiffness / _expected_stiffness(levels)
+    ratio = stiffness / expected
+    if np.isfinite(ratio):
+        stiff_fix += ", swe_mean_m_per_s in m/s"
+        soft_fix += ", swe_mean_m_per_s in m/s (is it a modulus in kPa?)"
     if stiffness > _STIFFNESS_HIGH or ratio > _RATIO_HIGH:
         return [_problem(f"{text}; no limb{_than(ratio)} is that stiff", path, stiff_fix)]
     if stiffness < _STIFFNESS_LOW or ratio < _RATIO_LOW:
@@ -259,6 +272,10 @@ def _check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
         what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
         problems.append(_problem(what, path, f"the column is in m/s ({unit})", line=table.lines[k]))
+    if speed[0] > _SPEED_UNUSUAL_M_PER_S:
+        what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
+        fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"
+        problems.append(_problem(what, path, fix, line=table.lines[0], warning=True))
     if not np.isfinite(speed[0]):
         fix = "c comes from the speed at level 0; measure it, or give `fit` --c-kpa"
         problems.append(

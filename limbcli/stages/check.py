@@ -155,7 +155,7 @@ def _contradictions(case: Any) -> list[Problem]:
             )
         )
     for site in case.sites:
-        problems += _missing_maps(site)
+        problems += _missing_maps(site, probe.length)
         if site.noise.source == "assumed":
             problems.append(
                 Problem(
@@ -168,13 +168,19 @@ def _contradictions(case: Any) -> list[Problem]:
     return problems
 
 
-def _missing_maps(site: Any) -> list[Problem]:
-    """A map for every row of levels.csv, where there are maps."""
-    from limbcli.measurement.elastography import check_maps
+def _missing_maps(site: Any, probe_length: float) -> list[Problem]:
+    """A map for every row of levels.csv, where there are maps; none too wide, none at odds with it."""
+    from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
     from limbcli.measurement.indentation import check_levels
 
     levels, _ = check_levels(site.levels)
     if site.swe_maps is None or levels is None:
         return []
     seen = {str(each) for each in check_maps(site.swe_maps)[1]}
-    return [each for each in check_maps(site.swe_maps, len(levels))[1] if str(each) not in seen]
+    maps, problems = check_maps(site.swe_maps, len(levels))
+    found = [each for each in problems if str(each) not in seen]
+    for swe in maps:
+        found += check_width(swe, probe_length)
+        row = next((k for k in range(len(levels)) if map_file(site.swe_maps, k) == swe.path), None)
+        found += check_mean(swe, float(levels.swe_mean_m_per_s[row])) if row is not None else []
+    return found

@@ -6,10 +6,12 @@ element = { is = "tet10" }             # equal
 c_kpa   = { value = 6.0, tolerance = 0.2 }
 m       = { value = 7.0, relative = 0.05 }
 r2      = { min = 0.99 }
+[elements.p1]                          # what `fit --compare-element` found
+force_ratio_tet4_over_tet10 = { min = 2.0 }
 [segment]
 "quality.verdict" = { is = "good" }    # dots walk into tables
 ```
-Keys are those of `data` in fit.json (per site) or segment.json.
+Keys are those of `data` in fit.json and fit-elements.json (per site), and segment.json.
 """
 
 from __future__ import annotations
@@ -62,6 +64,8 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
     found: list[Comparison] = []
     for site, rules in content.get("site", {}).items():
         found += _table(f"site.{site}", rules, out, "fit", site, path)
+    for site, rules in content.get("elements", {}).items():
+        found += _table(f"elements.{site}", rules, out, "fit-elements", site, path)
     for stage in ("segment",):
         if stage in content:
             found += _table(stage, content[stage], out, stage, None, path)

@@ -130,7 +130,7 @@ def check_choice(
         raise CaseError(
             "two different things are asked for",
             where="--objective joint, --compare-element",
-            fix="one a time",
+            fix="ask for one at a time",
         )
     if joint_only and not joint:
         raise CaseError(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.errors import SolveError
 from limbcli.inference.identify import FittedStep, two_step
 from limbcli.inference.prediction import Memory
 from limbcli.measurement.indentation import read_levels
@@ -21,7 +22,14 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.fit import START, FitOptions, built_model, force_depth_data, initial_stiffness
+from limbcli.stages.fit import (
+    START,
+    FitOptions,
+    built_model,
+    check_numbers,
+    force_depth_data,
+    initial_stiffness,
+)
 from limbcli.stages.fit_curves import ReferenceCurve
 from limbcli.stages.fit_exports import write_table
 from limbcli.units import kpa_from_mpa
@@ -35,6 +43,9 @@ SWEEP = (10.0, 100.0, 650.0)
 class ElementFit:
     """One element's answers: depths (n,) mm, forces (n,) N at f_kappa 100, m 2 and after the fit,
     the last force over the sweep of f_kappa, and the two steps.
+
+    linear_force : forces (n,) N with the parameters that the fit found with tet4, NaN where
+        they could not be solved
     """
 
     element: str
@@ -43,6 +54,7 @@ class ElementFit:
     sweep_force: Array
     steps: tuple[FittedStep, FittedStep]
     fitted_force: Array
+    linear_force: Array
     n_unknowns: int
 
 
@@ -61,11 +73,13 @@ def compare_elements(
     MeshError
         If the mesh is not of tetrahedra; else as `fit`.
     """
+    options = options or FitOptions()
+    check_numbers(options)
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            _compare_site(site, out, writer, options or FitOptions(), progress)
+            _compare_site(site, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)
     return results
@@ -78,7 +92,7 @@ def _compare_site(
     levels = read_levels(site.levels)
     stiffness, source = initial_stiffness(levels, site, options)
     data = force_depth_data(levels, site)
-    found = []
+    found: list[ElementFit] = []
     for element in ELEMENTS:
         progress.event("note", text=f"{element} of the same mesh")
         same = with_element(model, element)
@@ -89,13 +103,23 @@ def _compare_site(
             sweep = [memory(np.array([f_kappa, 2.0]), (0, 1)).values[-1] for f_kappa in SWEEP]
             steps = two_step(memory, curve.depths, data, tolerance=options.tolerance, progress=progress)
             forces = memory(steps[-1].theta).values
+            linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)
         finally:
             curve.close()
         found.append(
-            ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, _unknowns(same))
+            ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, linear, _unknowns(same))
         )
     writer.data["asked"] = options.asked()
     _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
+
+
+def _forces_with(curve: Memory, theta: Array, writer: StageWriter) -> Array:
+    """Forces at these parameters, or NaN and a warning where they cannot be solved."""
+    try:
+        return curve(theta).values
+    except SolveError as error:
+        writer.warnings.append(f"tet10 could not be solved with the parameters of tet4: {error.what}")
+        return np.full(len(curve(START).values), np.nan)
 
 
 def _unknowns(model: LimbModel) -> int:
@@ -110,11 +134,13 @@ def _leave(
 ) -> None:
     linear, quadratic = found
     ratio = linear.start_force / quadratic.start_force
+    share = float(quadratic.linear_force[-1] / linear.fitted_force[-1])
     rows = [_row(each) for each in found]
     rise = {each.element: float(each.sweep_force[-1] / each.sweep_force[0]) for each in found}
     writer.data.update(
         c_kpa=c_kpa, c_source=source, elements={row["element"]: row for row in rows},
         force_ratio_tet4_over_tet10=float(ratio[-1]),
+        tet10_share_of_force_with_tet4_parameters=share,
         force_rise_f_kappa_10_to_650=rise,
         f_kappa_ratio_tet10_over_tet4=rows[1]["f_kappa"] / rows[0]["f_kappa"],
     )  # fmt: skip
@@ -124,6 +150,7 @@ def _leave(
             "depth_mm": linear.depths,
             **{f"{each.element}_start_n": each.start_force for each in found},
             **{f"{each.element}_fitted_n": each.fitted_force for each in found},
+            "tet10_with_tet4_parameters_n": quadratic.linear_force,
         },
     )
     columns = ("element", "n_unknowns", "f_kappa", "m", "f_kappa_mooney_rivlin", "r2", "rmse_n")
@@ -137,6 +164,11 @@ def _leave(
     writer.summary.append(
         f"at f_kappa 100 and m 2 tet4 is {ratio[-1]:.2f} times as stiff as tet10 at the last level"
     )
+    if np.isfinite(share):
+        writer.summary.append(
+            f"with the parameters that tet4 gave, tet10 answers with {share:.2f} times the last force: "
+            "the rest was the mesh"
+        )
     writer.summary.append(
         f"f_kappa 10 to 650 raises the last force {rise['tet4']:.2f} times with tet4, "
         f"{rise['tet10']:.2f} times with tet10: that much of tet4's f_kappa is the mesh"
@@ -169,6 +201,9 @@ def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Arr
                 label=rf"{each.element}, $f_\kappa$ 100, m 2",
             )
             left.plot(depths, np.r_[0.0, each.fitted_force], color=colour, label=f"{each.element}, fitted")
+            if each.element == "tet10":
+                with_tet4 = np.r_[0.0, each.linear_force]
+                left.plot(depths, with_tet4, "--", color=colour, label="tet10, parameters of tet4")
             right.plot(SWEEP, each.sweep_force / each.sweep_force[0], "o-", color=colour, label=each.element)
         right.axhline(1.0, color=QUIET, lw=0.8)
         left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")

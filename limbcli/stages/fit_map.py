@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,17 +11,17 @@ from scipy.spatial import cKDTree
 from limbcli.case import Site
 from limbcli.errors import CaseError, MeasurementError, MeshError
 from limbcli.inference.interval import Stiffness
-from limbcli.measurement.elastography import SweMap, map_file, read_map
+from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at
 from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.problems import raise_errors
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.results import StageWriter
-from limbcli.stages.indentation_model import TISSUE
+from limbcli.stages.indentation_model import PROBE, TISSUE
 from limbcli.units import kpa_from_mpa
 
 _MOST_OUTSIDE = 0.2  # share of pixels without tissue that goes without a warning
-_AT_ODDS = 1.25  # speed in the map over that of levels.csv, either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ def tissue_map(model: LimbModel, site: Site) -> TissueMap:
         If the tissue is not one block.
     """
     swe = _level_0(site)
+    raise_errors(check_width(swe, probe_length(model)), MeasurementError)
     block = _tissue_block(model)
     middles = model.mesh.points[block.cells].mean(axis=1)
     found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
@@ -78,6 +80,13 @@ def tissue_map(model: LimbModel, site: Site) -> TissueMap:
         )
     c = ElementMap(f"{TISSUE}_c", block.name, found.c)
     return TissueMap(c, swe, found.median, int(found.inside.sum()), _without_tissue(swe, middles))
+
+
+def probe_length(model: LimbModel) -> float:
+    """Of the probe's face along x, mm; 0 where the model has no probe."""
+    blocks = next((each.blocks for each in model.bodies if each.name == PROBE), ())
+    nodes = [model.mesh.block(name).cells.ravel() for name in blocks]
+    return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
 
 
 def _level_0(site: Site) -> SweMap:
@@ -121,7 +130,7 @@ def _without_tissue(swe: SweMap, middles: Array) -> int:
     return int((distance > spacing).sum())
 
 
-def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter) -> None:
+def leave_map(found: TissueMap, model: LimbModel, levels: Levels, writer: StageWriter) -> None:
     """What fit.json says of the map, its picture, and a warning where it does not suit the levels."""
     assert found.swe.path is not None
     writer.used("swe_map_level_0", found.swe.path)
@@ -137,7 +146,7 @@ def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, wr
     writer.summary.append(
         f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
     )
-    writer.warnings.extend(_doubts(found, levels, site))
+    writer.warnings.extend(_doubts(found, levels))
     block = model.mesh.block(found.c.block)
     section = StiffnessSection(
         model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
@@ -146,19 +155,12 @@ def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, wr
     stiffness_figure(section).savefig(writer.file("stiffness_map", "stiffness-map.png"))
 
 
-def _doubts(found: TissueMap, levels: Levels, site: Site) -> list[str]:
+def _doubts(found: TissueMap, levels: Levels) -> list[str]:
     doubts = []
     if found.n_outside > _MOST_OUTSIDE * len(found.swe):
         doubts.append(
             f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map lie where the model has no "
             "tissue: check lateral_mm, depth_mm and the site's place"
         )
-    speed = float(levels.swe_mean_m_per_s[0])
-    of_map = float(np.sqrt(found.median * 1e6 / (2.0 * site.density_kg_per_m3)))
-    ratio = of_map / speed
-    if np.isfinite(ratio) and not 1 / _AT_ODDS <= ratio <= _AT_ODDS:
-        doubts.append(
-            f"the map of level 0 says {of_map:.2f} m/s (median), levels.csv {speed:.2f} m/s: do they belong "
-            "to the same reading?"
-        )
-    return doubts
+    odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
+    return doubts + [f"{map_file(Path(), 0).name}: {each.what} ({each.fix})" for each in odd]

@@ -14,7 +14,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level
-from limbcli.measurement.elastography import SweMap, check_map, map_file, write_map
+from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.problems import errors_of
@@ -23,6 +23,7 @@ from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings,
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fit_exports import write_table
+from limbcli.stages.fit_map import probe_length
 from limbcli.stages.fit_speeds import AT_REST, level_maps
 
 _SAME_DEPTH = 0.03  # mm; levels closer together than 0.02 mm were simulated as one
@@ -84,7 +85,8 @@ def _predict(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> Predicted:
     numbers, rows = _rows(levels, simulation.probe_depth())
-    measured = tuple(_measured_map(site, int(k), writer) for k in numbers)
+    width = probe_length(fitted)
+    measured = tuple(_measured_map(site, levels, int(k), width, writer) for k in numbers)
     maps = level_maps(
         fitted, simulation, rows, density_kg_per_m3=site.density_kg_per_m3,
         pixels=[(each.lateral, each.depth) if each else None for each in measured],
@@ -107,18 +109,22 @@ def _rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
     return np.array(numbers, dtype=np.int64), np.array(rows, dtype=np.int64)
 
 
-def _measured_map(site: Site, level: int, writer: StageWriter) -> SweMap | None:
+def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: StageWriter) -> SweMap | None:
     """The level's own map where there is one; one that cannot be read is left out, and said."""
     if site.swe_maps is None or not map_file(site.swe_maps, level).is_file():
         return None
     path = map_file(site.swe_maps, level)
     swe, problems = check_map(path)
-    faults = errors_of(problems)
+    faults = errors_of([*problems, *(check_width(swe, width) if swe and len(swe) else ())])
     if swe is None or faults or not len(swe):
         what = faults[0].what if faults else "it has no pixels"
         writer.warnings.append(f"the shear-wave map {path.name} is not shown: {what}")
         return None
     writer.used(f"swe_map_level_{level}", path)
+    for each in check_mean(swe, float(levels.swe_mean_m_per_s[level])):
+        text = f"{path.name}: {each.what} ({each.fix})"
+        if text not in writer.warnings:
+            writer.warnings.append(text)
     return swe
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError, MeasurementError
-from limbcli.measurement.indentation import Levels, check_levels
+from limbcli.measurement.indentation import Levels, check_levels, doubts_about_levels
 from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
 from limbcli.problems import errors_of
 from limbcli.progress import SILENT, Progress
@@ -42,7 +42,7 @@ def _measured(site: Site) -> SiteMaterial:
     if levels is None or errors_of(problems):
         why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
         return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
-    warnings = tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
+    warnings = doubts_about_levels(site.levels)
     noise = site.noise
     curve = MeasuredCurve(levels.depth, levels.force, noise.depth, noise.force, unloading=~levels.loading)
     return replace(_with_speeds(material, levels), measured=curve, warnings=warnings)

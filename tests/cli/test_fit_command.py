@@ -38,6 +38,15 @@ def case(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "code", "fix"),
     [
+        (["--c-kpa", "nan"], 2, "kPa"),
+        (["--c-kpa", "8000"], 2, "kPa"),
+        (["--tolerance", "0"], 2, "1e-3"),
+        (["--c-deviation-fraction", "-1"], 2, "share of c"),
+        (["--objective", "joint", "--gain-deviation-fraction", "nan"], 2, "share of the force"),
+        (["--objective", "joint", "--compare-element"], 2, "one at a time"),
+        (["--objective", "joint", "--stiffness-map"], 2, "or the map"),
+        (["--compare-laws"], 2, "--objective joint"),
+        (["--law", "holmes-mow"], 2, "--objective joint"),
         ([], 2, "limbcli build-feb"),
         (["--site", "p9"], 2, "the sites are: p1"),
         (["--objective", "both"], 2, "use force or joint"),

@@ -84,3 +84,19 @@ def test_statistics_of_a_region_of_interest():
     assert found.quartiles_m_per_s == (2.0, 3.0, 4.0)
     with pytest.raises(MeasurementError, match="no pixels"):
         swe.statistics(whole.within(lateral=(50, 60), depth=(0, 1)))
+
+
+def test_a_map_wider_than_the_image_under_the_probe_is_refused():
+    wide = SweMap(np.linspace(-36.0, 36, 20), np.linspace(2.0, 20, 20), np.full(20, 2.0))
+    (problem,) = swe.check_width(wide, 53.0)
+    assert "36 mm" in problem.what
+    assert "26.5 mm" in problem.what
+    assert not swe.check_width(square_map(), 53.0)
+
+
+def test_a_map_at_odds_with_the_stated_mean_is_doubted():
+    (problem,) = swe.check_mean(square_map(4.0), 2.0)
+    assert problem.severity == "warning"
+    assert "4.00 m/s" in problem.what
+    assert not swe.check_mean(square_map(2.2), 2.0)
+    assert not swe.check_mean(square_map(), float("nan"))

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.indentation import check_levels, read_levels, read_trace
+from limbcli.measurement.indentation import (
+    check_levels,
+    doubts_about_levels,
+    read_levels,
+    read_trace,
+)
 
 HEADER = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels"
 ROWS = ["0,0,1.65,0.2,90", "2,2.1,1.8,0.2,88", "4,3.9,2.0,0.3,85", "6,5.2,2.3,0.3,84"]
@@ -129,3 +134,21 @@ def test_trace_needs_growing_time_and_all_axes(tmp_path: Path):
     assert "accel_y_g, accel_z_g is missing" in str(caught.value)
     path.write_text("time_s,force_n\n0,0\n0.02,0.1\n")
     np.testing.assert_array_equal(read_trace(path).time, [0, 0.02])
+
+
+def test_a_speed_of_zero_is_refused_and_not_divided_by(tmp_path: Path):
+    path = write(tmp_path, rows=["0,0,0,0.2,90", *ROWS[1:]])
+    with pytest.raises(MeasurementError, match="swe_mean_m_per_s is 0;"):
+        read_levels(path)
+
+
+def test_speeds_in_cm_per_s_are_not_taken_for_a_soft_limb(tmp_path: Path):
+    """Where the speed itself is impossible, nothing is concluded from it."""
+    _, problems = check_levels(columns(tmp_path, speed=100.0))
+    assert all("swe_" in each.what for each in problems if each.severity == "error")
+
+
+def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
+    rows = [f"{2 * k},{2.0 * k},{(2.1 + 0.2 * k) ** 2},," for k in range(4)]
+    assert any("modulus" in text for text in doubts_about_levels(write(tmp_path, rows=rows)))
+    assert not doubts_about_levels(write(tmp_path))

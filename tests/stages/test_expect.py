@@ -37,6 +37,13 @@ def test_rule_holds_or_not(tmp_path: Path, out: Path, rule: str, holds: bool):
     assert [each.holds for each in compare(tmp_path, out)] == [holds]
 
 
+def test_elements_side_by_side_can_be_expected(tmp_path: Path, out: Path):
+    with open_stage(out, "fit-elements", subject="S1", site="p1") as writer:
+        writer.data["elements"] = {"tet10": {"f_kappa": 900.0}}
+    (tmp_path / "expected.toml").write_text('[elements.p1]\n"elements.tet10.f_kappa" = { min = 500.0 }\n')
+    assert [each.holds for each in compare(tmp_path, out)] == [True]
+
+
 def test_missing_result_is_a_failure(tmp_path: Path, out: Path):
     (tmp_path / "expected.toml").write_text("[site.p2]\nm = { min = 0 }\n")
     assert [each.holds for each in compare(tmp_path, out)] == [False]

@@ -142,14 +142,19 @@ def test_the_result_tells_which_map_and_how_much_of_the_model_it_covers(fits):
     [
         (None, CaseError, "no shear-wave maps"),
         (
-            SweMap(np.arange(60.0, 74), np.arange(80.0, 94) ** 1.05, np.full(14, 2.0)),
+            SweMap(np.arange(-6.0, 8), np.arange(80.0, 94) ** 1.05, np.full(14, 2.0)),
             MeasurementError,
             "outside the model",
+        ),
+        (
+            SweMap(np.arange(60.0, 74), np.arange(1.0, 15) ** 1.05, np.full(14, 2.0)),
+            MeasurementError,
+            "image ends at 10 mm",
         ),
         (SweMap(np.zeros(0), np.zeros(0), np.zeros(0)), MeasurementError, "level_00.csv"),
         (SweMap(np.arange(4.0), np.arange(4.0), np.full(4, 2.0)), MeasurementError, "4 pixels"),
     ],
-    ids=["no maps", "beside the model", "all pixels masked", "few pixels"],
+    ids=["no maps", "beside the model", "too wide", "all pixels masked", "few pixels"],
 )
 def test_a_map_that_cannot_serve_is_refused(model, tmp_path, swe, error, says):
     case = measured(tmp_path, np.array([1.0, 2.0, 3.0, 4.0]), swe)

@@ -71,7 +71,9 @@ def overview(page: Page) -> Overview:
     warnings = [Warned("report", text) for text in page.notices]
     warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
     warnings += [Warned("parameters", text) for text in parameter_warnings(page)]
-    warnings += [Warned(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
+    told = {each.text for each in warnings}
+    of_levels = [(site.name, text) for site in page.sites for text in site.warnings]
+    warnings += [Warned(f"levels {name}", text) for name, text in of_levels if text not in told]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     return Overview(
