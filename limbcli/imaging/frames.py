@@ -157,11 +157,12 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
             return np.asarray(dataset.pixel_array)
     except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
         syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
+        packed = bool(getattr(syntax, "is_compressed", True))
         raise CaseError(
             "the pixel data (7FE0,0010) cannot be decoded "
             f"(Transfer Syntax 0002,0010: {getattr(syntax, 'name', 'unknown')})",
             where=name,
-            fix=_PLUGINS,
+            fix=_PLUGINS if packed else "the file is cut short or damaged: copy the series again",
         ) from error
 
 

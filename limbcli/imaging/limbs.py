@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
+from limbcli.imaging.fields import filled_by_slice
 from limbcli.imaging.intensity import otsu
 from limbcli.imaging.outline import background_threshold
 from limbcli.imaging.volume import Volume
@@ -43,7 +44,8 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
     level = background_threshold(volume.values) if threshold is None else threshold
     sigma = 1.0 / volume.spacing
     sigma[2] = 0.0
-    parts, n_parts = ndimage.label(ndimage.gaussian_filter(volume.values.astype(np.float32), sigma) > level)
+    bright = ndimage.gaussian_filter(volume.values.astype(np.float32), sigma) > level
+    parts, n_parts = ndimage.label(filled_by_slice(bright))  # what lies inside a limb is no other limb
     if n_parts < 2:
         return volume
     sizes = np.bincount(parts.ravel())[1:]

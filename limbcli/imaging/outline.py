@@ -15,6 +15,7 @@ _ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) 
 _SKIN = (0.35, 0.45)  # bounds of the skin edge's threshold, muscle = 1
 _NOISE = 0.8  # share of the air's threshold that the skin edge's is at least
 _GHOST = 4.0  # mm: thinner things outside the limb are ghosts of vessels
+_BRIGHTEST = 0.02  # share of the image
 _AIR = 0.02  # share of the image that is air, at least
 _CONTRAST = 2.0  # of the limb against the air, at least
 _LEAST_VOLUME = 5e4  # mm^3
@@ -35,8 +36,9 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
     size = float(mask.sum() * volume.voxel_volume)
     inside, outside = values[mask], values[~mask]
     enough_air = len(outside) > _AIR * values.size
-    stands_out = enough_air and float(np.median(inside)) > _CONTRAST * float(np.median(outside))
-    if size < _LEAST_VOLUME or not stands_out:
+    large = size >= _LEAST_VOLUME
+    stands_out = large and enough_air and np.median(inside) > _CONTRAST * np.median(outside)
+    if not stands_out:
         raise CaseError(
             f"no limb stands out from the background (largest part {size / 1e3:.0f} cm3)",
             where="MRI series",
@@ -46,9 +48,18 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
 
 
 def background_threshold(values: NDArray) -> float:
-    """A signal that air stays below and skin is above."""
+    """A signal that air stays below and skin is above.
+
+    A limb fills more of an image than `_BRIGHTEST`: what is brighter and smaller (an implant's rim,
+    a coil's spot, markers) is left aside.
+    """
     sample = values[::2, ::2, ::2].ravel()
-    split = otsu(sample[sample <= np.percentile(sample, 99.5)])
+    below = sample[sample <= np.percentile(sample, 99.5)]
+    split = otsu(below)
+    few = _BRIGHTEST * len(sample)
+    while (below > split).sum() < few < (below < split).sum():
+        below = below[below <= split]
+        split = otsu(below)
     air = sample[sample < _ROUGH * split]
     noise = 1.4826 * np.median(np.abs(air - np.median(air))) if len(air) else 0.0
     return float(max(_ROUGH * split, np.median(air) + 4 * noise if len(air) else 0.0))

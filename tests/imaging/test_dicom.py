@@ -164,6 +164,7 @@ def test_a_truncated_file_is_told(ramp, tmp_path):
 
     write_dicom(tmp_path, ramp, change=cut)
     assert "decoded" in refused(tmp_path).what
+    assert "cut short" in refused(tmp_path).fix
 
 
 def test_the_written_series_is_valid_dicom(ramp, tmp_path):

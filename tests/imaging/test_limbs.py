@@ -45,6 +45,14 @@ def test_the_wanted_limb_of_two_is_segmented(pair, side):
     assert (labels > 0).sum() == (half > 0).sum()
 
 
+def test_something_far_brighter_than_fat_does_not_move_the_skin(plain):
+    """As an implant's rim: a bright rod through the muscle, 1.6 % of the image."""
+    image, truth = plain
+    rod = np.hypot(*(np.indices(SHAPE)[:2] - np.array([60.0, 62.0])[:, None, None, None])) < 7
+    found = segment_limb(image.with_values(np.where(rod, 4000.0, image.values).astype(np.float32)))
+    assert dice(found.labels.values > 0, truth > 0) > 0.98
+
+
 def test_dark_fat_is_refused_with_the_way_out(plain):
     image, _ = Limb(signals={"fat": 90.0, "marrow": 90.0}).image(shape=SHAPE, samples=1)
     with pytest.raises(CaseError, match="fat is darker") as caught:
