@@ -108,11 +108,24 @@ def follow_bone(
     MeasurementError
         If the line cannot be found or is lost; the message names the image.
     """
+    if bone is not None:
+        _check_inside(images[0], bone)
     first = find_bone(images[0]) if bone is None else BoneLine(bone, 0.3, 1.0)
     lines = [first]
     for previous, image in pairwise(images):
         lines.append(_next(previous, image, lines[-1], largest_change))
     return lines
+
+
+def _check_inside(image: UltrasoundImage, bone: float) -> None:
+    strip, step = _strip(image)
+    deepest = len(strip) * step
+    if not 0.0 < bone < deepest:
+        raise MeasurementError(
+            f"the bone is stated at {bone:g} mm; the image ends at {deepest:.1f} mm below the probe face",
+            where=str(image.path),
+            fix="correct bone_mm, or mm_per_pixel",
+        )
 
 
 def _next(

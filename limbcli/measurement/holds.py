@@ -17,6 +17,7 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import Trace
 from limbcli.model import Array
 
+_FEWEST_SAMPLES = 3
 SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
@@ -65,6 +66,12 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
         If there is none, with the longest stretch that came near.
     """
     good = np.isfinite(trace.force)
+    if good.sum() < _FEWEST_SAMPLES:
+        raise MeasurementError(
+            f"{int(good.sum())} of {len(good)} samples of the record hold a force",
+            where=str(trace.path),
+            fix="name the column of the force (columns) and its decimal mark",
+        )
     time, force = trace.time[good], trace.force[good]
     smooth = _smoothed(time, force, SMOOTHING_S)
     stretches = _steady_stretches(time, smooth, 2 * tolerance)
@@ -72,9 +79,10 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
     if not chosen:
         longest = max((time[b] - time[a] for a, b in stretches), default=0.0)
         raise MeasurementError(
-            f"no hold of {duration_s:g} s within +-{tolerance:g} N; the longest lasts {longest:.1f} s",
+            f"no hold of {duration_s:g} s within +-{tolerance:g} N; the longest lasts {longest:.1f} s, the "
+            f"record spans {force.min():.3g} to {force.max():.3g} N",
             where=str(trace.path),
-            fix="hold longer or steadier, or state hold_s and hold_tolerance_n as they were",
+            fix="hold longer or steadier, or state hold_s, hold_tolerance_n and force_unit as they were",
             longest_s=float(longest),
         )
     depth = trace.depth[good] if trace.depth is not None else None

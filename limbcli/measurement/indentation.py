@@ -6,6 +6,7 @@ stops with its line; one that is merely unusual is a warning.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -162,22 +163,42 @@ def _check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     ]
 
 
-def _check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    """Values that no level can have, cell by cell."""
+# What no level can have: column, least, most, what it is and the usual slip.
+_POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
+    ("force_n", -0.5, _MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
+     "or a tare missing?"),
+    ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
+    ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
+    ("swe_pixels", 1.0, 1e7, "pixels"),
+    ("hold_s", 0.0, 3600.0, "s; is the time in milliseconds?"),
+    ("skin_bone_mm", 0.5, 150.0, "mm"),
+)  # fmt: skip
+
+
+def check_values(
+    columns: Mapping[str, Array | Sequence[float]], path: Path, *, lines: list[int] | None = None
+) -> list[Problem]:
+    """Values that no level can have, cell by cell.
+
+    columns : by their name in levels.csv, (n_levels,) each
+    lines : of the file, one a level, where there is a file
+    """
     problems = []
-    rules = (
-        ("force_n", levels.force, -0.5, _MAX_FORCE, "N; is it in grams (divide by 102), or a tare missing?"),
-        ("depth_mm", levels.depth, -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
-        ("swe_sd_m_per_s", levels.swe_sd_m_per_s, 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
-        ("swe_pixels", levels.swe_pixels, 1.0, 1e7, "pixels"),
-        ("hold_s", levels.hold, 0.0, 3600.0, "s"),
-        ("skin_bone_mm", levels.skin_bone, 0.5, 150.0, "mm"),
-    )
-    for name, values, low, high, unit in rules:
+    for name, low, high, meaning in _POSSIBLE:
+        values = np.asarray(columns.get(name, ()), dtype=float)
         for k in np.flatnonzero((values < low) | (values > high)):
             what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
-            problems.append(_problem(what, path, f"correct it ({unit})", line=table.lines[k]))
+            what += "" if lines else f" (level {k})"
+            problems.append(_problem(what, path, f"correct it ({meaning})", line=lines[k] if lines else None))
     return problems
+
+
+def _check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    columns = {
+        "force_n": levels.force, "depth_mm": levels.depth, "swe_sd_m_per_s": levels.swe_sd_m_per_s,
+        "swe_pixels": levels.swe_pixels, "hold_s": levels.hold, "skin_bone_mm": levels.skin_bone,
+    }  # fmt: skip
+    return check_values(columns, path, lines=table.lines)
 
 
 def _check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:

@@ -19,14 +19,18 @@ from limbcli.files import atomic_file
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.elastography import map_file, statistics, write_map
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
-from limbcli.measurement.indentation import Levels, Trace, read_levels
+from limbcli.measurement.indentation import Levels, Trace, check_values, read_levels
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.measurement.swe_image import DecodedMap, Overlay, decode_overlay
 from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
+from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 
 STAGE = "measure"
+_FEW_LOST = 0.01  # of the samples
+_SMALL_FORCE = 4.0  # N, of a whole indentation
+_FEWEST_LEVELS = 3
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 
 
@@ -79,6 +83,9 @@ def _measure_site(site: Site, writer: StageWriter, progress: Progress) -> str:
     if "swe_images" in instruments:
         columns |= _speeds(instruments["swe_images"], writer, progress)
     _check_lengths(columns, site)
+    place = instruments["load_cell"]["path"] if "load_cell" in instruments else site.levels
+    raise_errors(check_values(columns, place), MeasurementError)
+    _check_count(columns, site)
     _check_agreement(columns, known, writer)
     text = _as_csv(columns)
     path = writer.file("levels", "levels.csv")
@@ -143,8 +150,31 @@ def _say_holds(holds: Sequence[Hold], trace: Trace, step: float, writer: StageWr
             writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
         if hold.n_dropouts:
             writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
+    _say_doubts(holds, trace, writer)
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
+
+
+def _say_doubts(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
+    """Samples without a force, and forces so small that they may be in another unit."""
+    lost = int((~np.isfinite(trace.force)).sum())
+    if lost > _FEW_LOST * len(trace.force):
+        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record hold no force")
+    largest = max(each.force for each in holds)
+    if largest < _SMALL_FORCE:
+        writer.warnings.append(
+            f"the largest hold is at {largest:.2f} N: is the record in kgf, or in volts? (force_unit)"
+        )
+
+
+def _check_count(columns: Mapping[str, Sequence[float]], site: Site) -> None:
+    n = len(next(iter(columns.values())))
+    if n < _FEWEST_LEVELS:
+        raise MeasurementError(
+            "there is one level only" if n == 1 else f"there are {n} levels only",
+            where=f"site {site.name}",
+            fix="measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n",
+        )
 
 
 def _images(

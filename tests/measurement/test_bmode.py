@@ -111,3 +111,9 @@ def test_file_that_is_no_image_is_refused(tmp_path):
         read_image(tmp_path / "a.png", mm_per_pixel=0.1)
     with pytest.raises(MeasurementError, match="not there"):
         read_image(tmp_path / "b.png", mm_per_pixel=0.1)
+
+
+def test_a_bone_stated_outside_the_image_is_refused(rng):
+    image = frame(rng, 300.0, speckle(rng))
+    with pytest.raises(MeasurementError, match="the image ends at"):
+        follow_bone([image, image], bone=500.0)

@@ -95,3 +95,47 @@ def test_missing_levels_are_only_allowed_where_instruments_give_them(folder: Pat
     case = Case.open(folder)
     with pytest.raises(MeasurementError, match="limbcli measure"):
         read_levels(case.sites[0].levels)
+
+
+ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", force_n = "F" }\n'
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda time, force: (time, 102.0 * force), "spans .* to 6.. N"),
+        (lambda time, force: (time, -force), "the sign turned"),
+        (lambda time, force: (1000.0 * time, force), "milliseconds"),
+        (lambda time, force: (time, 0.0 * force), "one level only"),
+        (lambda time, force: (time, np.full(len(force), np.nan)), "0 of .* samples"),
+    ],
+    ids=["grams", "sign", "milliseconds", "one level", "no force"],
+)
+def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, says):
+    with pytest.raises(MeasurementError, match=says):
+        measure(cell_only(folder, tmp_path, *change(*times_and_forces(rng))), out=tmp_path / "out")
+
+
+def test_lost_samples_and_tiny_forces_are_doubted(folder: Path, tmp_path: Path, rng):
+    time, force = times_and_forces(rng)
+    result = measure(cell_only(folder, tmp_path, time, force / 9.81), out=tmp_path / "out")[0]
+    assert any("kgf" in text for text in result.warnings)
+    force[::5] = np.nan
+    result = measure(cell_only(folder, tmp_path, time, force), out=tmp_path / "out")[0]
+    assert any("hold no force" in text for text in result.warnings)
+    assert not any("kgf" in text for text in result.warnings)
+
+
+def times_and_forces(rng) -> tuple[np.ndarray, np.ndarray]:
+    trace = record(rng, levels=FORCES)
+    return trace.time.copy(), trace.force.copy()
+
+
+def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) -> Case:
+    """The case with nothing but a load-cell record."""
+    place = place / "cell"
+    (place / "mri").mkdir(parents=True, exist_ok=True)
+    (place / "case.toml").write_text(HEAD + SITE.format(name="p1") + ONLY_CELL)
+    rows = "\n".join(f"{a:.4f},{'' if np.isnan(b) else f'{b:.6f}'}" for a, b in zip(time, force, strict=True))
+    (place / "cell.csv").write_text("t,F\n" + rows + "\n")
+    return Case.open(place)
