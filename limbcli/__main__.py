@@ -1,6 +1,6 @@
 """`python -m limbcli` is the command line."""
 
-from limbcli.cli.app import main
+from limbcli.cli.entry import main
 
 if __name__ == "__main__":
     main()

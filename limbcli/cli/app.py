@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 from importlib import import_module
 from typing import Annotated
@@ -12,6 +11,7 @@ from typing import Annotated
 import typer
 
 from limbcli import __version__
+from limbcli.cli.entry import INTERRUPTED, MESSAGE
 from limbcli.errors import LimbError
 
 app = typer.Typer(
@@ -38,7 +38,6 @@ COMMANDS = {
     "phantom": "phantom",
     "synth": "synth",
 }
-INTERRUPTED = 130
 
 
 def _print_version(value: bool) -> None:
@@ -63,7 +62,6 @@ for _name, _module in COMMANDS.items():
 def main(arguments: list[str] | None = None) -> None:
     """Run; every foreseen error becomes a message and its family's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    signal.signal(signal.SIGTERM, _interrupt)
     try:
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
@@ -71,17 +69,11 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
-            text = "interrupted; nothing half-written was kept. The same command finishes the job."
-            print(text, file=sys.stderr)
+            print(MESSAGE, file=sys.stderr)
         raise
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-
-
-def _interrupt(_signal: int, _frame: object) -> None:
-    """A polite kill cleans up as Ctrl-C does."""
-    raise KeyboardInterrupt
 
 
 def report_error(error: LimbError, *, as_json: bool) -> None:

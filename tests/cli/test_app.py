@@ -74,13 +74,13 @@ def test_unknown_option_is_a_usage_error():
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
     code = (
-        "import sys, time; from pathlib import Path; from limbcli.cli import app, check;"
+        "import sys, time; from pathlib import Path; from limbcli.cli import check, entry;"
         "from limbcli.files import atomic_folder\n"
         "def slow(case, **_):\n"
         "    with atomic_folder(case / 'stage') as work:\n"
         "        (work / 'half').write_text('x'); print('ready', flush=True); time.sleep(60)\n"
         "import limbcli.stages.check as module; module.check = slow\n"
-        f"app.main(['check', {str(tmp_path)!r}])"
+        f"sys.argv = ['limbcli', 'check', {str(tmp_path)!r}]; entry.main()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -92,3 +92,40 @@ def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sen
     assert process.returncode == 130
     assert "interrupted" in errors_text
     assert list(tmp_path.iterdir()) == []
+
+
+WHILE_IMPORTING = """
+import os, signal, sys
+from limbcli.cli import entry
+class Hook:
+    def find_spec(self, name, *rest):
+        if name == "typer":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Hook())
+sys.argv = ["limbcli", "--help"]
+entry.main()
+"""
+AT_THE_END = """
+import atexit, os, signal, sys
+from limbcli.cli import entry
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
+sys.argv = ["limbcli", "--version"]
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("moment", [WHILE_IMPORTING, AT_THE_END], ids=["importing", "leaving"])
+def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str):
+    def default_signals() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    done = subprocess.run(
+        [sys.executable, "-c", moment],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=default_signals,
+    )
+    assert done.returncode == 130
+    assert "interrupted" in done.stderr
+    assert "Traceback" not in done.stderr

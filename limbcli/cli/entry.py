@@ -1,0 +1,47 @@
+"""The command's way in and out: an interrupt is answered quietly from the first moment to the last.
+
+Nothing heavy is imported before the handlers are set.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+INTERRUPTED = 130
+MESSAGE = "interrupted; nothing half-written was kept. The same command finishes the job."
+
+
+def main() -> None:
+    """`limbcli`, as installed."""
+    _answer_with(_leave)
+    from limbcli.cli.app import main as run
+
+    _answer_with(_interrupt)
+    try:
+        run()
+    except KeyboardInterrupt:
+        print(MESSAGE, file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    finally:
+        _answer_with(_leave)
+
+
+def _answer_with(handler: object) -> None:
+    """Set the handler of both signals; a signal that is ignored (nohup) stays ignored."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """A polite kill cleans up as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    """Before anything was begun, or after all was written: nothing to clean up."""
+    os.write(2, f"{MESSAGE}\n".encode())
+    os._exit(INTERRUPTED)
