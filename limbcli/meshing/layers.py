@@ -10,17 +10,27 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.distance import Field, distance_again
 from limbcli.meshing.domain import CUT, SKIN, Domain
-from limbcli.meshing.improve import Ties, put_back
+from limbcli.meshing.improve import Ties, smooth, worst_sines
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.volume import VolumeMesh, boundary_faces
 from limbcli.model import Array, IntArray
 
 _SHARE = 0.6  # of the tissue over bone that layers may take at most
 _THICKEST = 40.0  # mm
+_LEAST_ANGLE_DEG = 4.0
+_NEAR_CUT, _STEEP, _LEAST_KEPT = 12.0, 0.85, 0.2  # mm; sine of the angle to the cut; share of a layer
+_PROJECTIONS, _LONGEST, _GRAZING = 12, 4.0, 0.3  # steps to the skin, mm a step, least slope in a cut
+_UNTANGLING = (
+    (6.0, 12),
+    (6.0, 30),
+    (8.0, 30),
+)  # goal (degrees), passes; low, to keep thickness
 
 
 @dataclass(frozen=True)
@@ -56,12 +66,29 @@ def core_of(domain: Domain, layers: tuple[Layer, ...]) -> Domain:
     if domain.bone is not None:
         gap = np.abs(domain.bone.values) + np.abs(domain.skin.values)
         depth = np.minimum(depth, _SHARE * gap)
+    depth = depth * _tapered(domain)
     inner = distance_again(domain.skin.with_values(domain.skin.values + depth))
     if not (inner.values < 0).any():
         raise CaseError(
             f"layers of {total:g} mm leave no tissue below", where="layers", fix="give thinner layers"
         )
     return replace(domain, skin=inner)
+
+
+def _tapered(domain: Domain) -> Array:
+    """Part of the layers' thickness kept at each sample: less where a cut meets the skin at a grazing angle.
+
+    There a layer would reach far along the cut; it is far from the probe.
+    """
+    slope = np.stack(list(np.gradient(domain.skin.values, domain.skin.grid.spacing)), axis=-1)
+    slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
+    points = domain.skin.grid.points()
+    keep = np.ones(domain.skin.values.shape)
+    for plane in domain.planes:
+        across = np.sqrt(np.clip(1 - (slope @ plane.normal) ** 2, 0, 1))
+        near = np.exp(-(((points @ plane.normal - plane.offset) / _NEAR_CUT) ** 2))
+        keep = np.minimum(keep, 1 - near * (1 - np.clip(across / _STEEP, _LEAST_KEPT, 1)))
+    return np.asarray(ndimage.gaussian_filter(keep, 2.0 / domain.skin.grid.spacing))
 
 
 def with_layers(
@@ -85,27 +112,74 @@ def with_layers(
     rows = [base, *(n + k * len(base) + np.arange(len(base)) for k in range(len(heights)))]
     points = np.vstack([core.points, *added])
     cells, parts = [core.cells], [np.zeros(len(core.cells), np.int64)]
-    local = np.sort(number[faces], axis=1)
+    order = np.argsort(number[faces], axis=1)
+    local, turned = np.take_along_axis(number[faces], order, axis=1), _odd(order)
     for k, kind in enumerate(kinds):
-        cells.append(_prisms(rows[k][local], rows[k + 1][local], points))
+        cells.append(_prisms(rows[k][local], rows[k + 1][local], turned))
         parts.append(np.full(3 * len(faces), kind))
     every = np.vstack(cells)
-    bad = int((volumes(points, every) <= 1e-9).sum())
-    if bad:
-        raise MeshError(
-            f"{bad} cells of the layers are inverted",
-            where="layers",
-            fix="give thinner layers (--fat-mm, --skin-mm) or a finer mesh (--size-mm)",
-        )
     shell = boundary_faces(every)
     labels = _labels(shell, points, core, rows[-1], inner)
+    points = _untangled(points, every, shell, labels, replace(inner, skin=skin))
     return VolumeMesh(points, every, shell, labels, core.maker, core.notes), np.concatenate(parts)
 
 
+def _untangled(points: Array, cells: IntArray, shell: IntArray, labels: IntArray, domain: Domain) -> Array:
+    """Nodes moved where cells of the layers came out flat or inverted (folds of the skin, the cuts' edges).
+
+    Raises
+    ------
+    MeshError
+        If some stay inverted.
+    """
+    ties = Ties.of_faces(len(points), shell, labels)
+    for goal_deg, passes in _UNTANGLING:
+        if np.degrees(np.arcsin(np.clip(worst_sines(points, cells), -1, 1))).min() >= _LEAST_ANGLE_DEG:
+            break
+        points = smooth(points, cells, ties, domain, goal_deg=goal_deg, passes=passes)
+    inverted = volumes(points, cells) <= 1e-9
+    if inverted.any():
+        x, y, z = points[cells[inverted]].mean(axis=(0, 1))
+        raise MeshError(
+            f"{int(inverted.sum())} cells of the layers are inverted, near ({x:.0f}, {y:.0f}, {z:.0f}) mm",
+            where="layers",
+            fix="give thinner layers (--fat-mm, --skin-mm) or a finer mesh (--size-mm)",
+        )
+    return points
+
+
+def _odd(order: IntArray) -> NDArray[np.bool_]:
+    """Which orders (n, 3) of three corners turn a triangle over.
+
+    >>> _odd(np.array([[0, 1, 2], [1, 0, 2], [1, 2, 0]]))
+    array([False,  True, False])
+    """
+    return np.asarray((order[:, 1] - order[:, 0]) % 3 == 2)
+
+
 def _outer_points(core: VolumeMesh, inner: Domain, skin: Field, base: IntArray) -> Array:
-    """Where each inner node lands on the skin: along the distance field, in its plane on a cut."""
-    ties = Ties.of_faces(len(core.points), core.faces, core.labels)
-    return put_back(core.points[base], Ties(ties.codes[base]), replace(inner, skin=skin), rounds=8)
+    """Where each inner node lands on the skin: along the distance field, in its cut, along a cuts' edge."""
+    normals = _cut_normals(core, inner, base)
+    start, x = core.points[base], core.points[base].copy()
+    for _ in range(_PROJECTIONS):
+        slope = skin.gradient(x)
+        slope -= np.einsum("nij,nj->ni", normals, slope)
+        size = np.einsum("ni,ni->n", slope, slope)
+        step = -skin.at(x) / np.maximum(size, _GRAZING**2)
+        x += np.clip(step, -_LONGEST, _LONGEST)[:, None] * slope
+    return np.where((skin.at(start) < 0)[:, None], x, start)
+
+
+def _cut_normals(core: VolumeMesh, inner: Domain, base: IntArray) -> Array:
+    """For each node (n, 3, 3), what projects onto the normals of the cuts that it lies in."""
+    out = np.zeros((len(base), 3, 3))
+    for k, plane in enumerate(inner.planes):
+        at = np.isin(base, core.faces[core.labels == CUT + k])
+        rest = plane.normal - np.einsum("nij,j->ni", out[at], plane.normal)
+        size = np.linalg.norm(rest, axis=1, keepdims=True)
+        unit = np.where(size > 1e-6, rest / np.maximum(size, 1e-12), 0.0)
+        out[at] += unit[:, :, None] * unit[:, None, :]
+    return out
 
 
 def _levels(layers: tuple[Layer, ...]) -> tuple[list[float], list[int]]:
@@ -120,12 +194,15 @@ def _levels(layers: tuple[Layer, ...]) -> tuple[list[float], list[int]]:
     return heights, kinds
 
 
-def _prisms(low: IntArray, high: IntArray, points: Array) -> IntArray:
-    """Three tetrahedra a prism; corners in one order everywhere, so neighbours share their diagonals."""
+def _prisms(low: IntArray, high: IntArray, turned: NDArray[np.bool_]) -> IntArray:
+    """Three tetrahedra a prism; corners in one order everywhere, so neighbours share their diagonals.
+
+    turned (n,) : whether that order shows the facet from inside
+    """
     (a, b, c), (d, e, f) = low.T, high.T
     cells = np.vstack([np.c_[a, b, c, f], np.c_[a, b, f, e], np.c_[a, e, f, d]])
-    negative = volumes(points, cells) < 0
-    cells[negative] = cells[negative][:, [0, 2, 1, 3]]
+    inside = np.tile(turned, 3)
+    cells[inside] = cells[inside][:, [0, 2, 1, 3]]
     return cells
 
 

@@ -13,9 +13,11 @@ from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.quality import Quality
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.meshing.surfaces import read_surface
+from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
@@ -155,16 +157,26 @@ def _mesh_site(
             start_depth=options.start_depth,
         )
         _report(writer, found, options, limb, segmented, site)
-        _tell_layers(writer, options.layers, layer_sources)
+        _tell_layers(writer, options.layers, layer_sources, found.quality)
     assert writer.result is not None
     return writer.result
 
 
-def _tell_layers(writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str]) -> None:
+def _tell_layers(
+    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: Quality
+) -> None:
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
     writer.data["layer_sources"] = sources
     for each in layers:
         writer.summary.append(f"layer {each.name}: {each.thickness:.1f} mm ({sources[each.name]})")
+    low = (
+        figures.min_angle_deg < MIN_ANGLE_DEG or figures.min_angle_under_probe_deg < MIN_ANGLE_UNDER_PROBE_DEG
+    )
+    if layers and low:
+        writer.warnings.append(
+            f"cells of the layers are flat (dihedral angles down to {figures.min_angle_deg:.1f} deg); "
+            "mesh finer (--size-mm) or with thicker layers if the solver stops"
+        )
 
 
 def _report(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
+from limbcli.meshing.domain import boundary
 from limbcli.meshing.layers import layers_of
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import volumes
@@ -22,6 +23,14 @@ def made(leg):
         element="tet4", margin=20.0, sizes=Sizes(3.5, 10.0), spacing=1.5, layers=layers_of(skin=SKIN, fat=FAT)
     )
     return site_model(leg, (0.0, 42.0, 0.0), "transverse", PROBE, options)
+
+
+@pytest.fixture(scope="module")
+def made_axial(leg):
+    options = MeshOptions(
+        element="tet4", margin=14.0, sizes=Sizes(4.0, 10.0), spacing=1.5, layers=layers_of(skin=SKIN, fat=FAT)
+    )
+    return site_model(leg, (0.0, 42.0, 0.0), "axial", PROBE, options)
 
 
 def test_layers_have_their_volume(made):
@@ -50,6 +59,20 @@ def test_cells_are_good_and_the_probe_meets_the_skin(made):
     assert made.quality.min_angle_deg > 4
     contact = np.unique(mesh.surfaces["contact"].facets["tri3"])
     assert mesh.points[contact, 2].max() == pytest.approx(0.0, abs=0.1)
+
+
+def test_layers_reach_into_the_corners_of_four_cuts(made_axial):
+    """With cuts on four sides some nodes lie in two of them: they reach the skin along the cuts' edge."""
+    mesh = made_axial.model.mesh
+    inside = np.unique(np.concatenate([block.cells for block in mesh.solid_blocks]))
+    planes = made_axial.domain.planes
+    in_cut = np.stack([np.abs(each.height(mesh.points)) < 1e-6 for each in planes])
+    corner = np.intersect1d(np.flatnonzero(in_cut.sum(axis=0) == 2), mesh.node_sets["skin"])
+    assert len(np.intersect1d(corner, inside)) >= 2
+    assert np.abs(made_axial.domain.skin.at(mesh.points[mesh.node_sets["skin"]])).max() < 0.3
+    assert made_axial.quality.inverted_cells == 0
+    total = sum(volumes(mesh.points, block.cells).sum() for block in mesh.solid_blocks)
+    assert total == pytest.approx(boundary(made_axial.domain).volume, rel=0.02), "nothing overlaps"
 
 
 def test_impossible_thickness_is_refused():
