@@ -25,6 +25,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 
 _MIN_SIZE = 1.5  # mm
+_CROWDED = 0.1  # of the wanted length: a shorter edge is an accident
 _FOLDED = -0.9998  # cosine between the normals of two faces that lie on each other
 
 
@@ -234,14 +235,21 @@ def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 1
             points = keep_unfolded(points, moved, faces)
     for _ in range(4):  # what moving the nodes along the features pushed together
         labels = _without_ears(points, faces, labels, domain)
-        ranks, _ = _ranks(points, faces, labels)
-        points, faces, labels, n = collapse_short(points, faces, labels, ranks, field.at(points))
-        faces, turned = flip(points, faces, labels)
-        if not n + turned:
+        if not _crowded(points, faces, field):
             break
+        ranks, _ = _ranks(points, faces, labels)
+        points, faces, labels, _ = collapse_short(points, faces, labels, ranks, field.at(points))
+        faces, _ = flip(points, faces, labels)
     surface = Triangles(points, faces)
     _check_closed(surface)
     return Boundary(surface, labels)
+
+
+def _crowded(points: Array, faces: IntArray, field: SizeField) -> bool:
+    """Whether some edge is far shorter than what is wanted there."""
+    edges, _ = edges_of(faces)
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    return bool((length < _CROWDED * field.at(points)[edges].mean(axis=1)).any())
 
 
 def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Domain) -> IntArray:
