@@ -1,48 +1,83 @@
-"""Load curves with FEBio's interpolations and extensions."""
+"""Load curves with FEBio's interpolations and extensions (FEBio 4.11; FEBio User Manual 4.0, load curves)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from limbcli.model import Curve
+from limbcli.model import Array, Curve
+
+_NEAR = 1e-3  # of a curve's length: where FEBio takes the slope of a smooth curve's ends
 
 
 def value(curve: Curve, time: float) -> float:
     """The curve's value at a time (s).
 
-    "step" holds each value until the next point has passed: FEBio gives at a point
-    the value of that point. "smooth" is a cubic with zero slope at the points.
+    "step" takes the value of the next point as soon as a point is reached. "smooth" is a parabola
+    through each three points, two of them blended where they overlap.
 
     >>> value(Curve(((0.0, 0.0), (2.0, 1.0))), 1.0)
     0.5
     >>> value(Curve(((0.0, 0.0), (2.0, 1.0)), extend="extrapolate"), 3.0)
     1.5
+    >>> value(Curve(((0.0, 0.0), (1.0, 1.0), (2.0, 4.0)), "smooth"), 1.5)
+    2.25
     """
     times = np.array([t for t, _ in curve.points])
     values = np.array([v for _, v in curve.points])
     if len(times) == 1:
         return float(values[0])
     first, last = times[0], times[-1]
-    period, rise = last - first, values[-1] - values[0]
-    offset = 0.0
-    if time < first or time > last:
-        if curve.extend == "constant":
-            return float(values[0] if time < first else values[-1])
-        if curve.extend == "extrapolate":
-            pair = slice(0, 2) if time < first else slice(-2, None)
-            (t0, t1), (v0, v1) = times[pair], values[pair]
-            return float(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
-        turns = np.floor((time - first) / period)
-        offset = turns * rise if curve.extend == "repeat offset" else 0.0
-        time = time - turns * period
-    return float(_inside(curve.interpolate, times, values, time) + offset)
+    if first <= time <= last:
+        return _inside(curve.interpolate, times, values, time)
+    if curve.extend == "constant":
+        return float(values[0] if time < first else values[-1])
+    if curve.extend == "extrapolate":
+        return _beyond(curve.interpolate, times, values, time)
+    turns = np.floor((time - first) / (last - first))
+    if time > last and time == first + turns * (last - first):
+        turns -= 1  # a period's end is its last point, not the next one's first
+    offset = turns * (values[-1] - values[0]) if curve.extend == "repeat offset" else 0.0
+    return float(_inside(curve.interpolate, times, values, time - turns * (last - first)) + offset)
 
 
-def _inside(kind: str, times: np.ndarray, values: np.ndarray, time: float) -> float:
-    k = int(np.clip(np.searchsorted(times, time, side="left") - 1, 0, len(times) - 2))
-    x = (time - times[k]) / (times[k + 1] - times[k])
+def _inside(kind: str, times: Array, values: Array, time: float) -> float:
+    n = len(times) - 1
+    if time in (times[0], times[n]):
+        return float(values[0] if time == times[0] else values[n])
+    k = int(np.searchsorted(times, time, side="right"))  # the next point
     if kind == "step":
-        return float(values[k] if x <= 0 else values[k + 1])
-    if kind == "smooth":
-        x = x * x * (3.0 - 2.0 * x)
-    return float(values[k] + x * (values[k + 1] - values[k]))
+        return float(values[k])
+    if kind == "linear" or n == 1:
+        return _line(times[k - 1 : k + 1], values[k - 1 : k + 1], time)
+    parabolas = [
+        _parabola(times[j - 1 : j + 2], values[j - 1 : j + 2], time) for j in (k - 1, k) if 1 <= j <= n - 1
+    ]
+    if len(parabolas) == 1:
+        return parabolas[0]
+    return _line(times[k - 1 : k + 1], np.array(parabolas), time)
+
+
+def _beyond(kind: str, times: Array, values: Array, time: float) -> float:
+    """On the line that continues the curve; a step curve continues level."""
+    before = time < times[0]
+    if kind == "step":
+        return float(values[0] if before else values[-1])
+    if kind == "linear":
+        pair = slice(0, 2) if before else slice(-2, None)
+        return _line(times[pair], values[pair], time)
+    step = _NEAR * (times[-1] - times[0])
+    ends = np.array([times[0], times[0] + step] if before else [times[-1] - step, times[-1]])
+    return _line(ends, np.array([_inside(kind, times, values, t) for t in ends]), time)
+
+
+def _line(times: Array, values: Array, time: float) -> float:
+    return float(values[0] + (values[1] - values[0]) * (time - times[0]) / (times[1] - times[0]))
+
+
+def _parabola(times: Array, values: Array, time: float) -> float:
+    (t0, t1, t2), (v0, v1, v2) = times, values
+    return float(
+        v0 * (time - t1) * (time - t2) / ((t0 - t1) * (t0 - t2))
+        + v1 * (time - t0) * (time - t2) / ((t1 - t0) * (t1 - t2))
+        + v2 * (time - t0) * (time - t1) / ((t2 - t0) * (t2 - t1))
+    )

@@ -1,0 +1,81 @@
+"""Analyses of several steps: what a step begins with, absolute and relative loads, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import block
+
+from limbcli.fem.analysis import Analysis
+from limbcli.fem.newton import Settings
+from limbcli.materials.stress import cauchy_stress
+from limbcli.model import Curve, Drive, LimbModel, RigidBody, Step, Support
+
+QUICK = Settings(tolerance=1e-11, threads=1)
+CURVES = {"first": Curve(((0.0, 0.0), (1.0, 1.0))), "second": Curve(((1.0, 0.0), (3.0, 1.0)), "smooth")}
+
+
+def squeezed() -> LimbModel:
+    """A cube held sideways, on a held base: its stretch along z is all that can change."""
+    model = block("tet10", (1, 1, 1))
+    return replace(model, curves=CURVES, supports=(Support("all", ("x", "y")), Support("z0", ("z",))))
+
+
+def pull(stretch: float, model: LimbModel) -> float:
+    """Force on the unit top of the cube in uniaxial strain."""
+    F = np.diag([1.0, 1.0, stretch])[None]
+    return float(cauchy_stress(model.materials["tissue"], F)[0, 2, 2])
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_second_step_starts_where_the_first_ended(relative: bool) -> None:
+    """-0.1 in the first; then to (or by) 0.04, on a curve that is 1/2 half-way."""
+    model = squeezed()
+    steps = (
+        Step(2, 0.5, supports=(Support("z1", ("z",), -0.1, "first"),)),
+        Step(2, 1.0, supports=(Support("z1", ("z",), 0.04, "second", relative),)),
+    )
+    model = replace(model, steps=steps)
+    snapshots = Analysis(model, QUICK).run()
+    assert [s.state.time for s in snapshots] == [0.5, 1.0, 2.0, 3.0]
+    base = -0.1 if relative else 0.0
+    top = model.mesh.node_sets["z1"]
+    for snapshot, expected in zip(snapshots, (-0.05, -0.1, base + 0.02, base + 0.04), strict=True):
+        np.testing.assert_allclose(snapshot.state.u[top, 2], expected, atol=1e-12)
+        assert snapshot.forces.nodal[top, 2].sum() == pytest.approx(pull(1 + expected, model), rel=1e-9)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_rigid_plate_goes_on_from_the_first_step(relative: bool) -> None:
+    """The top tied to a plate: driven down, then up by force control of the same size as by hand."""
+    model = squeezed()
+    plate = RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",))
+    still = tuple(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w"))
+    base = -0.1 if relative else 0.0
+    steps = (
+        Step(1, 1.0, drives=(Drive("plate", "z", "displacement", -0.1, "first"),)),
+        Step(1, 2.0, drives=(Drive("plate", "z", "displacement", 0.04, "second", relative),)),
+    )
+    supports = (Support("z0", ("x", "y", "z")), *(Support(k, (k[0],)) for k in ("x0", "x1", "y0", "y1")))
+    model = replace(model, bodies=(plate,), drives=still, steps=steps, supports=supports)
+    first, second = Analysis(model, QUICK).run()
+    assert first.forces.bodies[0, 2] == pytest.approx(pull(0.9, model), rel=1e-9)
+    assert second.state.bodies[0].shift[2] == pytest.approx(base + 0.04)
+    assert second.forces.bodies[0, 2] == pytest.approx(pull(1.04 + base, model), rel=1e-9)
+
+
+def test_a_force_after_a_displacement_finds_the_same_place() -> None:
+    model = squeezed()
+    plate = RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",))
+    still = tuple(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w"))
+    force = pull(0.93, model)
+    steps = (
+        Step(1, 1.0, drives=(Drive("plate", "z", "displacement", -0.1, "first"),)),
+        Step(1, 2.0, drives=(Drive("plate", "z", "force", force, "second"),)),
+    )
+    supports = (Support("z0", ("x", "y", "z")), *(Support(k, (k[0],)) for k in ("x0", "x1", "y0", "y1")))
+    model = replace(model, bodies=(plate,), drives=still, steps=steps, supports=supports)
+    last = Analysis(model, QUICK).run()[-1]
+    assert last.state.bodies[0].shift[2] == pytest.approx(-0.07, abs=1e-9)
