@@ -20,6 +20,7 @@ from limbcli.model import LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
+from limbcli.solvers.restart import Restart
 from limbcli.solvers.tables import read_tables
 
 if TYPE_CHECKING:
@@ -54,6 +55,9 @@ class ReferenceSolver:
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
         """Solve a model file in its folder; the log and the record files appear beside it.
 
+        A run that is stopped leaves its converged levels there, from which the next run of the same
+        file goes on.
+
         Raises
         ------
         CaseError, SolveError
@@ -62,30 +66,43 @@ class ReferenceSolver:
         """
         model = read_feb(feb)
         with RunFiles(model, feb.parent, version=self.version()) as files:
-            self._compute(model, files, progress, time_limit_s)
+            self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
+
+    @property
+    def _settings(self) -> str:
+        return f"tolerance {self.tolerance:g}"
 
     def _compute(
-        self, model: LimbModel, files: RunFiles, progress: Progress, time_limit_s: float | None
+        self,
+        model: LimbModel,
+        files: RunFiles,
+        restart: Restart,
+        progress: Progress,
+        time_limit_s: float | None,
     ) -> None:
         analysis = prepare(
             model, progress, threads=self.threads, linear=self.linear, tolerance=self.tolerance
         )
         started = time.monotonic()
+        if restart.n_stored:
+            progress.event("note", text=f"going on from level {restart.n_stored} of the stopped run")
 
         def visit(running: Analysis, snapshot: Snapshot) -> None:
             files.step(running, snapshot)
+            restart.keep(snapshot.state)
             if time_limit_s is not None and time.monotonic() - started > time_limit_s:
                 reached = snapshot.state.time
                 raise SolveError(
                     f"the reference solver was stopped after {time_limit_s:g} s, at time {reached:g}",
                     where=str(files.folder / LOG_FILE),
-                    fix="give more time with --time-limit-s, or use --element tet4",
+                    fix="run again to go on from there, with a longer --time-limit-s, or use --element tet4",
                     time_reached=snapshot.state.time,
                 )
 
         try:
-            analysis.run(visit)
+            analysis.run(visit, guesses=restart.guess)
             files.finish(analysis, time.monotonic() - started)
+            restart.finished()
         finally:
             analysis.close()
 

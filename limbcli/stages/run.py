@@ -16,6 +16,8 @@ from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
+from limbcli.solvers.reference import NAME as REFERENCE
+from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.run_files import leave_simulation
 from limbcli.stages.vtu import write_series
 
@@ -44,7 +46,8 @@ def run(
     """Run each site's model.
 
     Leaves model.feb, model.log, the record files, force-depth.csv and force-depth.png.
-    A run that fails leaves its model and log in `<site>-failed`.
+    A run that fails or is stopped leaves its model and log in `<site>-failed`; the reference solver goes
+    on from there when the same model is run again.
 
     Raises
     ------
@@ -78,6 +81,7 @@ def run_file(
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
     with open_stage(out, STAGE, subject=feb.name.split(".")[0]) as writer:
         _simulate(feb, outline, writer, engine, options, progress)
+    shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     assert writer.result is not None
     return writer.result
 
@@ -117,6 +121,9 @@ def _simulate(
     feb.write_bytes(gzip.decompress(content) if source.suffix == ".gz" else content)
     writer.used("model", source)
     progress.event("note", text=f"solver: {engine.name} {engine.version()}")
+    stopped = writer.target.with_name(writer.target.name + FAILED) / RESTART_FILE
+    if engine.name == REFERENCE and stopped.is_file():
+        shutil.copy2(stopped, writer.work / RESTART_FILE)
     events = writer.file("progress", PROGRESS_FILE)
     with recorded(progress, events) as heard:
         try:
@@ -124,6 +131,9 @@ def _simulate(
             simulation = engine.read(feb)
         except SolveError as error:
             raise _kept(error, writer) from error
+        except KeyboardInterrupt:
+            _keep(writer)
+            raise
     writer.files["log"] = LOG_FILE
     for record in outline.records:
         writer.files[Path(record.file).stem] = record.file
@@ -133,12 +143,18 @@ def _simulate(
     writer.data["model_sha256"] = sha256(feb)
 
 
-def _kept(error: LimbError, writer: StageWriter) -> LimbError:
-    """The same error, with model and log kept where it says."""
+def _keep(writer: StageWriter) -> Path:
+    """Copy what a stopped run left into the folder for that; returns the folder."""
     folder = writer.target.with_name(writer.target.name + FAILED)
     with atomic_folder(folder) as kept:
         for path in writer.work.iterdir():
             if path.is_file():
                 shutil.copy2(path, kept / path.name)
+    return folder
+
+
+def _kept(error: LimbError, writer: StageWriter) -> LimbError:
+    """The same error, with model and log kept where it says."""
+    folder = _keep(writer)
     where = f"{writer.site or writer.subject}: {folder / LOG_FILE}"
     return type(error)(error.what, where=where, fix=error.fix, **error.facts)

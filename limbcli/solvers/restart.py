@@ -1,0 +1,85 @@
+"""The converged levels of a run that was stopped, kept beside its records until it is finished.
+
+A run of the same model with the same solver takes them up: each is in balance already, which costs one
+evaluation of the forces to see, and its rows are written again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import limbcli
+from limbcli.files import atomic_file
+
+if TYPE_CHECKING:
+    from limbcli.fem.system import State, System
+
+RESTART_FILE = "restart.npz"
+
+
+class Restart:
+    """Levels of a run by their time.
+
+    feb : the model file; settings : of the solver, in words. Levels of another model, of other settings
+        or of another version of the solver are not taken up.
+    """
+
+    def __init__(self, feb: Path, settings: str):
+        self.path = feb.parent / RESTART_FILE
+        words = f"{limbcli.__version__} {settings} ".encode()
+        self.key = hashlib.sha256(words + feb.read_bytes()).hexdigest()
+        self._states: dict[float, State] = {}
+        self._stored = self._read()
+        self.n_stored = len(self._stored)
+
+    def guess(self, system: System, time: float) -> State | None:
+        """The level at a time, where the run before reached it."""
+        state = self._stored.get(time)
+        return state if state is not None and state.u.shape == system.X.shape else None
+
+    def keep(self, state: State) -> None:
+        """Add a converged level; the file is whole at any time."""
+        self._states[state.time] = state
+        if len(self._states) <= self.n_stored and state.time in self._stored:
+            return
+        arrays: dict[str, Any] = {"key": np.array(self.key), "times": np.array(list(self._states))}
+        for k, each in enumerate(self._states.values()):
+            arrays[f"u{k}"] = each.u
+            arrays[f"shift{k}"] = np.array([body.shift for body in each.bodies])
+            arrays[f"turn{k}"] = np.array([body.turn for body in each.bodies])
+            for name, parts in (("hints", each.hints), ("tractions", each.tractions)):
+                arrays |= {f"{name}{k}_{j}": part for j, part in enumerate(parts)}
+        with atomic_file(self.path) as path, path.open("wb") as stream:
+            np.savez(stream, **arrays)
+
+    def finished(self) -> None:
+        self.path.unlink(missing_ok=True)
+
+    def _read(self) -> dict[float, State]:
+        """What the file holds; nothing where it is of another model, or damaged."""
+        unusable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+        with contextlib.suppress(*unusable), np.load(self.path, allow_pickle=False) as stored:
+            if str(stored["key"]) == self.key:
+                states = [_state(stored, k, float(time)) for k, time in enumerate(stored["times"])]
+                return {each.time: each for each in states}
+        return {}
+
+
+def _state(stored: Any, k: int, time: float) -> State:
+    from limbcli.fem.rigid import BodyState
+    from limbcli.fem.system import State
+
+    def parts(name: str) -> tuple[Any, ...]:
+        keys = [key for key in stored.files if key.startswith(f"{name}{k}_")]
+        return tuple(stored[f"{name}{k}_{j}"] for j in range(len(keys)))
+
+    bodies = tuple(
+        BodyState(shift, turn) for shift, turn in zip(stored[f"shift{k}"], stored[f"turn{k}"], strict=True)
+    )
+    return State(time, stored[f"u{k}"], bodies, parts("hints"), tractions=parts("tractions"))

@@ -1,0 +1,87 @@
+"""A stopped run goes on from its last level, if nothing has changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import SolveError
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.reference import ReferenceSolver
+from limbcli.solvers.restart import RESTART_FILE
+
+
+@pytest.fixture
+def feb(golden: Path, tmp_path: Path) -> Path:
+    """Three levels of a coarse model."""
+    text = (golden / "effect-base-tet4" / "model.feb").read_text()
+    path = tmp_path / "model.feb"
+    path.write_text(text.replace("<time_steps>10<", "<time_steps>3<"))
+    return path
+
+
+def stopped(feb: Path, after: int) -> list[int]:
+    """Run until Ctrl-C in the level after so many; iterations of each level worked on."""
+    seen: list[int] = []
+
+    def listen(kind: str, facts: dict) -> None:
+        if kind == "newton":
+            if facts["step"] > after:
+                raise KeyboardInterrupt
+            if facts["iteration"]:
+                seen.append(facts["step"])
+
+    with pytest.raises(KeyboardInterrupt):
+        ReferenceSolver(threads=1).run(feb, progress=Progress(listen))
+    return seen
+
+
+def worked(feb: Path) -> set[int]:
+    """Levels that needed iterations in a run to the end."""
+    seen = set()
+
+    def listen(kind: str, facts: dict) -> None:
+        if kind == "newton" and facts["iteration"]:
+            seen.add(facts["step"])
+
+    ReferenceSolver(threads=1).run(feb, progress=Progress(listen))
+    return seen
+
+
+def test_stopped_run_goes_on_and_gives_the_same_records(feb: Path) -> None:
+    solver = ReferenceSolver(threads=1)
+    solver.run(feb, progress=SILENT)
+    whole = {name: (feb.parent / name).read_text() for name in ("nodes.csv", "rigid_body.csv")}
+    assert not (feb.parent / RESTART_FILE).exists()
+    assert set(stopped(feb, 2)) == {1, 2}
+    assert worked(feb) == {3}
+    assert not (feb.parent / RESTART_FILE).exists()
+    simulation = solver.read(feb)
+    assert len(simulation.times) == 4
+    for name, text in whole.items():
+        a, b = (
+            np.array([float(n) for line in t.splitlines() if line[0] != "*" for n in line.split(",")])
+            for t in (text, (feb.parent / name).read_text())
+        )
+        np.testing.assert_allclose(a, b, atol=2e-4 * abs(a).max())
+
+
+def test_time_limit_leaves_a_level_to_go_on_from(feb: Path) -> None:
+    with pytest.raises(SolveError, match="run again to go on"):
+        ReferenceSolver(threads=1).run(feb, progress=SILENT, time_limit_s=0.0)
+    assert worked(feb) == {2, 3}
+
+
+def test_changed_model_starts_anew(feb: Path) -> None:
+    stopped(feb, 2)
+    feb.write_text(feb.read_text().replace("<cp>0.25<", "<cp>0.26<"))
+    assert worked(feb) == {1, 2, 3}
+
+
+def test_damaged_file_is_left_alone(feb: Path) -> None:
+    stopped(feb, 2)
+    path = feb.parent / RESTART_FILE
+    path.write_bytes(path.read_bytes()[:300])
+    assert worked(feb) == {1, 2, 3}
