@@ -2,7 +2,9 @@
 
 Without history (elastic law, no friction) the response depends on the load reached
 and not on the way, so the levels are the must-points alone (or the steps, where a
-step has none), and a step is cut only where Newton's method needs it.
+step has none), and a step is cut only where Newton's method needs it. Friction is
+measured over the steps of the model: these are all solved for, and strides within
+one are first guesses. With a viscoelastic law every stride is a step of its history.
 """
 
 from __future__ import annotations
@@ -61,13 +63,23 @@ class Analysis:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response depends on the way the load went (viscoelastic materials)."""
+        """Whether the response depends on the way the load went (viscoelastic materials, friction)."""
+        return self._timed or self._rubbing
+
+    @property
+    def _rubbing(self) -> bool:
+        """Whether there is friction: points that stick or slip by turns take their time to settle."""
+        return any(contact.friction for contact in self.model.contacts)
+
+    @property
+    def _timed(self) -> bool:
+        """Whether it depends on the length of every stride taken."""
         return any(material.law == "viscoelastic" for material in self.model.materials.values())
 
     @property
     def _marching(self) -> bool:
         """Whether strides are short steps that serve as first guesses only."""
-        return bool(self.model.contacts) and not self.remembers
+        return bool(self.model.contacts) and not self._timed
 
     @property
     def newton(self) -> Newton:
@@ -102,6 +114,7 @@ class Analysis:
                 number += 1
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
+                newton.system.remember(state)
                 state = self._reach(begin + target, step, reached, level, known)
                 must = begin + target in musts
                 snapshot = Snapshot(len(snapshots) + 1, state, self._last_forces, must)
@@ -158,7 +171,8 @@ class Analysis:
             last = cuts >= max(_MAX_CUTS, step.max_retries)
             before = newton.counts.iterations
             try:
-                state, forces = self._solve(aim, reached, level, known, aim == target, patient=last)
+                patient = last or self._rubbing
+                state, forces = self._solve(aim, reached, level, known, aim == target, patient=patient)
                 if aim == target:
                     state, forces = self._augmented(state, forces, level)
             except (NotConverged, SingularMatrix) as error:
@@ -197,7 +211,7 @@ class Analysis:
         patient: bool,
     ) -> tuple[State, Forces]:
         newton = self.newton
-        tolerance = None if must or self.remembers else _LOOSE
+        tolerance = None if must or self._timed else _LOOSE
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
         guess, forces = self._guess(time, reached, level, known, patient)

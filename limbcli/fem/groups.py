@@ -13,7 +13,7 @@ from limbcli.fem.element import reference_gradients
 from limbcli.fem.quadrature import rule
 from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import UNCOUPLED_LAWS
-from limbcli.materials.program import CurveAt
+from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.stress import _evaluate
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
@@ -94,6 +94,19 @@ class Operands:
 
     def arguments(self) -> tuple[Any, ...]:
         return (self.cells, self.grad, self.weight, self.ops, self.par, self.base, self.scale, self.history)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the stress jumps with the deformation, so that its tangent is not symmetric."""
+        return bool(jumping(self.ops, self.par).any())
+
+    def sloped(self) -> Operands:
+        """With the slope of the jumps in the tangent."""
+        if not self.jumps:
+            return self
+        ops = self.ops.copy()
+        ops[jumping(self.ops, self.par), 2] = 1
+        return replace(self, ops=ops)
 
     def with_program(self, program: Program) -> Operands:
         """The same cells with another law (a derivative's), weighted by its factor; no history."""

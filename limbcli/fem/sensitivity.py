@@ -36,8 +36,20 @@ class Sensitivity:
 def sensitivities(
     newton: Newton, state: State, forces: Forces, parameters: list[Parameter]
 ) -> list[Sensitivity]:
-    """Derivatives at a converged state by each parameter."""
+    """Derivatives at a converged state by each parameter.
+
+    Raises
+    ------
+    SolveError
+        Under friction, where the state is not a function of its load alone.
+    """
     system = newton.system
+    if any(pair.contact.friction for pair in system.pairs):
+        raise SolveError(
+            "a response with friction depends on the way to it: it has no derivative at a state",
+            where="derivatives",
+            fix="difference whole solves, as a session does",
+        )
     loads = [partial(system, state, each) for each in parameters]
     newton.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces)
     return [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]

@@ -226,6 +226,12 @@ class System:
             pair.forget()
         self.at(0.0)
 
+    def remember(self, state: State) -> None:
+        """Take a converged step over as the one that friction is measured from."""
+        self.recall(state.hints)
+        for pair in self.pairs:
+            pair.remember(self.X + state.u, state.bodies[pair.body])
+
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that every contact point is with."""
         return tuple(p.state[..., FACET].copy() for pair in self.pairs for p in pair.patches)
@@ -319,7 +325,7 @@ class System:
         contact = np.zeros_like(nodal)
         x = self.X + state.u
         for pair in self.pairs:
-            touching += pair.search(x)
+            touching += pair.search(x, state.bodies[pair.body])
             push = np.zeros(6)
             pair.force(self.center(pair.body, state), contact, push)
             bodies[pair.body] -= push
@@ -416,7 +422,8 @@ class System:
     # ------------------------------------------------------------ tangent
 
     def stiffness(self, state: State) -> Array:
-        """Upper triangle of the elastic tangent of the tissue's unknowns (without contact)."""
+        """Upper triangle of the elastic tangent of the tissue's unknowns (without contact), its symmetric
+        part."""
         parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
         for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
             args = (*o.arguments(), *self._mixed(state, k), pairs, self.pattern.slots)
@@ -460,10 +467,10 @@ class System:
         return values
 
     def tangent_times(self, state: State, v: Array) -> Array:
-        """Elastic tangent of all nodes times v (n_points, 3)."""
+        """Elastic tangent of all nodes times v (n_points, 3); with the slope of a stress that jumps."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for k, o in enumerate(self.operands):
-            args = (*o.arguments(), *self._mixed(state, k))
+            args = (*o.sloped().arguments(), *self._mixed(state, k))
 
             def task(worker: int, begin: int, end: int, args: Any = args) -> None:
                 kernels.tangent_times(begin, end, state.u, *args, v, parts[worker])

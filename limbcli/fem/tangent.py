@@ -27,7 +27,8 @@ class Tangent:
     """Elastic tangent assembled at `state`, with the border of the rigid unknowns.
 
     columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
-    corner (n_rigid, n_rigid) : springs and the turning of tied forces
+    corner (n_rigid, n_rigid) : springs and the turning of tied forces, and those elastic forces
+    jumps : the elastic tangent is not symmetric; `upper` is its symmetric part
     """
 
     system: System
@@ -35,6 +36,7 @@ class Tangent:
     upper: sparse.csr_matrix
     columns: Array
     corner: Array
+    jumps: bool = False
 
     def times(self, state: State, step: Array) -> Array:
         """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
@@ -42,13 +44,22 @@ class Tangent:
         n = system.n_tissue
         x = step[:n]
         out = np.zeros_like(step)
-        upper_times(self.upper.indptr, self.upper.indices, self.upper.data, x, out)
         motions = system.motions(step)
         v = np.zeros_like(state.u)
         v[system.free] = x
+        if self.jumps:
+            elastic = system.tangent_times(self.state, v)
+            out[:n] = elastic[system.free]
+        else:
+            upper_times(self.upper.indptr, self.upper.indices, self.upper.data, x, out)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
-            out[n + k] += column[system.free] @ x
+            if self.jumps:
+                bodies = np.zeros((len(system.bodies), 6))
+                system.gather_tied(self.state, elastic, bodies)
+                out[n + k] += bodies[system.rigid[k]]
+            else:
+                out[n + k] += column[system.free] @ x
         out[n:] += self.corner @ step[n:]
         if system.pairs:
             v += system.follow(state, motions)
@@ -65,7 +76,8 @@ def assemble(system: System, state: State, nodal: Array) -> Tangent:
     shape = (system.n_tissue, system.n_tissue)
     upper = sparse.csr_matrix((values, system.pattern.indices, system.pattern.indptr), shape=shape)
     columns, corner = _border(system, state, nodal)
-    return Tangent(system, state, upper, columns, corner)
+    jumps = any(each.jumps for each in system.operands)
+    return Tangent(system, state, upper, columns, corner, jumps)
 
 
 def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:

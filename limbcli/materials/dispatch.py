@@ -62,7 +62,7 @@ def second_piola(F, ops, par, S, CC, tangent, work):
         elif law == HOLMES_MOW:
             add_holmes_mow(par, off, J, C, six[1], six[2], S, CC, tangent)
         elif law == FIBER:
-            add_fiber(par, off, C, six[1], S, CC, tangent)
+            add_fiber(par, off, extra, C, six[1], S, CC, tangent)
         elif law == CONTRACTION:
             add_contraction(par, off, six[1], S)
         elif law == OGDEN_DM:

@@ -74,7 +74,7 @@ def _I4(p: Array, at: int, C: Array) -> Array:
 def _fiber(p: Array, C: Array) -> Array:
     a = _direction(p, 5, C)
     I4 = _I4(p, 5, C)
-    x = np.maximum(I4 - 1, 0.0)
+    x = np.maximum(I4 - p[:, 4] ** 2, 0.0)
     alpha, beta = p[:, 1], p[:, 2]
     small = np.abs(alpha) < 1e-12
     safe = np.where(small, 1.0, alpha)

@@ -1,8 +1,12 @@
 """Fibres along a0: exponential-power law, and prescribed active contraction.
 
 `fiber-exp-pow` (tension only, I4 = a0.C.a0 > lam0^2):
-    W = ksi/(alpha beta) (exp(alpha (I4 - 1)^beta) - 1) + mu/4 a0.(C - 1)^2.a0
-(alpha = 0: ksi/beta (I4 - 1)^beta). Up to lam0^2 fibre and shear term vanish both.
+    W = ksi/(alpha beta) (exp(alpha x^beta) - 1) + mu/4 a0.(C - 1)^2.a0,  x = I4 - lam0^2
+(alpha = 0: ksi/beta x^beta). Up to lam0^2 fibre and shear term vanish both.
+
+A sheared fibre that begins to be stretched makes the stress of the shear term jump. Cells that would have
+to stand on the jump have no equilibrium, so the term comes in linearly between I4 = lam0^2 and lam0^2 + JUMP.
+The slope of that belongs to no energy: its tangent is not symmetric, and is added only where it is asked for.
 
 Active contraction: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
 
@@ -17,6 +21,7 @@ from numba import njit
 
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
 
+JUMP = 5e-4
 KSI, ALPHA, BETA, MU, LAM0, A0 = 0, 1, 2, 3, 4, 5
 
 
@@ -44,27 +49,33 @@ def symmetric_product(A, C, p):
 
 
 @njit(cache=True)
-def add_fiber(par, off, C, A, S, CC, tangent):
+def add_fiber(par, off, sloped, C, A, S, CC, tangent):
+    """sloped : add the slope of the shear term's coming in to the tangent"""
     ksi, alpha, beta, mu = par[off], par[off + ALPHA], par[off + BETA], par[off + MU]
     fibre_dyad(par, off + A0, A)
     I4 = fibre_square(A, C)
     if par[off + LAM0] ** 2 >= I4:
         return
-    x = I4 - 1.0
-    slope, curve = 0.0, 0.0
-    if x > 0.0:
-        e = np.exp(alpha * x**beta)
-        slope = ksi * x ** (beta - 1.0) * e
-        if tangent:
-            curve = ksi * e * (alpha * beta * x ** (2.0 * beta - 2.0))
-            if beta == 2.0:
-                curve += ksi * e
-            else:
-                curve += ksi * e * (beta - 1.0) * x ** (beta - 2.0)
+    x = I4 - par[off + LAM0] ** 2
+    part = min(x / JUMP, 1.0)
+    e = np.exp(alpha * x**beta)
+    slope = ksi * x ** (beta - 1.0) * e
+    curve = 0.0
+    if tangent:
+        curve = ksi * e * (alpha * beta * x ** (2.0 * beta - 2.0))
+        if beta == 2.0:
+            curve += ksi * e
+        else:
+            curve += ksi * e * (beta - 1.0) * x ** (beta - 2.0)
     for p in range(6):
-        S[p] += (2.0 * slope - mu) * A[p] + mu * symmetric_product(A, C, p)
+        shear = mu * (symmetric_product(A, C, p) - A[p])
+        S[p] += 2.0 * slope * A[p] + part * shear
+        if tangent and sloped and x < JUMP:
+            for q in range(6):
+                CC[p, q] += 2.0 * shear / JUMP * A[q]
     if not tangent:
         return
+    mu *= part
     add_outer(CC, 4.0 * curve, A, A)
     for p in range(6):  # 2 mu d sym(A C)/dC
         i, j = FIRST[p], SECOND[p]
@@ -88,8 +99,8 @@ def add_fiber_derivative(par, off, which, C, A, S):
     ksi, alpha, beta = par[off], par[off + ALPHA], par[off + BETA]
     fibre_dyad(par, off + A0, A)
     I4 = fibre_square(A, C)
-    x = I4 - 1.0
-    if par[off + LAM0] ** 2 >= I4 or x <= 0.0:
+    x = I4 - par[off + LAM0] ** 2
+    if x <= 0.0:
         return
     power = x**beta
     slope = ksi * x ** (beta - 1.0) * np.exp(alpha * power)

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.materials import dispatch
+from limbcli.materials.fiber import MU
 from limbcli.materials.laws import LAWS, LEAVES, Law
 from limbcli.model import Array, Curved, ElementMap, IntArray, Material, Value
 
@@ -120,6 +122,12 @@ def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cell
             factor = np.broadcast_to(np.asarray(slopes[slot], dtype=float), (n_cells,)).copy()
             programs.append(Program(ops, _stack(slots, n_cells), factor))
     return programs
+
+
+def jumping(ops: IntArray, par: Array) -> Array:
+    """Which leaves of a program, by its ops and par, have a stress that jumps: sheared fibres (n_leaves,)."""
+    fibres = ops[:, 0] == dispatch.FIBER
+    return np.array([f and bool(par[:, k + MU].any()) for f, k in zip(fibres, ops[:, 1], strict=True)])
 
 
 def compile_material(material: Material, name: str) -> Compiled:

@@ -43,7 +43,7 @@ class SessionResult:
 
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
     differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, augmented contact)
+        depends on the way the load went (viscoelastic law, friction, augmented contact)
     """
 
     simulation: Simulation
@@ -247,7 +247,7 @@ def _values(
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
     laws = (material.law for material in model.materials.values())
-    return "viscoelastic" in laws or any(contact.augmented for contact in model.contacts)
+    return "viscoelastic" in laws or any(each.augmented or each.friction for each in model.contacts)
 
 
 def _nudged(model: LimbModel, name: Parameter, relative: float) -> tuple[LimbModel, float]:

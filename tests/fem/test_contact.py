@@ -140,7 +140,7 @@ def test_probe_without_contact_that_is_free_is_named() -> None:
     ("change", "word"),
     [
         ({"two_pass": True}, "two_pass"),
-        ({"friction": 0.3}, "fric_coeff"),
+        ({"friction": 0.3, "augmented": True}, "fric_coeff"),
         ({"more": {"tension": "1"}}, "tension"),
         ({"secondary": "contact"}, "not part of one rigid body"),
     ],

@@ -11,7 +11,10 @@ from limbcli.errors import SolveError
 from limbcli.feb.records import read_records
 from limbcli.materials import LAWS, compile_material, ogden_type
 from limbcli.materials.energy import program_energy
+from limbcli.materials.fiber import JUMP
+from limbcli.materials.program import jumping
 from limbcli.materials.stress import _evaluate, cauchy_stress, penalty_modulus, second_piola_kirchhoff
+from limbcli.materials.tensors import VOIGT
 from limbcli.model import Material
 
 UNIT = (0.0, 0.8, 0.6)
@@ -194,3 +197,51 @@ def test_stress_agrees_with_febio_on_36_deformations(golden: Path, folder: str) 
     # F has 12 digits, and kappa J multiplies their round-off: 1e-11 * 0.5 MPa
     error = abs(ours6 - theirs).max(axis=1) / np.maximum(abs(theirs).max(axis=1), 1e-4)
     assert error.max() < 1e-6
+
+
+# ---------------------------------------------------------------- fibres that begin to be stretched
+
+
+def sheared(stretch: float) -> np.ndarray:
+    """(1, 3, 3): sheared by 0.3, with the fibre's square length I4 = stretch."""
+    F = np.eye(3) + 0.3 * np.outer(np.array([0.0, 0.0, 1.0]), UNIT)
+    return np.array([F * np.sqrt(stretch) / np.linalg.norm(F @ np.array(UNIT))])
+
+
+SHEARED = Material("fiber_exp_pow", {"ksi": 0.003, "alpha": 0.0, "beta": 2.0, "mu": 0.004, "fiber": UNIT})
+
+
+def test_shear_term_of_a_fibre_comes_in_within_a_thin_band() -> None:
+    """From 1 on, whole at 1 + JUMP, as FEBio has it there."""
+    low, middle, high, after = (
+        second_piola_kirchhoff(SHEARED, sheared(1 + k * JUMP))[0] for k in (-0.1, 0.5, 1.0, 1.1)
+    )
+    assert abs(low).max() == 0.0
+    assert abs(high).max() > 1e-4
+    np.testing.assert_allclose(middle, 0.5 * high, atol=2e-2 * abs(high).max())
+    np.testing.assert_allclose(after, high, atol=1e-2 * abs(high).max())
+
+
+def test_sloped_tangent_in_the_band_is_exact(rng: np.random.Generator) -> None:
+    F = sheared(1 + 0.5 * JUMP)
+    p = program(SHEARED, 1)
+    assert jumping(p.ops, p.par).tolist() == [True]
+    ops = p.ops.copy()
+    ops[0, 2] = 1
+    S, CC = np.zeros((1, 6)), np.zeros((1, 6, 6))
+    _evaluate(F, ops, p.par, S, CC, True)
+    assert abs(CC[0] - CC[0].T).max() > 0.1 * abs(CC).max()
+    E = directions(rng, F)
+    h = 1e-7
+    dF = h * np.swapaxes(np.linalg.inv(F), 1, 2) @ E
+    up, down = (second_piola_kirchhoff(SHEARED, F + sign * dF)[0] for sign in (1, -1))
+    expected = np.einsum("nijkl,nkl->nij", CC[:, VOIGT][:, :, :, VOIGT], E)
+    np.testing.assert_allclose((up - down) / (2 * h), expected, atol=1e-5 * abs(expected).max())
+
+
+def test_fibre_that_engages_later_starts_from_nothing() -> None:
+    """x = I4 - lam0^2, as in FEBio 4.11."""
+    late = SHEARED.with_parameters(lam0=1.1, mu=0.0)
+    S = second_piola_kirchhoff(late, sheared(1.21 + 0.01))[0][0]
+    a = np.array(UNIT)
+    assert a @ S @ a == pytest.approx(2 * 0.003 * 0.01)

@@ -1,0 +1,123 @@
+"""A soft surface against a rigid one: FEBio's frictionless `sliding-elastic` law.
+
+The compiled loops, and the law itself, are in `contact_kernels`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.fem import contact_kernels as kernels
+from limbcli.fem.groups import Group
+from limbcli.fem.penalty import penalties
+from limbcli.fem.rigid import BodyState
+from limbcli.materials.program import CurveAt
+from limbcli.model import Array, Contact, IntArray
+
+
+@dataclass(eq=False)
+class Patch:
+    """Soft facets of one kind with their integration points.
+
+    group, cell : the group of cells behind each facet, and the cell's row in it
+    ratio : area over volume behind (1/mm); normals : of the reference state
+    """
+
+    facets: IntArray
+    N: Array
+    dN: Array
+    weights: Array
+    group: IntArray
+    cell: IntArray
+    ratio: Array
+    normals: Array
+    eps: Array
+    multiplier: Array
+    state: Array
+    pairs: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+
+
+Carried = Sequence[Array]
+
+
+@dataclass(eq=False)
+class Pair:
+    """One contact of the model: soft patches against the facets of a body."""
+
+    contact: Contact
+    body: int
+    facets2: IntArray
+    patches: list[Patch]
+
+    def search(self, x: Array, at: BodyState) -> int:
+        """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
+        many touch."""
+        spheres, box = _bounds(x, self.facets2)
+        c = self.contact
+        return sum(
+            kernels.search(
+                0, len(p.facets), x, p.facets, p.N, p.dN, x, self.facets2, spheres, box,
+                c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
+            )
+            for p in self.patches
+        )  # fmt: skip
+
+    def force(self, center: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
+
+    def times(
+        self, x: Array, center: Array, v: Array, motion: Array, carried: Carried, out: Array, body: Array
+    ) -> None:
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, center, v, motion, out, body)
+
+    def stiffness(self, x: Array, carried: Carried, slots: IntArray, values: Array) -> None:
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, p.pairs, slots, values)
+
+    def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
+        """Tractions (n_facets, n_gauss) of each patch, changed linearly along v and the body's motion."""
+        out = []
+        for p, t in zip(self.patches, carried, strict=True):
+            out.append(np.empty(p.state.shape[:2]))
+            kernels.linear_tractions(x, p.facets, p.N, p.dN, p.eps, p.state, t, v, motion, out[-1])
+        return out
+
+    def shifted_force(self, carried: Carried, out: Array) -> None:
+        """Add what tractions `carried` instead of the contact's own change in the nodal forces."""
+        for p, t in zip(self.patches, carried, strict=True):
+            kernels.shifted_force(p.facets, p.N, p.weights, p.state, t, out)
+
+    def remember(self, x: Array, at: BodyState) -> None:
+        """Take a converged step over; without friction nothing is remembered."""
+
+    def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
+        for p in self.patches:
+            p.eps = penalties(self.contact, p, groups, curve, dt)
+
+    def forget(self) -> None:
+        """As before any load: no facet touched, no multiplier."""
+        for p in self.patches:
+            p.state[:] = 0.0
+            p.state[..., kernels.FACET] = -1
+            p.multiplier[:] = 0.0
+
+    def augment(self) -> float:
+        """Take the tractions over as multipliers; the relative change of their sum of squares."""
+        before = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        for p in self.patches:
+            p.multiplier = p.state[..., kernels.TRACTION].copy()
+        after = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        return abs(after - before) / after if after else 0.0
+
+
+def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:
+    corners = x[np.where(facets2 < 0, facets2[:, :1], facets2)]
+    center = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1) * 1.05
+    box = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
+    return np.concatenate([center, reach[:, None]], axis=1), box

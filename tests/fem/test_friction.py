@@ -1,0 +1,141 @@
+"""Coulomb friction under the probe: exact tangent, stick and slip by hand, energy, FEBio's own forces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import block, punch
+
+from limbcli.errors import SolveError
+from limbcli.fem import friction_kernels
+from limbcli.fem.analysis import Analysis, Snapshot
+from limbcli.fem.newton import Settings
+from limbcli.fem.sensitivity import LawParameter, sensitivities
+from limbcli.fem.system import System
+from limbcli.fem.tangent import assemble
+from limbcli.materials import ogden_type
+from limbcli.model import Curve, Drive, LimbModel, Step, Support
+from limbcli.solvers.session import ReferenceSession
+
+QUICK = Settings(tolerance=1e-8, threads=1)
+
+
+def rubbing(model: LimbModel, mu: float = 0.3) -> LimbModel:
+    contacts = tuple(replace(each, friction=mu, symmetric=False) for each in model.contacts)
+    return replace(model, contacts=contacts)
+
+
+def dragged(x: float, *, mu: float = 0.3) -> LimbModel:
+    """One brick, its nodes free to move up and down only, pressed by 0.5 mm, the plate then pulled by x."""
+    drives = (
+        *(Drive("probe", dof, "fixed") for dof in ("y", "u", "v", "w")),
+        Drive("probe", "z", "displacement", -0.45, "press"),
+        Drive("probe", "x", "displacement", x, "pull"),
+    )
+    model = punch("hex8", (1, 1, 1), drives=drives, width=40.0)
+    curves = {"press": Curve(((0.0, 0.0), (1.0, 1.0))), "pull": Curve(((1.0, 0.0), (2.0, 1.0)))}
+    supports = (*model.supports, Support("all", ("x", "y")))
+    steps = (Step(n_steps=2, step_size=1.0),)
+    return rubbing(replace(model, curves=curves, supports=supports, steps=steps), mu)
+
+
+def last(model: LimbModel) -> tuple[Analysis, Snapshot]:
+    analysis = Analysis(model, QUICK)
+    return analysis, analysis.run()[-1]
+
+
+def test_slipping_brick_resists_with_mu_times_pressure() -> None:
+    _, end = last(dragged(2.0))
+    force = end.forces.bodies[0]
+    assert force[2] < 0
+    assert force[0] == pytest.approx(-0.3 * force[2], rel=1e-9)
+    assert force[1] == pytest.approx(0.0, abs=1e-9 * abs(force[2]))
+
+
+def test_sticking_brick_resists_with_the_penalty() -> None:
+    analysis, end = last(dragged(1e-4))
+    eps = analysis.system.pairs[0].patches[0].eps[0]
+    assert end.forces.bodies[0, 0] == pytest.approx(eps * 120.0 * 1e-4, rel=1e-9)
+    assert end.forces.bodies[0, 0] < -0.3 * end.forces.bodies[0, 2]
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+@pytest.mark.parametrize("free", [False, True])
+def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.Generator) -> None:
+    """Sticking and slipping points, some of them new; a body that turns as well."""
+    model = rubbing(punch(kind, (3, 2, 2)), 0.2 if free else 0.03)
+    if free:
+        model = replace(model, drives=(Drive("probe", "z", "force", -0.01, "ramp"),))
+    system = System(model, threads=1)
+    state = system.prescribed(system.rest(), 0.1)
+    state = system.moved(state, 1e-2 * rng.standard_normal(system.n_unknowns))
+    system.forces(state)
+    system.remember(replace(state, hints=system.hints()))
+    step = 1.2e-2 * rng.standard_normal(system.n_unknowns)
+    state = system.moved(system.prescribed(state, 0.14), step)
+    forces = system.forces(state)
+    sticks = [p.state[..., friction_kernels.STICKS] > 0 for p in system.pairs[0].patches]
+    n_sticking = sum(int(each.sum()) for each in sticks)
+    assert 2 < n_sticking < forces.n_touching - 2
+    direction = rng.standard_normal(system.n_unknowns)
+    direction[system.n_tissue :] *= 0.1
+    exact = assemble(system, state, forces.nodal).times(state, direction)
+    h = 1e-7
+    up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
+    np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
+
+
+def indented(mu: float, *, cycle: bool = False) -> LimbModel:
+    """A narrow plate pressed into a soft block, in steps, and drawn back where asked for."""
+    model = punch("tet4", (6, 5, 3), depth=0.9, width=6.0, material=ogden_type(c=0.005, f_kappa=5.0, m=2.0))
+    points = ((0.0, 0.0), (1.0, 1.0))
+    if cycle:
+        points = ((0.0, 0.0), (0.3, 0.25), (0.6, 1.0), (0.9, 0.25))
+    steps = (Step(n_steps=9, step_size=0.1) if cycle else Step(n_steps=4, step_size=0.25),)
+    return rubbing(replace(model, curves={"ramp": Curve(points)}, steps=steps), mu)
+
+
+def test_without_friction_nothing_changes() -> None:
+    _, none = last(indented(0.0))
+    _, little = last(indented(1e-7))
+    np.testing.assert_allclose(little.forces.bodies[0], none.forces.bodies[0], atol=1e-6)
+    np.testing.assert_allclose(little.state.u, none.state.u, atol=1e-5)
+
+
+def work(model: LimbModel) -> tuple[float, float]:
+    """(N mm) of the probe from a quarter of its depth down and back, by the trapezoid rule; and down."""
+    snapshots = Analysis(model, QUICK).run()[2:]
+    z = np.array([s.state.bodies[0].shift[2] for s in snapshots])
+    force = np.array([s.forces.bodies[0, 2] for s in snapshots])
+    parts = 0.5 * (force[1:] + force[:-1]) * np.diff(z)
+    return float(parts.sum()), float(parts[: len(parts) // 2].sum())
+
+
+def test_a_closed_cycle_costs_work_with_friction_only() -> None:
+    free, spent = work(indented(0.0, cycle=True))
+    lost, _ = work(indented(0.4, cycle=True))
+    assert abs(free) < 1e-6 * spent
+    assert lost > 2e-3 * spent
+
+
+def test_derivatives_are_differenced_and_never_taken_as_exact() -> None:
+    """c scales all stresses and the penalty, hence the force with c."""
+    model = indented(0.3)
+    session = ReferenceSession(model, threads=1, tolerance=1e-9)
+    wrt = [("tissue", name) for name in ("c1", "c2", "kappa")]
+    result = session.solve(wrt=wrt)
+    assert result.differenced
+    values = model.materials["tissue"].parameters
+    total = sum(values[name] * result.force_gradient["tissue", name] for _, name in wrt)
+    np.testing.assert_allclose(total, result.must_points.forces, rtol=2e-3)
+    analysis, end = last(model)
+    with pytest.raises(SolveError, match="friction"):
+        sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", "c1")])
+
+
+def test_a_block_far_from_the_probe_is_left_alone() -> None:
+    model = block("tet4", (2, 2, 2))
+    assert not Analysis(model, QUICK).remembers
+    assert Analysis(indented(0.1), QUICK).remembers
