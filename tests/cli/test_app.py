@@ -71,6 +71,11 @@ def test_unknown_option_is_a_usage_error():
     assert "Traceback" not in result.stderr
 
 
+def default_signals() -> None:
+    """A test run in the background ignores interrupts, and so would its children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
     code = (
@@ -83,7 +88,11 @@ def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sen
         f"sys.argv = ['limbcli', 'check', {str(tmp_path)!r}]; entry.main()"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=default_signals,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
@@ -116,9 +125,6 @@ entry.main()
 
 @pytest.mark.parametrize("moment", [WHILE_IMPORTING, AT_THE_END], ids=["importing", "leaving"])
 def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str):
-    def default_signals() -> None:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
     done = subprocess.run(
         [sys.executable, "-c", moment],
         capture_output=True,
