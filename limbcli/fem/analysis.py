@@ -171,7 +171,7 @@ class Analysis:
             last = cuts >= max(_MAX_CUTS, step.max_retries)
             before = newton.counts.iterations
             try:
-                patient = last or self._rubbing
+                patient = last or self._rubbing or newton.system.jumps
                 state, forces = self._solve(aim, reached, level, known, aim == target, patient=patient)
                 if aim == target:
                     state, forces = self._augmented(state, forces, level)

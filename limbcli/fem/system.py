@@ -179,6 +179,11 @@ class System:
         return found
 
     @property
+    def jumps(self) -> bool:
+        """Whether a stress jumps (sheared fibres), so that the tangent is not symmetric."""
+        return any(each.jumps for each in self.operands)
+
+    @property
     def n_unknowns(self) -> int:
         return self.n_tissue + len(self.rigid)
 

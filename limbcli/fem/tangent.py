@@ -76,8 +76,7 @@ def assemble(system: System, state: State, nodal: Array) -> Tangent:
     shape = (system.n_tissue, system.n_tissue)
     upper = sparse.csr_matrix((values, system.pattern.indices, system.pattern.indptr), shape=shape)
     columns, corner = _border(system, state, nodal)
-    jumps = any(each.jumps for each in system.operands)
-    return Tangent(system, state, upper, columns, corner, jumps)
+    return Tangent(system, state, upper, columns, corner, system.jumps)
 
 
 def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:

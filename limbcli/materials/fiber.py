@@ -21,7 +21,7 @@ from numba import njit
 
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
 
-JUMP = 5e-4
+JUMP = 1e-3
 KSI, ALPHA, BETA, MU, LAM0, A0 = 0, 1, 2, 3, 4, 5
 
 

@@ -158,6 +158,17 @@ def test_limb_tet4_agrees_with_febio_at_other_parameters(
 
 
 @pytest.mark.slow
+def test_sheared_fibres_agree_with_febio(golden: Path, tmp_path: Path) -> None:
+    """The band in which the shear term comes in weighs most while strains are small."""
+    ours = run(golden, "effect-fibre", tmp_path)
+    _, mine, theirs = forces(golden, "effect-fibre", ours)
+    np.testing.assert_allclose(mine, theirs, rtol=5e-3)
+    assert mine[-1] == pytest.approx(theirs[-1], rel=1e-3)
+    nodes = read_records(golden / "effect-fibre" / "nodes.csv").values[-1]
+    np.testing.assert_allclose(ours.nodes["nodes.csv"].values[-1][:, :3], nodes[:, :3], atol=0.01)
+
+
+@pytest.mark.slow
 def test_viscoelastic_relaxation_agrees_with_febio(golden: Path, tmp_path: Path) -> None:
     """The ramp and the first two seconds of the hold."""
     source = golden / "effect-viscoelastic" / "model.feb"
