@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.materials.dispatch import second_piola, workspace
-from limbcli.materials.program import compile_material
+from limbcli.materials.program import Program, compile_material
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array, Material
 
@@ -29,8 +29,13 @@ def second_piola_kirchhoff(material: Material, F: Array, *, time_s: float = 0.0)
 
     Load curves count as 1. Where det F <= 0 both are zero.
     """
-    F = np.ascontiguousarray(F, dtype=float)
     program = compile_material(material, material.law).program(len(F), lambda name: 1.0)
+    return program_stress(program, F)
+
+
+def program_stress(program: Program, F: Array) -> tuple[Array, Array]:
+    """As `second_piola_kirchhoff`, of numbers that are laid out already (one row, or one a gradient)."""
+    F = np.ascontiguousarray(F, dtype=float)
     S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
     _evaluate(F, program.ops, program.par, S, CC, True)
     return S[:, VOIGT], CC[:, VOIGT][:, :, :, VOIGT]

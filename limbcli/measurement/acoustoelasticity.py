@@ -172,10 +172,25 @@ def wave_speed_m_per_s(
     array([2.])
     """
     n = np.array(direction) / np.linalg.norm(direction)
+    Q = acoustic_tensor(deformation_gradient, n, terms, volumetric=False)
+    return shear_speed_m_per_s(
+        Q, direction=direction, polarisation=polarisation, density_kg_per_m3=density_kg_per_m3, mode=mode
+    )
+
+
+def shear_speed_m_per_s(
+    Q: Array,
+    *,
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    density_kg_per_m3: float = 1000.0,
+    mode: Literal["polarised", "eigenmode"] = "eigenmode",
+) -> Array:
+    """As `wave_speed_m_per_s`, of acoustic tensors J Q (n_points, 3, 3) MPa for `direction`."""
+    n = np.array(direction) / np.linalg.norm(direction)
     a = np.array(polarisation, dtype=float)
     a -= (a @ n) * n
     a /= np.linalg.norm(a)
-    Q = acoustic_tensor(deformation_gradient, n, terms, volumetric=False)
     if mode == "polarised":
         modulus = np.einsum("i,nij,j->n", a, Q, a)
     else:

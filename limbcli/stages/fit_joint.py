@@ -127,7 +127,7 @@ def _identify(
     c0 = float(np.exp(np.mean([np.log(each.c) for each in measured])))
     curves, exact, data = [], [], []
     for each in measured:
-        speeds = law.has_speed and each.levels.has_swe
+        speeds = each.levels.has_swe
         curve = LawCurve(
             each.model, law, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
             progress=progress,

@@ -23,16 +23,12 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class FitLaw:
-    """name, what it is in words, the shape's parameters, and (c, shape) -> Material.
-
-    has_speed : whether the wave speed in the deformed tissue can be predicted (Ogden family)
-    """
+    """name, what it is in words, the shape's parameters, and (c, shape) -> Material."""
 
     name: str
     words: str
     shape: tuple[Parameter, ...]
     build: Callable[[float, Array], Material]
-    has_speed: bool = True
 
     def material(self, c: float, shape: Array | Sequence[float]) -> Material:
         return self.build(c, np.asarray(shape, dtype=float))
@@ -101,7 +97,6 @@ LAWS: Mapping[str, FitLaw] = {
                 Parameter("beta", 0.3, 0.01, 50.0, "log", stride=M_STRIDE),
             ),
             _holmes_mow,
-            has_speed=False,
         ),
     )
 }  # fmt: skip

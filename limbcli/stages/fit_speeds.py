@@ -7,9 +7,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.effects.waves import log_speed
 from limbcli.errors import MeasurementError
-from limbcli.measurement.acoustoelasticity import MAX_TERMS, OgdenTerms, wave_speed_m_per_s
+from limbcli.materials.acoustic import acoustic_tensor
+from limbcli.measurement.acoustoelasticity import (
+    MAX_TERMS,
+    OgdenTerms,
+    shear_speed_m_per_s,
+    wave_speed_m_per_s,
+)
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.swe_prediction import Window, predict_map
 from limbcli.model import Array, ElementMap, IntArray, LimbModel, Material
@@ -47,7 +52,7 @@ def speed_terms(material: Material, cells: IntArray | None = None) -> OgdenTerms
 def element_speeds(model: LimbModel, F: Array, items: IntArray, *, density_kg_per_m3: float) -> Array:
     """Speed (m/s) of the wave along x moving along z in solid cells `items` (numbered over all blocks).
 
-    F : (n, 3, 3). The Ogden family by its formula, other laws by differences of their energy.
+    F : (n, 3, 3). The Ogden family by its closed form, other laws by their tangent.
     """
     speed = np.full(len(items), np.nan)
     first = dict(zip((b.name for b in model.mesh.blocks), _first_cells(model), strict=True))
@@ -61,8 +66,9 @@ def element_speeds(model: LimbModel, F: Array, items: IntArray, *, density_kg_pe
         if terms is not None:
             speed[here] = wave_speed_m_per_s(F[here], terms, density_kg_per_m3=density_kg_per_m3)
         else:
-            logs = log_speed(model, domain.material, F[here], cells, density_kg_per_m3=density_kg_per_m3)
-            speed[here] = np.exp(logs)
+            law = model.materials[domain.material]
+            Q = acoustic_tensor(law, F[here], np.array([1.0, 0.0, 0.0]), cells=cells, n_cells=count)
+            speed[here] = shear_speed_m_per_s(Q, density_kg_per_m3=density_kg_per_m3)
     return speed
 
 
