@@ -20,6 +20,9 @@ ElementOpt = Annotated[
     str | None, typer.Option("--element", help="tet10 | tet4; default: the case's own.", show_default=False)
 ]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, also where nothing changed.")]
+DefaultsOpt = Annotated[
+    bool, typer.Option("--defaults", help="Forget the options that stages were called with by hand.")
+]
 ExpectOpt = Annotated[bool, typer.Option("--expect", help="Compare with each case's expected.toml.")]
 
 
@@ -31,6 +34,7 @@ def command(
     febio: FebioOpt = None,
     templates: TemplatesOpt = None,
     force: ForceOpt = False,
+    defaults: DefaultsOpt = False,
     expect: ExpectOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -38,6 +42,7 @@ def command(
 ) -> None:
     """All stages of one or more cases, from images to report; redoes only what changed.
 
+    A stage that was called by hand with options is called with them again, and that is said.
     With one CASE, --out is its output folder; with several, the folder that holds
     one output folder a case, and an index page. The last line printed is the report
     (of several cases, the index).
@@ -45,7 +50,9 @@ def command(
     from limbcli.config import default_out
     from limbcli.stages.batch import BatchOptions
 
-    options = BatchOptions(element=element, solver=solver, febio=febio, templates=templates, force=force)
+    options = BatchOptions(
+        element=element, solver=solver, febio=febio, templates=templates, force=force, defaults=defaults
+    )
     progress = terminal(quiet=quiet, verbose=verbose)
     entries = []
     for case in cases:

@@ -8,8 +8,8 @@ its end.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.files import atomic_file, sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, stage_folder
-from limbcli.stages.extras import Extra, extras, shown_only
+from limbcli.stages.asked import in_words, options_of
+from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
 ERROR_FILE = "error.json"
@@ -26,13 +27,17 @@ ERROR_FILE = "error.json"
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """What the stages are told: `element` None is the case's own; `force` redoes everything."""
+    """What the stages are told: `element` None is the case's own; `force` redoes everything.
+
+    defaults : stages forget what they were asked for by hand; else each is called as it was last called
+    """
 
     element: str | None = None
     solver: str = "auto"
     febio: Path | None = None
     templates: Path | None = None
     force: bool = False
+    defaults: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,12 +49,16 @@ class Failure:
 
 @dataclass
 class CaseOutcome:
-    """How one case went: what ran, what was fresh, what failed, and its report."""
+    """How one case went: what ran, what was fresh, what failed, and its report.
+
+    kept : options that a stage was called with by hand and is called with again, in words
+    """
 
     case: Path
     out: Path
     ran: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
+    kept: dict[str, str] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
     report: Path | None = None
 
@@ -59,6 +68,7 @@ class CaseOutcome:
             "out": str(self.out),
             "ran": self.ran,
             "fresh": self.fresh,
+            "kept": self.kept,
             "failures": [
                 {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
             ],
@@ -103,8 +113,9 @@ class _Run:
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited)
-        done = self._stage("segment", None, key, lambda: segment(self.case, **self._common()))
+        wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
+        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *_parts(wishes))
+        done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
         keys = [self._site(site.name, key) for site in self.case.sites] if done else []
         if not done:
             for site in self.case.sites:
@@ -131,42 +142,81 @@ class _Run:
             self._stage(extra.stage, extra.site, key, extra.redo, keep_result=True)
         return sha256(folder)
 
+    def _asked(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
+        """Options of the stage's last call by hand; kept, and said.
+
+        without : those that something stronger stands in for (the batch's own option)
+        """
+        asked = {} if self.options.defaults else self.memory.asked(stage, site)
+        self.memory.keep_asked(stage, site, asked)
+        asked = {key: value for key, value in asked.items() if key not in without}
+        if asked:
+            label, words = f"{stage} {site}" if site else stage, in_words(asked)
+            self.outcome.kept[label] = words
+            self.progress.event(
+                "note", text=f"{label}: as it was called by hand, with {words} (--defaults: without)"
+            )
+        return asked
+
     def _common(self) -> dict[str, Any]:
         return {"out": self.out, "progress": self.progress}
 
     def _site(self, name: str, key: str) -> str:
         """The stages of one site; returns the key of the last, for the report."""
-        from limbcli.stages.build_feb import build_feb
-        from limbcli.stages.fit import fit
+        from limbcli.stages.build_feb import TissueOptions, build_feb
+        from limbcli.stages.fit import FitOptions, fit
         from limbcli.stages.mesh import mesh
-        from limbcli.stages.run import run
+        from limbcli.stages.run import RunOptions, run
 
         raw, options, common = self.case.raw, self.options, self._common()
         site = self.case.site(name)
+        meshed = self._asked("mesh", name, without=("element",) if options.element else ())
+        own = ("templates",) if options.templates else ()
+        tissue, ran, fitted = (self._asked(each, name, without=own) for each in ("build-feb", "run", "fit"))
+        if options.element:
+            meshed["element"] = options.element
+        templates = options.templates or _path(tissue.get("templates"))
+        fit_options = replace(options_of(FitOptions, fitted), **({"templates": templates} if own else {}))
         table = next(each for each in raw["site"] if each["name"] == name)
         solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
         measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
-        templates = [options.templates] if options.templates else []
+        study = stage_folder(self.out, "mesh-study", name) / "mesh-study.json"
         steps: list[tuple[str, tuple[object, ...], Callable[[], object]]] = [
             (
                 "mesh",
-                (raw["probe"], raw.get("model"), table, options.element),
-                lambda: mesh(self.case, sites=[name], element=options.element, **common),
+                (raw["probe"], raw.get("model"), table, *_parts(meshed)),
+                lambda: mesh(self.case, sites=[name], **meshed, **common),
             ),
             (
                 "build-feb",
-                (*measured, *templates),
-                lambda: build_feb(self.case, sites=[name], templates=options.templates, **common),
+                (*measured, *([templates] if templates else []), *_parts(tissue)),
+                lambda: build_feb(
+                    self.case, sites=[name], options=options_of(TissueOptions, tissue), templates=templates,
+                    **common,
+                ),
             ),
-            ("run", tuple(solver.items()), lambda: run(self.case, sites=[name], **solver, **common)),
-            ("fit", (), lambda: fit(self.case, sites=[name], **solver, **common)),
-        ]
+            (
+                "run", (*solver.items(), *_parts(ran)),
+                lambda: run(self.case, sites=[name], options=options_of(RunOptions, ran), **solver, **common),
+            ),
+            (
+                "fit", (*([study] if study.is_file() else []), *_parts(fitted)),
+                lambda: fit(self.case, sites=[name], options=fit_options, **solver, **common),
+            ),
+        ]  # fmt: skip
         for k, (stage, parts, work) in enumerate(steps):
             key = key_of(key, *parts)
+            if stage == "fit" and self._fit_is_there(name):
+                self.memory.remember(stage, name, key)
             if not self._stage(stage, name, key, work):
                 self._skip([each for each, _, _ in steps[k + 1 :]], name, because=stage)
                 break
         return key
+
+    def _fit_is_there(self, site: str) -> bool:
+        """Whether a fit made by hand is what this batch would make."""
+        made = self.memory.made_since("fit", site) and not self.options.defaults
+        return made and made_by_hand(self.case, self.out, site, solver=self.options.solver)
 
     def _skip(
         self, stages: Sequence[str], site: str | None, *, because: str, keep_result: bool = False
@@ -207,6 +257,15 @@ class _Run:
             if isinstance(each, StageResult):
                 for line in (*each.summary, *(f"warning: {text}" for text in each.warnings)):
                     self.progress.event("note", text=line)
+
+
+def _parts(asked: Mapping[str, Any]) -> tuple[object, ...]:
+    """What a key sees of options that were asked for."""
+    return (sorted(asked.items()),) if asked else ()
+
+
+def _path(text: str | None) -> Path | None:
+    return Path(text) if text else None
 
 
 def keep_error(

@@ -26,6 +26,7 @@ from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers.base import MODEL_FILE
+from limbcli.stages.asked import asked_of, asked_of_options
 from limbcli.stages.indentation_model import (
     PROBE,
     TISSUE,
@@ -84,6 +85,7 @@ def build_feb(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            writer.data["asked"] = {**asked_of_options(options), **asked_of({"templates": templates})}
             _build_site(site, out, writer, options, templates)
         assert writer.result is not None
         results.append(writer.result)

@@ -7,16 +7,17 @@ unchanged, made again in the same way where it is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from limbcli import __version__
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.stages.asked import options_of
 from limbcli.stages.fit import FitOptions
 
 SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
@@ -67,6 +68,21 @@ def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
         return None
 
 
+def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
+    """Whether a site's fit is of today's model and measurement, this version and this solver."""
+    found = _there(out, "fit", site)
+    if found is None or (stage_folder(out, "fit", site) / "error.json").exists():
+        return False
+    same_solver = solver in ("auto", found.data.get("solver"))
+    same_version = found.provenance.get("limbcli") == __version__
+    study = stage_folder(out, "mesh-study", site) / "mesh-study.json"
+    used = "mesh-study" in found.provenance.get("inputs_sha256", {})
+    asked = found.data.get("asked", {})
+    unknown = study.is_file() and not used and "gain_deviation" not in asked
+    current = _is_current(case, out, found, (site,), labelled=False)
+    return same_solver and same_version and current and not unknown
+
+
 def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...], *, labelled: bool) -> bool:
     """Whether models and measurements are still those it was made from."""
     used = found.provenance.get("inputs_sha256", {})
@@ -84,11 +100,6 @@ def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...
     return set(sites) == set(found.data.get("sites", sites))
 
 
-def _options(asked: Mapping[str, Any]) -> FitOptions:
-    known = {key: asked[key] for key in ("c_kpa", "c_deviation", "tolerance") if asked.get(key) is not None}
-    return FitOptions(**known)
-
-
 def _remade_joint(
     case: Case, out: Path, found: StageResult, sites: tuple[str, ...], progress: Progress
 ) -> Callable[[], object]:
@@ -100,7 +111,12 @@ def _remade_joint(
         gain_deviation=asked.get("gain_deviation"),
     )  # fmt: skip
     return lambda: fit_joint(
-        case, out=out, sites=list(sites), joint=joint, options=_options(asked), progress=progress
+        case,
+        out=out,
+        sites=list(sites),
+        joint=joint,
+        options=options_of(FitOptions, asked),
+        progress=progress,
     )
 
 
@@ -109,5 +125,5 @@ def _remade_elements(
 ) -> Callable[[], object]:
     from limbcli.stages.fit_elements import compare_elements
 
-    options = _options(found.data.get("asked", {}))
+    options = options_of(FitOptions, found.data.get("asked", {}))
     return lambda: compare_elements(case, out=out, sites=[site], options=options, progress=progress)

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
+from limbcli.stages.asked import asked_of_options
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import leave_map, tissue_map
@@ -62,9 +64,9 @@ class FitOptions:
     templates: Path | None = None
     time_limit_s: float | None = None
 
-    def asked(self) -> dict[str, float | None]:
+    def asked(self) -> dict[str, Any]:
         """What another run of the same kind needs to be told."""
-        return {"c_kpa": self.c_kpa, "c_deviation": self.c_deviation, "tolerance": self.tolerance}
+        return asked_of_options(self)
 
 
 def fit(
@@ -99,6 +101,7 @@ def fit(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            writer.data["asked"] = options.asked()
             _fit_site(site, out, writer, engine, options, progress)
         assert writer.result is not None
         results.append(writer.result)

@@ -6,14 +6,18 @@ the stages before it) and nothing that it left was touched since.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from limbcli.config import templates_folder
+from limbcli.errors import CaseError
 from limbcli.files import atomic_file, sha256
-from limbcli.results import stage_folder
+from limbcli.results import read_result, stage_folder
 
 MEMORY = ".batch.json"
 
@@ -39,16 +43,23 @@ def key_of(*parts: object) -> str:
     return digest.hexdigest()
 
 
+_ASKED = "asked"
+
+
 class Memory:
-    """What the last batch into this output folder did: a key and an output hash per stage."""
+    """What the last batch into this output folder did: a key and an output hash per stage.
+
+    And what stages were asked for by hand before it (see `asked`).
+    """
 
     def __init__(self, out: Path):
         self._path = out / MEMORY
         self._out = out
         try:
-            self._done: dict[str, list[str]] = json.loads(self._path.read_text(encoding="utf-8"))
+            self._done: dict[str, Any] = json.loads(self._path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             self._done = {}
+        self._done.setdefault(_ASKED, {})
 
     def is_fresh(self, stage: str, site: str | None, key: str) -> bool:
         folder = stage_folder(self._out, stage, site)
@@ -65,6 +76,22 @@ class Memory:
     def remember(self, stage: str, site: str | None, key: str) -> None:
         folder = stage_folder(self._out, stage, site)
         self._done[_name(stage, site)] = [key, sha256(folder)]
+        self._write()
+
+    def asked(self, stage: str, site: str | None) -> dict[str, Any]:
+        """The options a stage was last called with by hand: of a result made since, else as kept."""
+        if self.made_since(stage, site):
+            with contextlib.suppress(CaseError):
+                return dict(read_result(self._out, stage, site=site).data.get("asked", {}))
+        return dict(self._done[_ASKED].get(_name(stage, site), {}))
+
+    def keep_asked(self, stage: str, site: str | None, asked: Mapping[str, Any]) -> None:
+        """Keep them for batches to come, should the result they were read from go."""
+        if self._done[_ASKED].get(_name(stage, site), {}) != asked:
+            self._done[_ASKED][_name(stage, site)] = dict(asked)
+            self._write()
+
+    def _write(self) -> None:
         with atomic_file(self._path) as path:
             path.write_text(json.dumps(self._done, indent=1), encoding="utf-8")
 

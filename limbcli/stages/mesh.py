@@ -21,6 +21,7 @@ from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.stages.asked import Asked, asked_of
 from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
 from limbcli.stages.mesh_study import study_site
 from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
@@ -71,11 +72,17 @@ def mesh(
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
+    asked = asked_of(
+        {
+            "element": element, "size": size, "far_size": far_size, "margin": margin,
+            "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place,
+        }
+    )  # fmt: skip
     results = []
     for site in chosen:
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
         own = replace(options, layers=layers)
-        results.append(_mesh_site(case, site, limb, segmented, own, sources, out, progress))
+        results.append(_mesh_site(case, site, limb, segmented, own, sources, out, progress, asked))
         if study:
             position = site_position(site, segmented)
             results.append(study_site(case, site, limb, position, own, out=out, progress=progress))
@@ -137,11 +144,13 @@ def _mesh_site(
     layer_sources: dict[str, str],
     out: Path,
     progress: Progress,
+    asked: Asked,
 ) -> StageResult:
     progress.event("stage", name="mesh", site=site.name)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     position = site_position(site, segmented)
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
+        writer.data["asked"] = asked
         for path in sorted(segmented.folder.glob("*.ply")):
             writer.used(path.name, path)
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)

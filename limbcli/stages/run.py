@@ -18,6 +18,7 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
+from limbcli.stages.asked import asked_of_options
 from limbcli.stages.run_files import leave_simulation
 from limbcli.stages.vtu import write_series
 
@@ -99,6 +100,7 @@ def _run_site(
     with open_stage(out, STAGE, subject=subject, site=site.name) as writer:
         writer.warnings.extend(built.warnings)
         writer.used("levels", site.levels)
+        writer.data["asked"] = asked_of_options(options)
         _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
     assert writer.result is not None

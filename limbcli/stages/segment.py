@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from limbcli.imaging.surface import SMOOTH, ClosedSurface, read_surface, surface
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.stages.asked import asked_of
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
 LABELS = "labels.nii.gz"
@@ -41,14 +43,17 @@ class _Options:
     seeds: tuple[Seed, ...]
     smooth: float
     threshold: float | None
-    side: Side | None
+    limb: Side | None
+
+    def asked(self) -> dict[str, Any]:
+        return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
     def wishes(self) -> Wishes:
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
             return np.array(found) if found else None
 
-        return Wishes(self.threshold, points("bone"), points("soft"), self.side)
+        return Wishes(self.threshold, points("bone"), points("soft"), self.limb)
 
 
 def segment(
@@ -85,6 +90,7 @@ def segment(
     options = _Options(_checked(seeds, case), smooth, threshold, limb)
     edited = None if fresh else edited_labels(out)
     with open_stage(out, "segment", subject=case.subject) as writer:
+        writer.data["asked"] = options.asked()
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.skin is not None:
@@ -167,7 +173,7 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
 
 
 def _ignored(options: _Options, writer: StageWriter) -> None:
-    if options.seeds or options.threshold is not None or options.side is not None:
+    if options.seeds or options.threshold is not None or options.limb is not None:
         writer.warnings.append("--seed, --threshold and --limb have no effect on a given label map")
 
 

@@ -9,23 +9,48 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeshError
-from limbcli.results import open_stage
+from limbcli.results import open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import fit_elements, fit_joint
+from limbcli.stages.asked import asked_of_options
 from limbcli.stages.batch import BatchOptions, batch
+from limbcli.stages.build_feb import TissueOptions
+from limbcli.stages.fit import FitOptions
+from limbcli.stages.run import RunOptions
 from tests.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
+OPTIONS = {"FitOptions": FitOptions, "TissueOptions": TissueOptions, "RunOptions": RunOptions}
+TOLD: dict[str, list[dict]] = {}
+
+
+def _told(options, given: dict) -> dict:
+    """What a stage was called with beyond its defaults."""
+    own = asked_of_options(options) if options is not None else {}
+    return {**own, **{k: v for k, v in given.items() if k not in ("progress", "solver", "febio") and v}}
+
+
+def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **asked) -> None:
+    """A stage's result as its own command leaves it."""
+    with open_stage(out, stage, subject="S1", site=site) as writer:
+        writer.file("text", "a.txt").write_text(f"by hand {asked}")
+        writer.data["asked"] = asked
+        if stage == "fit":
+            writer.used("model", out / "build-feb" / "p1" / "model.feb")
+            writer.used("levels", Case.open(case).site("p1").levels)
 
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Every stage replaced by one that leaves a result; mesh fails for site p2."""
     made: list[str] = []
+    told = TOLD
+    told.clear()
 
     def fake(stage: str):
-        def work(case: Case, *, out: Path, sites=(None,), **_):
+        def work(case: Case, *, out: Path, sites=(None,), options=None, **given):
             for site in sites:
+                told.setdefault(f"{stage} {site}" if site else stage, []).append(_told(options, given))
                 made.append(f"{stage} {site}" if site else stage)
                 if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
                     raise MeshError("no skin under the probe", where="site p2", fix="move it")
@@ -41,7 +66,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     for stage in ("segment", *STAGES, "report"):
         name = stage.replace("-", "_")
-        holder = type("holder", (), {name: staticmethod(fake(stage)), "edited_labels": staticmethod(edited)})
+        own = {name: staticmethod(fake(stage)), "edited_labels": staticmethod(edited)}
+        holder = type("holder", (), {**OPTIONS, **own})
         monkeypatch.setitem(__import__("sys").modules, f"limbcli.stages.{name}", holder)
     monkeypatch.setattr(module, "code_hash", lambda: "code")
     return made
@@ -199,3 +225,67 @@ def test_a_fit_on_demand_behind_a_failure_waits_and_comes_back(on_demand, calls:
     assert not outcome.failures
     assert {"fit-joint", "fit-elements p2"} <= set(calls)
     assert not (out / "fit-joint" / "error.json").exists()
+
+
+# ---------------------------------------------------------------- options by hand
+
+
+def test_a_fit_made_by_hand_stays_until_something_changes_and_is_then_made_the_same_way(
+    tmp_path: Path, calls: list[str]
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    by_hand(case, out, "fit", stiffness_map=True, gain_deviation=0.1)
+    calls.clear()
+    outcome = batch(case, out=out)
+    assert calls == ["report"]
+    assert read_result(out, "fit", site="p1").data["asked"]["stiffness_map"]
+    assert outcome.kept == {"fit p1": "--stiffness-map --gain-deviation-fraction 0.1"}
+    calls.clear()
+    (case / "p1.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
+    batch(case, out=out)
+    assert calls == ["build-feb p1", "run p1", "fit p1", "report"]
+    assert TOLD["fit p1"][-1] == {"stiffness_map": True, "gain_deviation": 0.1}
+    calls.clear()
+    assert batch(case, out=out).kept
+    assert calls == []
+
+
+def test_options_by_hand_outlive_a_failure_and_end_with_a_plain_call_or_on_demand(
+    tmp_path: Path, calls: list[str]
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    by_hand(case, out, "mesh", "p2", fat_layer=6.0, element="tet4")
+    (case / "break").touch()
+    batch(case, out=out)
+    (case / "break").unlink()
+    batch(case, out=out)
+    assert TOLD["mesh p2"] == [{"fat_layer": 6.0, "element": "tet4"}] * 2
+    batch(case, out=out, options=BatchOptions(element="tet10"))
+    assert TOLD["mesh p2"][-1] == {"fat_layer": 6.0, "element": "tet10"}, "the batch's own option is stronger"
+    batch(case, out=out)
+    assert TOLD["mesh p2"][-1]["element"] == "tet4"
+    batch(case, out=out, options=BatchOptions(defaults=True))
+    assert TOLD["mesh p2"][-1] == {}
+    by_hand(case, out, "segment", None, seeds=[["bone", [1.0, 2.0, 3.0]]], smooth=0.5)
+    assert batch(case, out=out).kept == {"segment": "--seed bone=1,2,3 --smooth 0.5"}
+    by_hand(case, out, "segment", None)
+    assert batch(case, out=out).kept == {}
+    assert TOLD["segment"][-1] == {}
+
+
+def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_again(
+    tmp_path: Path, calls: list[str]
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    (out / "build-feb" / "p1" / "model.feb").write_text("another")
+    by_hand(case, out, "fit")
+    calls.clear()
+    batch(case, out=out)
+    assert "fit p1" in calls
+    with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
+        writer.data["numerical_error_fraction"] = 0.2
+    calls.clear()
+    batch(case, out=out)
+    assert calls == ["fit p1", "report"]

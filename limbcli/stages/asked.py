@@ -1,0 +1,80 @@
+"""The options a stage was called with, so that a batch calls it in the same way again.
+
+A stage leaves what it was asked for beyond its defaults as `asked` in its JSON. What was
+asked by hand holds for every later batch, until the stage is called by hand without it or the batch
+is told `--defaults`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from limbcli.results import plain
+
+Asked = Mapping[str, Any]
+
+_SPOKEN = {
+    "seeds": "--seed", "smooth": "--smooth", "threshold": "--threshold", "limb": "--limb",
+    "element": "--element", "size": "--size-mm", "far_size": "--far-size-mm", "margin": "--margin-mm",
+    "skin_layer": "--skin-mm", "fat_layer": "--fat-mm", "place": "--at",
+    "c_kpa": "--c-kpa", "f_kappa": "--f-kappa", "m": "--m", "layers": "--layer", "templates": "--templates",
+    "time_limit_s": "--time-limit-s", "vtu": "--vtu", "c_deviation": "--c-deviation-fraction",
+    "stiffness_map": "--stiffness-map", "tolerance": "--tolerance", "max_iterations": "--max-iterations",
+    "gain_deviation": "--gain-deviation-fraction",
+}  # fmt: skip
+
+
+def asked_of(given: Asked, usual: Asked | None = None) -> dict[str, Any]:
+    """Plain values of what differs from the usual (not there: None).
+
+    >>> asked_of({"size": None, "margin": 30.0, "smooth": 0.7}, {"smooth": 0.7})
+    {'margin': 30.0}
+    """
+    usual = usual or {}
+    plainly = {
+        key: str(value.resolve()) if isinstance(value, Path) else value for key, value in given.items()
+    }
+    return {key: plain(value) for key, value in plainly.items() if value != usual.get(key)}
+
+
+def asked_of_options(options: Any) -> dict[str, Any]:
+    """The same of a frozen dataclass of options whose fields have defaults."""
+    return asked_of(vars(options), vars(type(options)()))
+
+
+def options_of(kind: type, asked: Asked) -> Any:
+    """A dataclass of options with what was asked; keys that it does not know are left out."""
+    names = {each.name for each in fields(kind)}
+    known = {key: value for key, value in asked.items() if key in names}
+    if known.get("templates") is not None:
+        known["templates"] = Path(known["templates"])
+    return kind(**known)
+
+
+def in_words(asked: Asked) -> str:
+    """As one would type it.
+
+    >>> in_words({"stiffness_map": True, "fat_layer": 6.0, "intervals": False, "place": [90.0, 120.0]})
+    '--stiffness-map --fat-mm 6 --no-intervals --at 90 120'
+    """
+    return " ".join(_spoken(key, value) for key, value in asked.items())
+
+
+def _spoken(key: str, value: Any) -> str:
+    name = _SPOKEN.get(key, "--" + key.replace("_", "-"))
+    if value is True:
+        return name
+    if value is False:
+        return name.replace("--", "--no-", 1)
+    if key == "seeds":
+        return " ".join(f"{name} {kind}={','.join(f'{x:g}' for x in place)}" for kind, place in value)
+    if key == "layers":
+        laws = ("{}:{}".format(k, ",".join(f"{a}={b}" for a, b in law.items())) for k, law in value.items())
+        return " ".join(f"{name} {law}" for law in laws)
+    several = value if isinstance(value, list) else [value]
+    return " ".join(
+        [name, *(f"{each:g}" if isinstance(each, float | int) else str(each) for each in several)]
+    )
