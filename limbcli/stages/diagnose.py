@@ -10,47 +10,43 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from limbcli.case import Case, Site
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.effects.reading import Curves, true_depth
+from limbcli.effects.reading import true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
-from limbcli.model import Array, LimbModel
+from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_curves import CurveBook, Windows
-from limbcli.stages.diagnosis_data import SiteData, site_data
+from limbcli.stages.diagnosis_data import ModelError, SiteData, site_data
+from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS, USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.units import mpa_from_kpa
 
 STAGE = "diagnose"
-F_KAPPA = 100.0
-_MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
 _N_DEPTHS = 7
 _BEYOND = 1.12
-_USUAL_C = 0.006
 
 
 @dataclass(frozen=True)
@@ -65,18 +61,6 @@ class DiagnoseOptions:
     far_size: float = 14.0
     templates: Path | None = None
     interventions: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Intervention:
-    """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations."""
-
-    name: str
-    log_force: Array
-    log_speed: Array
-    deviations: float
-    note: str = ""
-    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def diagnose(
@@ -156,10 +140,14 @@ class _Site:
     def all(self) -> None:
         book = self._book()
         try:
-            correction = self._correction(book)
-            interventions = self._interventions(book) if self.options.interventions else []
-            site = self._data(interventions)
-            bench = SiteBench(site, book, self.effects, correction=correction, progress=self.progress)
+            numerics = Numerics(
+                self.case, self.site, self.levels, book, out=self.out, size=self.options.size,
+                writer=self.writer, progress=self.progress,
+            )  # fmt: skip
+            tie = numerics.tie()
+            interventions = numerics.interventions() if self.options.interventions else []
+            site = self._data(numerics.noise(tie, interventions))
+            bench = SiteBench(site, book, self.effects, tie=tie, progress=self.progress)
             found = diagnose_bench(
                 bench, max_effects=self.options.max_effects, seed=self.options.seed, progress=self.progress
             )
@@ -172,11 +160,11 @@ class _Site:
 
     def _book(self) -> CurveBook:
         deepest = _BEYOND * float(np.nanmax(self.levels.depth))
-        depths = np.linspace(deepest / _N_DEPTHS, deepest, _N_DEPTHS)
+        depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         try:
             c, source = tissue_stiffness(self.levels, self.site)
         except LimbError:
-            c, source = _USUAL_C, "a usual value (level 0 has no shear-wave speed)"
+            c, source = USUAL_C, "a usual value (level 0 has no shear-wave speed)"
         self.writer.data["c_reference_source"] = source
         return CurveBook(
             self._working_mesh(), depths.tolist(), c=c, f_kappa=F_KAPPA, windows=self.windows, keep=self.work,
@@ -208,125 +196,15 @@ class _Site:
         key.write_text(text, encoding="utf-8")
         return model
 
-    def _correction(self, book: CurveBook) -> tuple[Array, Array] | None:
-        """ln (site's own mesh / working mesh) of the force, from the finished `run` (f_kappa 100, m 2)."""
-        try:
-            curve = self._own_run()
-        except LimbError as error:
-            self.writer.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
-            return None
-        if curve is None:
-            return None
-        depth, force = curve
-        working = book.curves(2.0)
-        inside = (working.depth > 0) & (working.depth <= depth[-1])
-        at = PchipInterpolator(np.r_[0.0, depth], np.r_[0.0, force])(working.depth)
-        ratio = np.zeros(len(working.depth))
-        ratio[inside] = np.log(np.maximum(at[inside], 1e-9) / working.force[inside])
-        ratio[working.depth > depth[-1]] = ratio[inside][-1] if inside.any() else 0.0
-        self.writer.data["working_mesh_force_ratio"] = np.exp(ratio[1:])
-        return ratio, np.zeros_like(working.log_speed)
-
-    def _own_run(self) -> tuple[Array, Array] | None:
-        element, depth, force = self._start_run()
-        if element != "tet10":
-            self.writer.warnings.append(
-                f"the site's own run has {element} elements and is not used to tie the working mesh to it"
-            )
-            return None
-        return depth, force
-
-    def _start_run(self) -> tuple[str, Array, Array]:
-        """Element, depths and forces of the site's own run at the start values, scaled to the reference c.
-
-        Raises
-        ------
-        CaseError
-            If there is none, or it was made with other start values.
-        """
-        ran = read_result(self.out, "run", site=self.site.name)
-        built = read_result(self.out, "build-feb", site=self.site.name)
-        if built.data.get("f_kappa") != F_KAPPA or built.data.get("m") != 2.0:
-            raise CaseError(
-                "the site's own run was made with other start values than f_kappa 100, m 2",
-                where=str(ran.folder), fix="run `limbcli build-feb` and `limbcli run` without options",
-            )  # fmt: skip
-        table = np.loadtxt(ran.path("force_depth"), delimiter=",", skiprows=1, ndmin=2)
-        depth, force = table[:, 1], table[:, 2]
-        rising = np.flatnonzero((np.diff(depth, prepend=0.0) > 1e-6) & (force > 0))
-        scale = _reference_c(self.levels, self.site) / mpa_from_kpa(float(built.data["c_kpa"]))
-        return str(built.data.get("element")), depth[rising], force[rising] * scale
-
-    # ------------------------------------------------------------ numerical effects
-
-    def _interventions(self, book: CurveBook) -> list[Intervention]:
-        found = []
-        for name in ("crop", "contact"):
-            self.progress.event("note", text=f"numerical check: {name}")
-            try:
-                found.append(self._intervene(book, effect(name)))
-            except LimbError as error:
-                self.writer.data.setdefault("numerical_not_evaluated", {})[name] = error.what
-        if self.case.model.element == "tet4":
-            found += self._locking(book)
-        return found
-
-    def _intervene(self, book: CurveBook, numerical: Effect) -> Intervention:
-        plain_curves = book.curves(2.0)
-        changed = book.curves(2.0, ((numerical, numerical.start),))
-        return self._judged(numerical.name, plain_curves, changed, numerical.sentence)
-
-    def _locking(self, book: CurveBook) -> list[Intervention]:
-        """The case asks for linear elements: what the site's own tet4 run gives against the working tet10."""
-        try:
-            element, depth, force = self._start_run()
-        except LimbError as error:
-            self.writer.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
-            return []
-        if element != "tet4":
-            return []
-        working = book.curves(2.0)
-        own = PchipInterpolator(np.r_[0.0, depth], np.r_[0.0, force], extrapolate=True)
-        at = own(working.depth)
-        linear = replace(working, force=np.maximum(at, 1e-9))
-        judged = self._judged("locking", linear, working, "tet4 against tet10")
-        if judged.deviations > _MATTERS:
-            self.writer.warnings.append(
-                f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
-                "with "
-                "quadratic ones. That is numerical, not tissue; the diagnosis goes on with tet10."
-            )
-        return [judged]
-
-    def _judged(self, name: str, before: Curves, after: Curves, note: str) -> Intervention:
-        change = np.zeros(len(before.depth))
-        change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
-        change[0] = change[1]
-        at_levels = np.interp(self.levels.depth, before.depth, change)
-        speed = np.nan_to_num(after.log_speed - before.log_speed)
-        speeds = np.array([np.interp(self.levels.depth, before.depth, column) for column in speed.T]).T
-        noise = self.site.noise
-        apart = np.maximum.accumulate(self.levels.depth) + 1e-6 * np.arange(len(self.levels))
-        slope = np.gradient(self.levels.force, apart)
-        deviation = np.hypot(noise.force, np.nan_to_num(slope, posinf=0, neginf=0) * noise.depth)
-        size = float(np.max(np.abs(at_levels * self.levels.force) / deviation))
-        return Intervention(name, at_levels, speeds, size, note)
-
-    def _data(self, interventions: list[Intervention]) -> SiteData:
+    def _data(self, model_error: Sequence[ModelError]) -> SiteData:
         maps = None
         if self.site.swe_maps is not None:
             maps = read_maps(self.site.swe_maps, len(self.levels))
             self.writer.used("swe maps", self.site.swe_maps)
-        # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
-        # Twice the penalty halves the gap: the whole of it is twice the difference.
-        share = {"crop": 0.5, "contact": 2.0}
-        errors = [
-            (f"model: {each.name}", share[each.name] * each.log_force, share[each.name] * each.log_speed)
-            for each in interventions if each.name in share
-        ]  # fmt: skip
         return site_data(
-            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps, model_error=errors
-        )
+            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps,
+            model_error=model_error,
+        )  # fmt: skip
 
     # ------------------------------------------------------------ what is left
 
@@ -337,12 +215,12 @@ class _Site:
         content = diagnosis_json(found, site, bench.effects)
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-             "matters": i.deviations > _MATTERS, "log_force_change": i.log_force}
+             "matters": i.deviations > MATTERS, "log_force_change": i.log_force}
             for i in interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
         lines = sentences(found)
-        moved = [i.name for i in interventions if i.deviations > _MATTERS]
+        moved = [i.name for i in interventions if i.deviations > MATTERS]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
         content["sentences"] = lines
@@ -380,10 +258,3 @@ class _Site:
         for each, point in zip(effects, points, strict=True):
             model = each.apply(model, {**each.null, **fitted.values, **point})
         write_feb(model, self.writer.file("feb", "diagnosed.feb"), self.options.templates)
-
-
-def _reference_c(levels: Levels, site: Site) -> float:
-    try:
-        return tissue_stiffness(levels, site)[0]
-    except LimbError:
-        return _USUAL_C

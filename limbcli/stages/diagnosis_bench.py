@@ -28,6 +28,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_curves import Ingredients, _touches_loads
 from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_numerics import Tie
 from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
@@ -66,17 +67,19 @@ class Change:
 
 
 class SiteBench:
-    """One site's data against one book of curves; `correction`: ln (true / working) of force and speeds."""
+    """One site's data against one book of curves; `tie`: from the working mesh to the site's own."""
 
     def __init__(
         self, site: SiteData, book: Book, effects: Sequence[Effect], *,
-        correction: tuple[Array, Array] | None = None, verify: bool = True, progress: Progress = SILENT,
+        tie: Tie | None = None, verify: bool = True, progress: Progress = SILENT,
     ):  # fmt: skip
         self.site, self.book, self.progress = site, book, progress
         self.effects = {each.name: each for each in effects if each.kind != "numerical"}
         self.verify = verify
         self.whiten = Whitener.of(site.data.noise.covariance)
-        self._correction = correction
+        self.tie = tie
+        self._correction = None if tie is None else (tie.log_force, tie.log_speed)
+        self._taller = 1.0 if tie is None else tie.thickness_ratio
         self._nodes: dict[float, Curves] = {}
         self._changes: dict[tuple[str, str], Change] = {}
         self._repairs: dict[tuple[Explanation, str], Array] = {}
@@ -156,7 +159,7 @@ class SiteBench:
                 values = values + self._change(self.effects[name], point).at(theta)
         log_force, log_speed = values[:, 0], values[:, 1:]
         force = np.concatenate([[0.0], np.exp(log_force[1:]) * c / self.book.c])
-        thickness = plain.thickness * (1.0 + theta.get("thickness_change", 0.0))
+        thickness = plain.thickness * self._taller * (1.0 + theta.get("thickness_change", 0.0))
         return Curves(depth, force, log_speed + 0.5 * np.log(c / self.book.c), plain.window_depth, thickness)
 
     def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
@@ -220,6 +223,7 @@ class SiteBench:
                     force, speed = self.book.shift(self.m_reference, ((effect, theta),))
                     moved = np.column_stack([force, speed])
                     moved[~np.isfinite(_logs(self._nodes[self.m_reference]))] = 0.0
+                    moved = _filled(moved)
                     if np.isfinite(moved).all():
                         places.append(times)
                         values.append(moved)
@@ -411,6 +415,21 @@ def _logs(curves: Curves) -> Array:
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
     return np.column_stack([log_force, curves.log_speed])
+
+
+def _filled(moved: Array) -> Array:
+    """Changes (n, 1 + n_parts) with gaps closed by the nearest depth of the same part: few cells, or no wave.
+
+    Left as it is where the force, or more than a third of the speeds, is missing.
+    """
+    known = np.isfinite(moved)
+    if not known[:, 0].all() or known.mean() < 2 / 3:
+        return moved
+    out, at = moved.copy(), np.arange(len(moved))
+    for k in range(moved.shape[1]):
+        here = known[:, k]
+        out[:, k] = np.interp(at, at[here], moved[here, k]) if here.any() else 0.0
+    return out
 
 
 def _label(points: Sequence[Theta]) -> str:

@@ -35,6 +35,7 @@ Ingredients = tuple[tuple[Effect, Theta], ...]
 _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
+_FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
 
 
 @dataclass(frozen=True)
@@ -59,15 +60,31 @@ class Windows:
         return ["whole", *(f"{depth} {side}" for depth in levels for side in sides)]
 
     def members(self, places: Array, face: float) -> list[IntArray]:
-        """The cells, at `places` (n_cells, 3) mm, in every part of the window below a face at this height."""
+        """The cells, at `places` (n_cells, 3) mm, in every part of the window below a face at this height.
+
+        A part in which there are few cells (they are larger than the part) takes those nearest to its
+        middle; none where the tissue ends above it.
+        """
         w, depth = self.window, face - places[:, 2]
         near = (np.abs(places[:, 0]) <= w.half_width) & (np.abs(places[:, 1]) <= 2 * w.elevation)
         near &= (depth >= w.depth_from) & (depth <= w.depth_to)
         part = self._part(places[:, 0], depth)
-        return [
-            np.flatnonzero(near),
-            *(np.flatnonzero(near & (part == k)) for k in range(self.across * self.down)),
-        ]
+        found = [np.flatnonzero(near)]
+        for k, (x, z) in enumerate(self._middles()):
+            inside = np.flatnonzero(near & (part == k))
+            if len(inside) < _FEWEST_CELLS:
+                away = np.hypot(np.hypot(places[:, 0] - x, places[:, 1]), depth - z)
+                nearest = np.argsort(away)[:_FEWEST_CELLS]
+                inside = nearest[away[nearest] < _FARTHEST]
+            found.append(inside)
+        return found
+
+    def _middles(self) -> list[tuple[float, float]]:
+        """Lateral place and depth of each part's middle (mm), row by row downwards."""
+        w = self.window
+        x = w.half_width * (2 * np.arange(self.across) + 1 - self.across) / self.across
+        z = w.depth_from + (w.depth_to - w.depth_from) * (np.arange(self.down) + 0.5) / self.down
+        return [(float(a), float(b)) for b in z for a in x]
 
     def _part(self, lateral: Array, depth: Array) -> IntArray:
         w = self.window

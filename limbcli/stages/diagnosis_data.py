@@ -7,13 +7,14 @@ residual of the force -K e_d, of ln speed -s e_d, of the travel -e_d (K, s: meas
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.bench import Data
-from limbcli.diagnostics.noise import Noise, NoisePart, common, independent
+from limbcli.diagnostics.noise import Noise, NoisePart, common, correlated, independent
 from limbcli.effects.reading import Curves, Protocol, Reading, read
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
@@ -21,7 +22,8 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_curves import Windows
 
 COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
-MAP_ERROR = 0.03  # of a part's mean speed: the model's resolution (assumed)
+PART_ERROR = 0.025  # of a part's mean speed, at every level: the model's resolution (assumed)
+MAP_ERROR = 0.015  # of a part's mean speed, from level to level (assumed)
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
 _PIXELS_PER_CELL = 9.0  # pixels that a smoothing of 3 mm makes one
@@ -66,12 +68,11 @@ class SiteData:
 
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
-    model_error: list[tuple[str, Array, Array]] | None = None,
+    model_error: Sequence[ModelError] = (),
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
-    model_error : (name, error of ln force (n_levels,), of ln speed (n_levels, n_parts)): known
-        differences between meshes, each one deviation of a common unknown
+    model_error : known differences between models, over all rows of the levels
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = Protocol(levels.force[keep], levels.depth[keep], levels.hold[keep])
@@ -82,7 +83,7 @@ def site_data(
         _skin_bone(levels, keep),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
-    parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, model_error or [])
+    parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     data = Data(
@@ -96,6 +97,21 @@ def site_data(
     return SiteData(
         name, protocol, tuple(rows), data, channels, tuple(c for c in wanted if c not in channels)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """An error of the model: ln force (n_levels,), ln speed (n_levels, n_parts), one deviation each.
+
+    correlation None : one common factor; else that between neighbouring levels
+    depth : mm, of the depth at every level alike
+    """
+
+    name: str
+    log_force: Array
+    log_speed: Array
+    correlation: float | None = None
+    depth: float = 0.0
 
 
 Stacked = tuple[list[Row], list[float], list[float]]
@@ -156,7 +172,7 @@ def _skin_bone(levels: Levels, keep: IntArray) -> Stacked:
 
 def _noise(
     protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
-    model_error: list[tuple[str, Array, Array]],
+    keep: IntArray, model_error: Sequence[ModelError],
 ) -> list[NoisePart]:  # fmt: skip
     source = noise.source
     parts = [independent("measurement: own error of each reading", own, source=source)]
@@ -175,11 +191,24 @@ def _noise(
             direction = np.where(is_map & (levels == level), noise.swe_level_fraction, 0.0)
             common_to_level += np.outer(direction, direction)
         parts.append(NoisePart("measurement: speeds of a level", common_to_level, source))
+        places = np.array([row.part for row in rows])
+        together = (places[:, None] == places[None, :]) & is_map[:, None] & is_map[None, :]
+        parts.append(NoisePart("model: parts of the window", PART_ERROR**2 * together, "assumed"))
     speeds = np.array([row.channel in ("swe", "map") for row in rows], dtype=float)
     if speeds.any():
         parts.append(common("gain of all speeds", COMMON_GAIN * speeds, source="assumed"))
-    for name, log_force, log_speed in model_error:
-        parts.append(common(name, _model_direction(rows, y, log_force, log_speed), source="computed"))
+    is_travel = np.array([row.channel == "travel" for row in rows])
+    for each in model_error:
+        direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
+        if each.depth:
+            direction = direction + each.depth * np.where(is_travel, 0.0, slope)
+        if each.correlation is None:
+            parts.append(common(each.name, direction, source="computed"))
+        else:
+            along = levels.astype(float)
+            parts.append(
+                correlated(each.name, direction, along, correlation=each.correlation, source="computed")
+            )
     return parts
 
 

@@ -12,7 +12,7 @@ from limbcli.effects.reading import Curves, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis_curves import Windows
-from limbcli.stages.diagnosis_data import site_data
+from limbcli.stages.diagnosis_data import ModelError, depth_slopes, site_data
 
 N = 6
 
@@ -73,11 +73,43 @@ def test_pixels_of_a_level_err_together():
 def test_model_error_moves_force_and_speed_as_stated():
     log_force, log_speed = np.full(N, 0.05), np.zeros((N, 10))
     with_error = site_data(
-        "p1", levels(), Noise(), windows=Windows(), model_error=[("mesh", log_force, log_speed)]
+        "p1", levels(), Noise(), windows=Windows(), model_error=[ModelError("mesh", log_force, log_speed)]
     )
     without = site_data("p1", levels(), Noise(), windows=Windows())
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert np.diag(added) == pytest.approx((0.05 * without.data.y) ** 2)
+
+
+def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
+    none = np.zeros((N, 10))
+    touch = ModelError("first touch", np.zeros(N), none, depth=0.4)
+    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[touch])
+    without = site_data("p1", levels(), Noise(), windows=Windows())
+    slope = depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
+    added = with_error.data.noise.covariance - without.data.noise.covariance
+    assert added == pytest.approx(np.outer(0.4 * slope, 0.4 * slope))
+    assert np.linalg.matrix_rank(added, tol=1e-9) == 1
+
+
+def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():
+    mesh = ModelError("mesh", np.full(N, 0.05), np.zeros((N, 10)), correlation=0.8)
+    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[mesh])
+    without = site_data("p1", levels(), Noise(), windows=Windows())
+    added = with_error.data.noise.covariance - without.data.noise.covariance
+    size = 0.05 * without.data.y
+    assert added[1, 2] == pytest.approx(0.8 * size[1] * size[2])
+    assert added[1, 4] == pytest.approx(0.8**3 * size[1] * size[4])
+
+
+def test_a_part_smaller_than_the_cells_takes_the_nearest_ones():
+    coarse = np.stack(np.meshgrid([-9.0, 0.0, 9.0], [0.0], -np.arange(2.0, 30.0, 5.0), indexing="ij"), -1)
+    places = coarse.reshape(-1, 3)
+    parts = Windows().members(places, 0.0)
+    assert all(len(each) >= 1 for each in parts)
+    deep_left = places[parts[7]]
+    assert np.all(np.hypot(deep_left[:, 0] + 8.0, deep_left[:, 2] + 21.2) < 12.0)
+    beyond = Windows().members(places[places[:, 2] > -8.0], 0.0)
+    assert len(beyond[8]) == 0
 
 
 def test_prediction_is_laid_out_like_the_data():

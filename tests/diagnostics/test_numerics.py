@@ -1,0 +1,41 @@
+"""What mesh and geometry leave to doubt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.effects.reading import Curves
+from limbcli.measurement.indentation import Levels
+from limbcli.stages.diagnosis_bench import _filled
+from limbcli.stages.diagnosis_numerics import log_force_at, measured_slope
+
+
+def curve(power: float) -> Curves:
+    depth = np.array([0.0, 1.0, 2.0, 4.0, 8.0])
+    return Curves(depth, 0.7 * depth**power, np.zeros((5, 0)), np.zeros(0))
+
+
+def test_force_between_and_beyond_solved_depths_is_that_of_a_power_of_depth():
+    at = np.array([0.2, 1.5, 3.0, 8.0, 10.0])
+    assert np.exp(log_force_at(curve(1.4), at)) == pytest.approx(0.7 * at**1.4, rel=1e-9)
+
+
+def test_measured_slope_is_that_of_the_loading_and_nothing_while_depth_falls():
+    depth = np.array([0.0, 2.0, 4.0, 6.0, 4.0, 2.0])
+    n = len(depth)
+    nan, one = np.full(n, np.nan), np.ones(n)
+    found = Levels(
+        2.0 * depth, depth, nan, nan, nan, ("load",) * 4 + ("unload",) * 2, one, nan, nan, Path("x")
+    )
+    assert measured_slope(found)[:3] == pytest.approx(2.0, rel=1e-3)
+    assert measured_slope(found)[4:] == pytest.approx(0.0)
+
+
+def test_gaps_are_closed_by_the_nearest_depth_but_too_many_are_not():
+    table = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 3.0, np.nan]])
+    assert _filled(table) == pytest.approx(np.array([[0.0, 1.0, 2.0], [0.1, 2.0, 2.0], [0.2, 3.0, 2.0]]))
+    empty = np.array([[0.0, np.nan, np.nan], [0.1, np.nan, np.nan], [0.2, 1.0, 1.0]])
+    assert np.isnan(_filled(empty)).any()
