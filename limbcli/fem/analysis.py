@@ -240,7 +240,7 @@ class Analysis:
         for each in guesses:
             system.recall(each.hints)
             tried.append((newton.forces(each), each))
-        sound = [(norm(f.mixed) / f.scale, each) for f, each in tried if f.worst > 0 and f.scale > 0]
+        sound = [(norm(f.mixed) / max(f.scale, 1e-14), each) for f, each in tried if f.worst > 0]
         error, guess = min(sound, key=lambda pair: pair[0], default=(np.inf, guesses[0]))
         limit = _FAR_OUT if known is None else _FAR_OFF
         if error > limit and self._marching and not patient and len(reached) > 1:

@@ -33,6 +33,7 @@ from limbcli.model import Array, Drive, IntArray, LimbModel, NodeMap, Support
 
 _NO_VOLUMES = np.zeros((0, 1))
 _NO_TRACTIONS = np.zeros((0, 1))
+_NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -121,6 +122,7 @@ class System:
         self.operands: list[Operands] = []
         self.at(self.start.time)
         self._set_penalties()
+        self._size = float(np.ptp(self.X[self._coupled], axis=0).max()) if self._coupled.any() else 0.0
 
     # ------------------------------------------------------------ set-up
 
@@ -132,6 +134,7 @@ class System:
         used = np.zeros(n, dtype=bool)
         for group in self.groups:
             used[group.cells.ravel()] = True
+        self._coupled = used
         free = np.repeat(used[:, None], 3, axis=1)
         self.tied = np.zeros(n, dtype=bool)
         for body in self.bodies:
@@ -182,6 +185,12 @@ class System:
     def jumps(self) -> bool:
         """Whether a stress jumps (sheared fibres), so that the tangent is not symmetric."""
         return any(each.jumps for each in self.operands)
+
+    @property
+    def least_force(self) -> float:
+        """What counts as no force (N), where nothing loads the tissue: round-off of its stresses, amply."""
+        stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)
+        return _NOTHING * stiffest * self._size**2
 
     @property
     def n_unknowns(self) -> int:
@@ -342,6 +351,7 @@ class System:
         held = internal[~self.free]
         with np.errstate(over="ignore"):  # of a step far astray
             scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
+        scale = max(float(scale), self.least_force)
         mixed = residual
         if state.volumes or state.tractions:
             shift = self.volume_force(state) if state.volumes else np.zeros_like(nodal)
@@ -350,7 +360,7 @@ class System:
                     pair.shifted_force(self._carried(state, k), shift)
             mixed = residual.copy()
             mixed[: self.n_tissue] += shift[self.free]
-        return Forces(nodal, bodies, residual, float(scale), touching, worst, place, mixed)
+        return Forces(nodal, bodies, residual, scale, touching, worst, place, mixed)
 
     def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
         """Internal nodal forces, smallest det F and where."""

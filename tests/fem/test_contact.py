@@ -136,6 +136,30 @@ def test_probe_without_contact_that_is_free_is_named() -> None:
         Analysis(lifted, QUICK).run()
 
 
+@pytest.mark.parametrize("kind", ["tet4", "tet10"])
+@pytest.mark.parametrize("height", [0.02, 2.0])
+def test_a_probe_that_touches_nothing_at_first_gives_the_force_of_one_that_does(
+    kind: str, height: float
+) -> None:
+    """The way down counts for nothing; a level in the air has no force."""
+    below = punch(kind, (3, 2, 2), levels=1)
+    points = below.mesh.points.copy()
+    points[-4:, 2] += 0.05 + height
+    *held, down = below.drives
+    above = replace(
+        below,
+        mesh=replace(below.mesh, points=points),
+        bodies=(replace(below.bodies[0], center_of_mass=(6.0, 5.0, height)),),
+        drives=(*held, replace(down, value=down.value - 0.05 - height)),
+        steps=(replace(below.steps[0], must_points=(0.5 * height / (1.0 + height), 1.0)),),
+    )
+    in_air, pressed = Analysis(above, QUICK).run()
+    assert in_air.forces.n_touching == 0
+    assert abs(in_air.forces.bodies).max() == 0.0
+    expected = Analysis(below, QUICK).run()[-1].forces.bodies[0, 2]
+    assert pressed.forces.bodies[0, 2] == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
