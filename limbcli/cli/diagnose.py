@@ -30,6 +30,9 @@ def command(
     interventions: Annotated[
         bool, typer.Option(help="Try crop and contact first (a few more simulations).")
     ] = True,
+    separate: Annotated[
+        bool, typer.Option("--separate", help="Each site alone, also those that share a place.")
+    ] = False,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -43,6 +46,7 @@ def command(
     options = DiagnoseOptions(
         effects=tuple(effects or ()), effect_file=effect_file, max_effects=max_effects, seed=seed,
         size=size_mm, far_size=far_size_mm, templates=templates, interventions=interventions,
+        separate=separate,
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
     emit(

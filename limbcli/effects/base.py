@@ -58,6 +58,8 @@ class Effect:
         (where both differ from the identity and `solves` is false, `apply` is what FEBio is given)
     febio_only : the reference solver refuses the model
     new_mesh : `apply` moves nodes or elements
+    each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
+        measurements of one place share it
     """
 
     name: str
@@ -72,6 +74,7 @@ class Effect:
     solves: bool = False
     febio_only: bool = False
     new_mesh: bool = False
+    each_time: bool = False
     tell_tale: str = ""
 
     @property

@@ -35,5 +35,6 @@ EFFECT = Effect(
     parameters=(ZERO,),
     needs=("force",),
     observe=observe,
+    each_time=True,
     tell_tale="a horizontal shift; the toe is cut or stretched; speed over depth shifts too",
 )

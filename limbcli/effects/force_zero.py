@@ -36,5 +36,6 @@ EFFECT = Effect(
     parameters=(ZERO,),
     needs=("force",),
     observe=observe,
+    each_time=True,
     tell_tale="a vertical shift of the whole force-depth curve; speed over depth stays",
 )

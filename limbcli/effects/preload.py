@@ -37,5 +37,6 @@ EFFECT = Effect(
     parameters=(PRELOAD,),
     needs=("force",),
     observe=observe,
+    each_time=True,
     tell_tale="the toe is missing; the speed at level 0 is that of squeezed tissue",
 )

@@ -44,6 +44,12 @@ class Protocol:
     def __len__(self) -> int:
         return len(self.depth)
 
+    @property
+    def unloading(self) -> list[bool]:
+        """Levels (n_levels,) that are read on the way back."""
+        deepest = int(np.argmax(self.depth)) if len(self) else 0
+        return [k > deepest for k in range(len(self))]
+
 
 @dataclass(frozen=True, eq=False)
 class Readout:

@@ -57,5 +57,6 @@ EFFECT = Effect(
     grid=tuple({DIRECTION: float(d)} for d in (0, 90, 180, 270)),
     solves=True,
     new_mesh=True,
+    each_time=True,
     tell_tale="soft at first touch; speeds differ left and right",
 )

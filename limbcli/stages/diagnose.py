@@ -1,8 +1,8 @@
 """diagnose: where model and measurement disagree, what is missing, and what the data cannot tell.
 
 Numerical effects first, by intervention on the mesh; then candidate effects on a working mesh
-(coarse, quadratic), tied to the site's own mesh where that was run. Every simulation is kept in
-`<out>/diagnose/.work-<site>`, so that an interrupted diagnosis goes on where it was.
+(coarse, quadratic), tied to the site's own mesh where that was run. Measurements of the same place
+(another orientation, a repeat) are diagnosed together: the tissue is the same.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,37 +22,28 @@ from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.reading import true_depth
-from limbcli.errors import CaseError, LimbError
+from limbcli.errors import CaseError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
-from limbcli.files import sha256
-from limbcli.measurement.elastography import read_maps
-from limbcli.measurement.indentation import read_levels
-from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.remesh import Sizes
-from limbcli.meshing.site_model import MeshOptions, site_model
-from limbcli.model import LimbModel
-from limbcli.model_io import load_model, save_model
+from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
-from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_curves import CurveBook, Windows
-from limbcli.stages.diagnosis_data import ModelError, SiteData, site_data
-from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS, USUAL_C, Intervention, Numerics
+from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS
+from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.indentation_model import indentation_model, starting_depth
-from limbcli.stages.mesh import read_limb, site_position
+from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
 
-STAGE = "diagnose"
-_N_DEPTHS = 7
-_BEYOND = 1.12
+_SAME_PLACE = 2.0  # mm
 
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """effects : names to try (empty: all); size, far_size : mm, of the working mesh's edges."""
+    """effects : names to try (empty: all); size, far_size : mm, of the working mesh's edges;
+    separate : diagnose every site alone, also those that share a place.
+    """
 
     effects: tuple[str, ...] = ()
     effect_file: Path | None = None
@@ -61,6 +53,11 @@ class DiagnoseOptions:
     far_size: float = 14.0
     templates: Path | None = None
     interventions: bool = True
+    separate: bool = False
+
+    @property
+    def mesh(self) -> WorkingMesh:
+        return WorkingMesh(self.size, self.far_size, self.interventions)
 
 
 def diagnose(
@@ -79,14 +76,27 @@ def diagnose(
         If the model without effects cannot be solved or fitted.
     """
     effects = chosen_effects(options)
-    results = []
-    for site in case.selected(sites):
-        progress.event("stage", name=STAGE, site=site.name)
-        with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            _Site(case, site, out, writer, effects, options, progress).all()
-        assert writer.result is not None
-        results.append(writer.result)
+    results: list[StageResult] = []
+    for group in places(case, case.selected(sites), out=out, separate=options.separate):
+        progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
+        results += _Diagnosed(case, group, out, effects, options, progress).all()
     return results
+
+
+def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = False) -> list[list[Site]]:
+    """Sites that share a place, together; in the order of the case."""
+    if separate or len(sites) < 2:
+        return [[site] for site in sites]
+    segmented = read_result(out, "segment")
+    groups: list[tuple[np.ndarray, list[Site]]] = []
+    for site in sites:
+        at = np.array(site_position(site, segmented))
+        near = [group for place, group in groups if np.linalg.norm(place - at) < _SAME_PLACE]
+        if near:
+            near[0].append(site)
+        else:
+            groups.append((at, [site]))
+    return [group for _, group in groups]
 
 
 def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
@@ -122,139 +132,94 @@ def load_effect(path: Path) -> Effect:
     return found
 
 
-class _Site:
-    """One site on its way through the diagnosis."""
+class _Diagnosed:
+    """The measurements of one place on their way through the diagnosis."""
 
     def __init__(
-        self, case: Case, site: Site, out: Path, writer: StageWriter, effects: Sequence[Effect],
+        self, case: Case, sites: Sequence[Site], out: Path, effects: Sequence[Effect],
         options: DiagnoseOptions, progress: Progress,
     ):  # fmt: skip
-        self.case, self.site, self.out, self.writer = case, site, out, writer
-        self.effects, self.options, self.progress = effects, options, progress
-        self.work = out / STAGE / f".work-{site.name}"
-        self.work.mkdir(parents=True, exist_ok=True)
-        self.levels = read_levels(site.levels)
-        self.windows = Windows()
-        writer.used("levels", site.levels)
+        self.case, self.sites, self.out = case, sites, out
+        self.options, self.progress = options, progress
+        self.effects = {each.name: each for each in effects if each.kind != "numerical"}
 
-    def all(self) -> None:
-        book = self._book()
+    def all(self) -> list[StageResult]:
+        prepared: list[Prepared] = []
         try:
-            numerics = Numerics(
-                self.case, self.site, self.levels, book, out=self.out, size=self.options.size,
-                writer=self.writer, progress=self.progress,
-            )  # fmt: skip
-            tie = numerics.tie()
-            interventions = numerics.interventions() if self.options.interventions else []
-            site = self._data(numerics.noise(tie, interventions))
-            bench = SiteBench(site, book, self.effects, tie=tie, progress=self.progress)
+            for site in self.sites:
+                prepared.append(
+                    prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
+                            progress=self.progress)
+                )  # fmt: skip
+            bench = SiteBench.joint([each.curves for each in prepared])
+            if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
+                bench.turned = lambda: turned_by_90(
+                    self.case, prepared[0], out=self.out, mesh=self.options.mesh, progress=self.progress
+                )
             found = diagnose_bench(
                 bench, max_effects=self.options.max_effects, seed=self.options.seed, progress=self.progress
             )
-            self._leave(found, site, bench, interventions)
-            self.writer.data["n_solves"] = book.n_solves
+            return [self._leave(found, bench, prepared, k) for k in range(len(prepared))]
         finally:
-            book.close()
+            for each in prepared:
+                each.close()
 
-    # ------------------------------------------------------------ model
+    def _leave(self, found: Diagnosis, bench: SiteBench, all_: list[Prepared], k: int) -> StageResult:
+        """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
+        mine = all_[k]
+        with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
+            for name, path in mine.notes.inputs.items():
+                writer.used(name, path)
+            writer.warnings.extend(mine.notes.warnings)
+            content = self._content(found, bench, mine, all_)
+            path = writer.file("diagnosis", "diagnosis.json")
+            path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
+            writer.data.update(mine.notes.data)
+            writer.data.update(content)
+            writer.data["n_solves"] = mine.book.n_solves
+            writer.summary.extend(content["sentences"][:10])
+            gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
+            candidates_picture(found, writer.file("candidates", "candidates.png"))
+            self._write_model(found, bench, mine, k, writer)
+        assert writer.result is not None
+        return writer.result
 
-    def _book(self) -> CurveBook:
-        deepest = _BEYOND * float(np.nanmax(self.levels.depth))
-        depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
-        try:
-            c, source = tissue_stiffness(self.levels, self.site)
-        except LimbError:
-            c, source = USUAL_C, "a usual value (level 0 has no shear-wave speed)"
-        self.writer.data["c_reference_source"] = source
-        return CurveBook(
-            self._working_mesh(), depths.tolist(), c=c, f_kappa=F_KAPPA, windows=self.windows, keep=self.work,
-            density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
-        )  # fmt: skip
-
-    def _working_mesh(self) -> LimbModel:
-        """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
-        own = self.out / "mesh" / self.site.name / "model.npz"
-        if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
-            self.writer.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
-            return load_model(own)
-        segmented = read_result(self.out, "segment")
-        surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
-        place = site_position(self.site, segmented)
-        recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.options.size, self.options.far_size]  # fmt: skip
-        text = json.dumps(plain(recipe))
-        kept, key = self.work / "model.npz", self.work / "model.json"
-        if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
-            return load_model(kept)
-        self.progress.event("note", text="making the working mesh")
-        probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.options.size, far=self.options.far_size)
-        meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
-        limb = read_limb(segmented)
-        model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
-        save_model(model, kept)
-        key.write_text(text, encoding="utf-8")
-        return model
-
-    def _data(self, model_error: Sequence[ModelError]) -> SiteData:
-        maps = None
-        if self.site.swe_maps is not None:
-            maps = read_maps(self.site.swe_maps, len(self.levels))
-            self.writer.used("swe maps", self.site.swe_maps)
-        return site_data(
-            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps,
-            model_error=model_error,
-        )  # fmt: skip
-
-    # ------------------------------------------------------------ what is left
-
-    def _leave(
-        self, found: Diagnosis, site: SiteData, bench: SiteBench, interventions: list[Intervention]
-    ) -> None:
-        writer = self.writer
-        content = diagnosis_json(found, site, bench.effects)
+    def _content(
+        self, found: Diagnosis, bench: SiteBench, mine: Prepared, all_: list[Prepared]
+    ) -> dict[str, Any]:
+        content = diagnosis_json(found, mine.curves.site, bench)
+        content["sites"] = [each.site.name for each in all_]
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
              "matters": i.deviations > MATTERS, "log_force_change": i.log_force}
-            for i in interventions
+            for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
         lines = sentences(found)
-        moved = [i.name for i in interventions if i.deviations > MATTERS]
+        moved = [i.name for i in mine.interventions if i.deviations > MATTERS]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
         content["sentences"] = lines
-        path = writer.file("diagnosis", "diagnosis.json")
-        path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
-        writer.data.update(content)
-        writer.summary.extend(lines[:10])
-        gap_picture(found, site, writer.file("gap", "gap.png"))
-        candidates_picture(found, writer.file("candidates", "candidates.png"))
-        self._write_model(found, site, bench)
+        return content
 
-    def _write_model(self, found: Diagnosis, site: SiteData, bench: SiteBench) -> None:
+    def _write_model(
+        self, found: Diagnosis, bench: SiteBench, mine: Prepared, k: int, writer: StageWriter
+    ) -> None:
         """The site's own model with what was added and the refitted parameters, for FEBio."""
-        path = self.out / "mesh" / self.site.name / "model.npz"
+        path = self.out / "mesh" / mine.site.name / "model.npz"
         if not path.is_file():
-            self.writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
+            writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
             return
         fitted = found.final
-        effects = [bench.effects[name] for name in fitted.explanation]
-        points = bench._points(effects, fitted)
-        reading = bench.reading(fitted.explanation, fitted.values, points)
-        curves = bench.curves(
-            mpa_from_kpa(fitted.values["c_kpa"]),
-            fitted.values["m"],
-            fitted.explanation,
-            fitted.values,
-            points,
-        )
-        depth = np.unique(np.round(true_depth(curves, site.protocol.depth, reading), 3))
+        curves, reading = bench.curves_of(fitted, k)
+        depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
         depths = [float(d) for d in depth if d > 2 * least_level()]
         meshed = load_model(path)
         plan = schedule(depths, start=starting_depth(meshed, depths[0]))
         c = mpa_from_kpa(fitted.values["c_kpa"])
         model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
-        for each, point in zip(effects, points, strict=True):
-            model = each.apply(model, {**each.null, **fitted.values, **point})
-        write_feb(model, self.writer.file("feb", "diagnosed.feb"), self.options.templates)
+        theta = bench.theta(fitted.values, fitted.explanation, k)
+        for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
+            each = bench.effects[name]
+            model = each.apply(model, {**each.null, **theta, **point})
+        write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)

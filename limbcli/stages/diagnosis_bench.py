@@ -1,40 +1,34 @@
-"""The diagnosis' bench for one site: fits and sensitivities out of a few simulations.
+"""The diagnosis' bench: fits and sensitivities of one site, or of several measurements of one place.
 
-The law's exponent m is solved at a handful of values and interpolated; c scales force and
-modulus exactly. An effect of the law changes the curves as the kept deformation says
-(`effects.frozen`); one of the mesh or the contact is solved. After a refit the model with the
-effect in it is solved once as it stands, what the stand-in missed is put right, and the fit is
-repeated: reported numbers come from that.
+Fits run on each site's stand-in (`diagnosis_site`); after a refit the model with the effect in it is
+solved once as it stands and the fit is repeated: reported numbers come from that.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol as Typed
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction
-from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.reading import Curves, Reading
-from limbcli.errors import FitError, LimbError, SolveError
+from limbcli.errors import FitError, LimbError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis_curves import Ingredients, _touches_loads
 from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_joint import joined
 from limbcli.stages.diagnosis_numerics import Tie
+from limbcli.stages.diagnosis_site import Book, SiteCurves, label, only_febio
 from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _M_START = (2.0, 5.0)
-_STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
-_STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
 _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3
 _SETTLED = 0.03  # of m, between the estimate and the nearest solved value
@@ -42,67 +36,91 @@ _MAX_NODES = 4
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
-class Book(Typed):
-    """What curves come out of: solved ones, and first-order changes of them."""
+@dataclass(frozen=True)
+class Slot:
+    """A parameter of an explanation: its name in the fit, and the site it is for (None: all)."""
 
-    c: float
-
-    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
-
-    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What an effect at one point of its grid does to ln force and ln speed, a spline a parameter."""
-
-    splines: Mapping[str, tuple[CubicSpline | None, Array, Array]]
-
-    def at(self, theta: Theta) -> Array:
-        total: Array | float = 0.0
-        for name, (spline, null_and_step, linear) in self.splines.items():
-            x = (theta[name] - null_and_step[0]) / null_and_step[1]
-            total = total + (x * linear if spline is None else spline(x))
-        return np.asarray(total)
+    name: str
+    parameter: Parameter
+    site: int | None = None
 
 
 class SiteBench:
-    """One site's data against one book of curves; `tie`: from the working mesh to the site's own."""
+    """One site's data against its curves, or several sites' that share the tissue."""
 
     def __init__(
-        self, site: SiteData, book: Book, effects: Sequence[Effect], *,
-        tie: Tie | None = None, verify: bool = True, progress: Progress = SILENT,
+        self, site: SiteData, book: Book, effects: Sequence[Effect], *, tie: Tie | None = None,
+        verify: bool = True, progress: Progress = SILENT,
     ):  # fmt: skip
-        self.site, self.book, self.progress = site, book, progress
         self.effects = {each.name: each for each in effects if each.kind != "numerical"}
+        first = SiteCurves(site, book, self.effects, tie=tie, progress=progress)
+        self._set(first, verify=verify)
+
+    @staticmethod
+    def joint(sites: Sequence[SiteCurves], *, verify: bool = True) -> SiteBench:
+        """Of sites that share one tuple of effects."""
+        bench = SiteBench.__new__(SiteBench)
+        bench.effects = dict(sites[0].effects)
+        bench._set(*sites, verify=verify)
+        return bench
+
+    def _set(self, *sites: SiteCurves, verify: bool) -> None:
+        self.sites = sites
         self.verify = verify
-        self.whiten = Whitener.of(site.data.noise.covariance)
-        self.tie = tie
-        self._correction = None if tie is None else (tie.log_force, tie.log_speed)
-        self._taller = 1.0 if tie is None else tie.thickness_ratio
-        self._nodes: dict[float, Curves] = {}
-        self._changes: dict[tuple[str, str], Change] = {}
-        self._repairs: dict[tuple[Explanation, str], Array] = {}
-        self.m_reference = _M_START[0]
+        self._data = joined([each.site for each in sites])
+        self.whiten = Whitener.of(self._data.noise.covariance)
+        self.turned: Callable[[], SiteCurves] | None = None  # the place with the probe turned by 90 degrees
         self._base_end: tuple[float, float] | None = None
 
     # ------------------------------------------------------------ the contract
 
     @property
+    def site(self) -> SiteData:
+        """The first site's data."""
+        return self.sites[0].site
+
+    @property
+    def book(self) -> Book:
+        return self.sites[0].book
+
+    @property
     def data(self) -> Data:
-        return self.site.data
+        return self._data
 
     @property
     def candidates(self) -> Sequence[Facts]:
         return [
-            Facts(e.name, e.sentence, e.kind, {p.name: p.typical - p.null for p in e.parameters})
+            Facts(
+                e.name, e.sentence, e.kind,
+                {s.name: s.parameter.typical - s.parameter.null for s in self.slots((e.name,))},
+            )
             for e in self.effects.values()
-        ]
+        ]  # fmt: skip
+
+    def slots(self, explanation: Explanation) -> list[Slot]:
+        """The parameters of an explanation, in order."""
+        found = []
+        for name in explanation:
+            effect = self.effects[name]
+            for p in effect.parameters:
+                if effect.each_time and len(self.sites) > 1:
+                    found += [Slot(f"{p.name}@{s.site.name}", p, k) for k, s in enumerate(self.sites)]
+                else:
+                    found.append(Slot(p.name, p))
+        return found
+
+    def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
+        """Effect parameters by their own names, as one site has them."""
+        return {
+            slot.parameter.name: float(values[slot.name])
+            for slot in self.slots(explanation) if slot.site in (None, site)
+        }  # fmt: skip
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Least squares over c, m and the effects' parameters, at every point of the effects' grids."""
         if not explanation:
             return self._fit_base()
+        self._check_channels(explanation)
         effects = [self.effects[name] for name in explanation]
         combinations: list[Sequence[Theta]] = list(
             itertools.islice(itertools.product(*(e.grid for e in effects)), _MOST_POINTS)
@@ -112,6 +130,82 @@ class SiteBench:
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
         best = self._each(explanation, combinations, start, thorough=True)[0]
         return self._verified(explanation, best[2])
+
+    def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
+        effect = self.effects[name]
+        self._check_channels((name,))
+        slots = self.slots((name,))
+        found = []
+        for point in effect.grid:
+            columns = [self._column(fitted, effect, slot, point) for slot in slots]
+            signs = tuple(slot.parameter.sign for slot in slots)
+            names = tuple(slot.name for slot in slots)
+            found.append(Direction(np.stack(columns, axis=1), signs, point_name(point), names))
+        return found
+
+    def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
+        from limbcli.stages.diagnosis_menu import menu
+
+        return menu(self, fits)
+
+    # ------------------------------------------------------------ predictions
+
+    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        """x: ln c, ln m, then the effects' parameters in order."""
+        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        parts = [
+            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
+            for k, each in enumerate(self.sites)
+        ]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
+        """The fitted curves of a site, and how they are read."""
+        points = self.points(fitted)
+        theta = self.theta(fitted.values, fitted.explanation, site)
+        c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
+        one = self.sites[site]
+        return (
+            one.curves(c, m, fitted.explanation, theta, points),
+            one.reading(fitted.explanation, theta, points),
+        )
+
+    def points(self, fitted: Fitted) -> list[Theta]:
+        """The point of each effect's grid that was chosen."""
+        chosen: list[Theta] = []
+        for effect in (self.effects[name] for name in fitted.explanation):
+            match = [q for q in effect.grid if all(fitted.values.get(k) == v for k, v in q.items())]
+            chosen.append(match[0] if match else effect.grid[0])
+        return chosen
+
+    # ------------------------------------------------------------ fits
+
+    def _fit_base(self) -> Fitted:
+        for m in _M_START:
+            self._solve_node(m)
+        for _ in range(_MAX_NODES):
+            fitted = self._solve_fit((), (), {})[1]
+            m = fitted.values["m"]
+            solved = self._nodes()
+            if abs(np.log(self._nearest(m) / m)) < _SETTLED or len(solved) >= _MAX_NODES:
+                break
+            if not self._solve_node(float(round(m, 3))):
+                break
+        for each in self.sites:
+            each.m_reference = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+        self._base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
+        return fitted
+
+    def _solve_node(self, m: float) -> bool:
+        solved = [each.solve_node(m) for each in self.sites]
+        return all(solved)
+
+    def _nodes(self) -> set[float]:
+        return set.intersection(*(set(each.nodes) for each in self.sites))
+
+    def _nearest(self, m: float) -> float:
+        return min(self._nodes() or {_M_START[0]}, key=lambda node: abs(np.log(node / m)))
 
     def _each(
         self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],
@@ -130,149 +224,16 @@ class SiteBench:
             raise problem
         return sorted(found, key=lambda each: each[0])
 
-    def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        effect = self.effects[name]
-        self._check_channels(effect)
-        found = []
-        for point in effect.grid:
-            columns = [self._column(fitted, effect, p.name, point) for p in effect.parameters]
-            names = tuple(p.name for p in effect.parameters)
-            signs = tuple(p.sign for p in effect.parameters)
-            found.append(Direction(np.stack(columns, axis=1), signs, point_name(point), names))
-        return found
-
-    def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
-        from limbcli.stages.diagnosis_menu import menu
-
-        return menu(self, fits)
-
-    # ------------------------------------------------------------ curves
-
-    def curves(
-        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
-    ) -> Curves:
-        """The stand-in's curves with these values."""
-        depth, values, plain = self._base(m)
-        values = values + self._repairs.get((explanation, _label(points)), 0.0)
-        for name, point in zip(explanation, points, strict=True):
-            if self.effects[name].solves:
-                values = values + self._change(self.effects[name], point).at(theta)
-        log_force, log_speed = values[:, 0], values[:, 1:]
-        force = np.concatenate([[0.0], np.exp(log_force[1:]) * c / self.book.c])
-        thickness = plain.thickness * self._taller * (1.0 + theta.get("thickness_change", 0.0))
-        return Curves(depth, force, log_speed + 0.5 * np.log(c / self.book.c), plain.window_depth, thickness)
-
-    def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
-        reading = Reading()
-        for name, point in zip(explanation, points, strict=True):
-            reading = self.effects[name].observe(reading, {**point, **theta})
-        return reading
-
-    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """x: ln c, ln m, then the effects' parameters in order."""
-        theta = self._theta(x, explanation)
-        curves = self.curves(float(np.exp(x[0])), float(np.exp(x[1])), explanation, theta, points)
-        return self.site.predict(curves, self.reading(explanation, theta, points))
-
-    def _theta(self, x: Array, explanation: Explanation) -> dict[str, float]:
-        names = [p.name for name in explanation for p in self.effects[name].parameters]
-        return dict(zip(names, x[2:].tolist(), strict=True))
-
-    def _base(self, m: float) -> tuple[Array, Array, Curves]:
-        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
-        nodes = sorted(self._nodes)
-        first = self._nodes[nodes[0]]
-        tables = np.array([_logs(self._nodes[node]) for node in nodes])
-        near = np.argsort(np.abs(np.log(np.array(nodes) / m)))[:3]
-        at, out = np.log(np.array(nodes)[near]), np.zeros_like(tables[0])
-        for i in range(len(near)):
-            others = [j for j in range(len(near)) if j != i]
-            weight = np.prod([(np.log(m) - at[j]) / (at[i] - at[j]) for j in others]) if others else 1.0
-            out = out + weight * tables[near[i]]
-        if self._correction is not None:
-            out = out + np.column_stack(self._correction)
-        return first.depth, out, first
-
-    def _change(self, effect: Effect, point: Theta) -> Change:
-        key = (effect.name, point_name(point))
-        if key not in self._changes:
-            self._changes[key] = self._solved_change(effect, point)
-        return self._changes[key]
-
-    def _solved_change(self, effect: Effect, point: Theta) -> Change:
-        if effect.febio_only:
-            raise SolveError(
-                "only FEBio can run it, and the diagnosis works with the reference solver",
-                where=f"effect {effect.name}", fix="run the written model with FEBio",
-            )  # fmt: skip
-        self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
-        splines = {}
-        for p in effect.parameters:
-            step = p.start - p.null
-            scale = np.array([p.null, step])
-            if effect.new_mesh or _touches_loads(effect):
-                theta = {**effect.null, **point, p.name: p.start}
-                moved = _logs(self.book.curves(self.m_reference, ((effect, theta),)))
-                splines[p.name] = (None, scale, moved - _logs(self.book.curves(self.m_reference)))
-                continue
-            places, values = [0.0], [np.zeros_like(_logs(self._nodes[self.m_reference]))]
-            for times in _STEPS_ONE if p.sign else _STEPS_TWO:
-                value = p.null + times * step
-                if p.low - 1e-12 <= value <= p.high + 1e-12:
-                    theta = {**effect.null, **point, p.name: value}
-                    force, speed = self.book.shift(self.m_reference, ((effect, theta),))
-                    moved = np.column_stack([force, speed])
-                    moved[~np.isfinite(_logs(self._nodes[self.m_reference]))] = 0.0
-                    moved = _filled(moved)
-                    if np.isfinite(moved).all():
-                        places.append(times)
-                        values.append(moved)
-            if len(places) < 2:
-                raise SolveError(
-                    f"no wave can run, or the law has no answer, with {p.name} near {p.start:g}",
-                    where=f"effect {effect.name}", fix="look at the deepest level",
-                )  # fmt: skip
-            order = np.argsort(places)
-            table = np.array(values)[order]
-            splines[p.name] = (CubicSpline(np.array(places)[order], table), scale, table[0])
-        return Change(splines)
-
-    # ------------------------------------------------------------ fits
-
-    def _fit_base(self) -> Fitted:
-        for m in _M_START:
-            self._solve_node(m)
-        for _ in range(_MAX_NODES):
-            fitted = self._solve_fit((), (), {})[1]
-            m = fitted.values["m"]
-            nearest = min(self._nodes, key=lambda node: abs(np.log(node / m)))
-            if abs(np.log(nearest / m)) < _SETTLED or len(self._nodes) >= _MAX_NODES:
-                break
-            if not self._solve_node(float(round(m, 3))):
-                break
-        self.m_reference = min(self._nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
-        self._base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
-        return fitted
-
-    def _solve_node(self, m: float) -> bool:
-        try:
-            self._nodes[m] = self.book.curves(m)
-        except SolveError:
-            if not self._nodes:
-                raise
-            return False
-        return True
-
     def _solve_fit(
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
         thorough: bool = True,
     ) -> tuple[float, Fitted]:  # fmt: skip
-        parameters = [p for name in explanation for p in self.effects[name].parameters]
-        low = np.array([np.log(self.book.c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
-        high = np.array([np.log(self.book.c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        slots = self.slots(explanation)
+        parameters = [slot.parameter for slot in slots]
+        low, high = self._bounds(explanation)
         scale = np.array([0.1, 0.3, *(abs(p.start - p.null) for p in parameters)])
         guesses = [
-            [p.null + start.get(p.name, 0.0) or p.start for p in parameters],
+            [s.parameter.null + start.get(s.name, 0.0) or s.parameter.start for s in slots],
             [p.start for p in parameters],
         ]
         best = None
@@ -289,7 +250,14 @@ class SiteBench:
         assert best is not None
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
-        return 2 * float(best.cost), self._fitted(best.x, explanation, points, low, high)
+        return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def _bounds(self, explanation: Explanation) -> tuple[Array, Array]:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        c = self.book.c
+        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
+        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        return low, high
 
     def _tissue_starts(self) -> list[tuple[float, float]]:
         """c, m to start from: where the fit without effects ended, and a usual tissue."""
@@ -299,141 +267,90 @@ class SiteBench:
         m = self._base_end[1]
         return [self._base_end, max(usual, key=lambda each: abs(np.log(each[1] / m)))]
 
-    def _fitted(
-        self, x: Array, explanation: Explanation, points: Sequence[Theta], low: Array, high: Array
-    ) -> Fitted:
-        parameters = [p for name in explanation for p in self.effects[name].parameters]
-        span = np.array([1.0, 1.0, *(p.high - p.low for p in parameters)])
-        bound: list[str] = []
-        for k, p in enumerate(parameters, start=2):
-            at = (
-                "low"
-                if x[k] - low[k] < _ON_BOUND * span[k]
-                else "high"
-                if high[k] - x[k] < _ON_BOUND * span[k]
-                else ""
-            )
-            single = len([q for q in parameters if q.sign]) < 2
-            if at and (single or at == "high"):
-                bound.append(f"{p.name} ended on its {at}er bound {low[k] if at == 'low' else high[k]:g}")
+    def _fitted(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Fitted:
+        slots = self.slots(explanation)
+        low, high = self._bounds(explanation)
         free = np.ones(len(x), dtype=bool)
         free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
         notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
         jacobian = self._jacobian(x, explanation, points)
-        base_names = ("c", "m") if free[1] else ("c",)
         values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
-        values |= self._theta(x, explanation)
+        values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
         values |= {k: float(v) for point in points for k, v in point.items()}
         return Fitted(
-            explanation, self.predict(x, explanation, points), jacobian[:, free], base_names, values,
-            tuple(p.name for p in parameters), tuple(bound), notes, {"grid": _label(points)},
+            explanation, self.predict(x, explanation, points), jacobian[:, free],
+            ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
+            tuple(self._on_bounds(x, slots)), notes, {"grid": label(points)},
         )  # fmt: skip
 
+    def _on_bounds(self, x: Array, slots: Sequence[Slot]) -> list[str]:
+        """Effect parameters that ended on a bound; the lower one is fair where several share the work."""
+        single = len([slot for slot in slots if slot.parameter.sign]) < 2
+        found = []
+        for value, slot in zip(x[2:], slots, strict=True):
+            p = slot.parameter
+            near = _ON_BOUND * (p.high - p.low)
+            if value - p.low < near and single:
+                found.append(f"{slot.name} ended on its lower bound {p.low:g}")
+            elif p.high - value < near:
+                found.append(f"{slot.name} ended on its higher bound {p.high:g}")
+        return found
+
     def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        parameters = [p for name in explanation for p in self.effects[name].parameters]
-        steps = [
-            _DIFFERENCE,
-            _DIFFERENCE,
-            *(_DIFFERENCE * max(abs(p.start - p.null), 1e-6) for p in parameters),
-        ]
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        sizes = [1.0, 1.0, *(max(abs(p.start - p.null), 1e-6) for p in parameters)]
         columns = []
-        for k, step in enumerate(steps):
+        for k, size in enumerate(sizes):
             up, down = x.copy(), x.copy()
-            up[k] += step
-            down[k] -= step
-            columns.append(
-                (self.predict(up, explanation, points) - self.predict(down, explanation, points)) / (2 * step)
-            )
+            up[k] += _DIFFERENCE * size
+            down[k] -= _DIFFERENCE * size
+            change = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+            columns.append(change / (2 * _DIFFERENCE * size))
         return np.stack(columns, axis=1)
 
     def _verified(self, explanation: Explanation, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the stand-in there, fit again; twice at most."""
-        effects = [self.effects[name] for name in explanation]
-        if not self.verify or not any(e.solves for e in effects) or fitted.at_bound:
+        solves = any(self.effects[name].solves for name in explanation)
+        if not self.verify or not solves or fitted.at_bound:
             return fitted
         for _ in range(2):
-            points = self._points(effects, fitted)
-            theta = {**fitted.values}
-            m = round(fitted.values["m"], 4)
-            solving = tuple(
-                (e, {**e.null, **theta, **q}) for e, q in zip(effects, points, strict=True) if e.solves
-            )
-            true = _logs(self.book.curves(m, solving))
-            c = self.book.c
-            stand_in = _logs(self.curves(c, m, explanation, theta, points))
-            if self._correction is not None:
-                true = true + np.column_stack(self._correction)
-            key = (explanation, _label(points))
-            missed = true - stand_in
-            missed[0, 0] = 0.0
-            self._repairs[key] = self._repairs.get(key, 0.0) + np.nan_to_num(missed)
+            points, m = self.points(fitted), round(fitted.values["m"], 4)
+            for k, each in enumerate(self.sites):
+                each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)
             before = fitted.prediction
             fitted = self._solve_fit(explanation, points, {})[1]
             if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < 0.1:
                 break
         return fitted
 
-    def _points(self, effects: Sequence[Effect], fitted: Fitted) -> list[Theta]:
-        chosen: list[Theta] = []
-        for effect in effects:
-            match = [q for q in effect.grid if all(fitted.values.get(k) == v for k, v in q.items())]
-            chosen.append(match[0] if match else effect.grid[0])
-        return chosen
-
-    def _column(self, fitted: Fitted, effect: Effect, name: str, point: Theta) -> Array:
+    def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
         """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
-        p = next(each for each in effect.parameters if each.name == name)
-        old = fitted.explanation
-        points = [*self._points([self.effects[e] for e in old], fitted), point]
+        p, old = slot.parameter, fitted.explanation
+        points = [*self.points(fitted), point]
         explanation = (*old, effect.name)
+        slots = self.slots(explanation)
+        values = {s.name: s.parameter.null for s in slots} | dict(fitted.values)
         x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
-        x += [fitted.values[q.name] for e in old for q in self.effects[e].parameters]
-        k = len(x) + [q.name for q in effect.parameters].index(name)
-        x += [q.null for q in effect.parameters]
+        x += [values[s.name] for s in slots]
+        k = 2 + [s.name for s in slots].index(slot.name)
         step = 0.02 * (p.start - p.null)
         up, down = np.array(x), np.array(x)
         up[k] += step
         if not p.sign:
             down[k] -= step
-        inherited = self._repairs.get((old, _label(points[:-1])))
-        if inherited is not None:
-            self._repairs.setdefault((explanation, _label(points)), inherited)
+        for each in self.sites:
+            each.inherit(old, points[:-1], explanation, points)
         moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
         return np.asarray(moved / (up[k] - down[k]))
 
-    def _check_channels(self, effect: Effect) -> None:
-        lacking = [each for each in effect.needs if each not in self.site.channels]
-        if lacking:
-            raise FitError(
-                f"it needs what was not measured: {', '.join(lacking)}",
-                where=f"effect {effect.name}", fix="measure it, see the next measurement",
-            )  # fmt: skip
-
-
-def _logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts): ln force (0 at depth 0) and ln speeds."""
-    log_force = np.zeros(len(curves.depth))
-    log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
-    return np.column_stack([log_force, curves.log_speed])
-
-
-def _filled(moved: Array) -> Array:
-    """Changes (n, 1 + n_parts) with gaps closed by the nearest depth of the same part: few cells, or no wave.
-
-    Left as it is where the force, or more than a third of the speeds, is missing.
-    """
-    known = np.isfinite(moved)
-    if not known[:, 0].all() or known.mean() < 2 / 3:
-        return moved
-    out, at = moved.copy(), np.arange(len(moved))
-    for k in range(moved.shape[1]):
-        here = known[:, k]
-        out[:, k] = np.interp(at, at[here], moved[here, k]) if here.any() else 0.0
-    return out
-
-
-def _label(points: Sequence[Theta]) -> str:
-    return "; ".join(point_name(point) for point in points if point)
-
-
-__all__ = ["Book", "SiteBench", "replace"]
+    def _check_channels(self, explanation: Explanation) -> None:
+        has = {channel for each in self.sites for channel in each.site.channels}
+        for name in explanation:
+            if self.effects[name].febio_only:
+                raise only_febio(self.effects[name])
+            lacking = [each for each in self.effects[name].needs if each not in has]
+            if lacking:
+                raise FitError(
+                    f"it needs what was not measured: {', '.join(lacking)}",
+                    where=f"effect {name}", fix="measure it, see the next measurement",
+                )  # fmt: skip

@@ -20,13 +20,14 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_curves import Windows
+from limbcli.stages.diagnosis_holds import HeldForces
 
+GAIN_OF_SPEEDS = "gain of all speeds"
 COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
 PART_ERROR = 0.025  # of a part's mean speed, at every level: the model's resolution (assumed)
 MAP_ERROR = 0.015  # of a part's mean speed, from level to level (assumed)
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
-_PIXELS_PER_CELL = 9.0  # pixels that a smoothing of 3 mm makes one
 _FEWEST_SPEEDS = 4
 
 
@@ -49,11 +50,13 @@ class SiteData:
     data: Data
     channels: tuple[str, ...] = ()
     missing: tuple[str, ...] = field(default=())
+    held: HeldForces | None = None
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum."""
         shown = read(curves, self.protocol, reading)
         out = np.empty(len(self.rows))
+        falls = None if self.held is None else self.held.predict(curves, reading)
         for k, row in enumerate(self.rows):
             if row.channel == "force":
                 out[k] = shown.force[row.level]
@@ -61,6 +64,8 @@ class SiteData:
                 out[k] = shown.log_speed[row.level, row.part]
             elif row.channel == "travel":
                 out[k] = shown.travel[row.level]
+            elif row.channel == "hold" and falls is not None:
+                out[k] = falls[row.level]
             else:
                 out[k] = shown.thickness
         return out
@@ -68,7 +73,7 @@ class SiteData:
 
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
-    model_error: Sequence[ModelError] = (),
+    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
@@ -81,21 +86,21 @@ def site_data(
         _speeds(levels, keep, noise, windows, maps),
         _travel(levels, keep),
         _skin_bone(levels, keep),
+        _holds(held),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
     parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     data = Data(
-        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, len(keep), windows), _blocks(rows)
+        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows)
     )
     present = tuple(dict.fromkeys(channel))
     extra = ("swe",) if "map" in present else ()
-    held = ("hold",) if np.nanmax(np.append(protocol.hold, 0.0)) > 0 else ()
-    channels = (*present, *extra, *held)
+    channels = (*present, *extra)
     wanted = ("force", "swe", "map", "travel", "skin-bone", "hold")
     return SiteData(
-        name, protocol, tuple(rows), data, channels, tuple(c for c in wanted if c not in channels)
+        name, protocol, tuple(rows), data, channels, tuple(c for c in wanted if c not in channels), held
     )
 
 
@@ -140,9 +145,8 @@ def _speeds(
                 if np.isfinite(means[part]):
                     rows.append(Row("map", level, part))
                     y.append(float(means[part]))
-                    independent_cells = max(counts[part] / _PIXELS_PER_CELL, 1.0)
                     own.append(
-                        float(np.hypot(MAP_ERROR, noise.swe_pixel_fraction / np.sqrt(independent_cells)))
+                        float(np.hypot(MAP_ERROR, noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
                     )
         return rows, y, own
     speeds = levels.swe_mean_m_per_s[keep]
@@ -150,7 +154,7 @@ def _speeds(
         return rows, y, own
     for level in np.flatnonzero(np.isfinite(speeds)).tolist():
         pixels = levels.swe_pixels[int(keep[level])]
-        cells = max(pixels / _PIXELS_PER_CELL, 1.0) if np.isfinite(pixels) else 1.0
+        cells = max(pixels, 1.0) if np.isfinite(pixels) else 1.0
         rows.append(Row("swe", int(level), 0))
         y.append(float(np.log(speeds[level])))
         own.append(float(np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(cells))))
@@ -168,6 +172,12 @@ def _skin_bone(levels: Levels, keep: IntArray) -> Stacked:
     if not np.isfinite(first):
         return [], [], []
     return [Row("skin-bone", 0)], [float(first)], [THICKNESS_DEVIATION]
+
+
+def _holds(held: HeldForces | None) -> Stacked:
+    if held is None:
+        return [], [], []
+    return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
 
 
 def _noise(
@@ -196,7 +206,7 @@ def _noise(
         parts.append(NoisePart("model: parts of the window", PART_ERROR**2 * together, "assumed"))
     speeds = np.array([row.channel in ("swe", "map") for row in rows], dtype=float)
     if speeds.any():
-        parts.append(common("gain of all speeds", COMMON_GAIN * speeds, source="assumed"))
+        parts.append(common(GAIN_OF_SPEEDS, COMMON_GAIN * speeds, source="assumed"))
     is_travel = np.array([row.channel == "travel" for row in rows])
     for each in model_error:
         direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
@@ -229,6 +239,8 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
     for k, row in enumerate(rows):
         groups.setdefault((row.channel, row.part), []).append(k)
     for (channel, _), members in groups.items():
+        if channel == "hold":
+            continue
         depth = protocol.depth[[rows[k].level for k in members]]
         if channel == "travel":
             out[members] = 1.0
@@ -240,19 +252,22 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
     return out
 
 
-def _groups(rows: list[Row], n_levels: int, windows: Windows) -> dict[str, np.ndarray]:
-    """Channels; thirds of the levels by channel; parts of the window."""
+def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, np.ndarray]:
+    """Channels; thirds of the levels by channel; the way back; parts of the window."""
     groups: dict[str, np.ndarray] = {}
     names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
-             "skin-bone": "skin-bone distance"}  # fmt: skip
+             "skin-bone": "skin-bone distance", "hold": "fall of the force in holds"}  # fmt: skip
     level = np.array([row.level for row in rows])
     for channel in dict.fromkeys(row.channel for row in rows):
         mask = np.array([row.channel == channel for row in rows])
         groups[names[channel]] = mask
         if channel in ("force", "swe", "map"):
             for k, label in enumerate(("first", "middle", "last")):
-                third = (level * 3 // max(n_levels, 1)) == k
+                third = (level * 3 // max(len(protocol), 1)) == k
                 groups[f"{names[channel]}, {label} third of the levels"] = mask & third
+    if any(protocol.unloading):
+        back = np.array([row.channel == "force" and protocol.unloading[row.level] for row in rows])
+        groups["force, unloading"] = back
     for part, label in enumerate(windows.names()):
         mask = np.array([row.channel == "map" and row.part == part for row in rows])
         if mask.any() and part:

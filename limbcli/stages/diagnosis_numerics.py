@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -23,7 +23,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
-from limbcli.results import StageWriter, read_result
+from limbcli.results import read_result
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import ModelError
@@ -86,15 +86,22 @@ class Tie:
     mesh_error: Array
 
 
+class Tells(Protocol):
+    """Where findings and warnings are noted."""
+
+    data: dict[str, Any]
+    warnings: list[str]
+
+
 class Numerics:
     """The numerical checks of one site on one book of curves."""
 
     def __init__(
         self, case: Case, site: Site, levels: Levels, book: CurveBook, *, out: Path, size: float,
-        writer: StageWriter, progress: Progress,
+        notes: Tells, progress: Progress,
     ):  # fmt: skip
         self.case, self.site, self.levels, self.book = case, site, levels, book
-        self.out, self.size, self.writer, self.progress = out, size, writer, progress
+        self.out, self.size, self.notes, self.progress = out, size, notes, progress
 
     # ------------------------------------------------------------ the tie to the site's own mesh
 
@@ -105,11 +112,11 @@ class Numerics:
         try:
             element, depth, force = self._start_run()
         except LimbError as error:
-            self.writer.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
+            self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
         else:
             if element == "tet10":
                 return self._tied(working, depth, force)
-            self.writer.warnings.append(
+            self.notes.warnings.append(
                 f"the site's own run has {element} elements and is not used to tie the working mesh to it"
             )
         usual = _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2
@@ -126,7 +133,7 @@ class Numerics:
         error = np.maximum(left * np.abs(np.interp(self.levels.depth, depth, ratio)), _LEAST_ERROR)
         theirs, ours = thickness(load_model(own.folder / "model.npz")), working.thickness
         tall = theirs / ours if np.isfinite(theirs) and np.isfinite(ours) and ours > 0 else 1.0
-        self.writer.data["working_mesh_force_ratio"] = np.exp(ratio)
+        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
         return Tie(log_force, np.zeros_like(working.log_speed), tall, error)
 
     def _start_run(self) -> tuple[str, Array, Array]:
@@ -164,7 +171,7 @@ class Numerics:
             try:
                 found.append(self._intervene(numerical))
             except LimbError as error:
-                self.writer.data.setdefault("numerical_not_evaluated", {})[numerical.name] = error.what
+                self.notes.data.setdefault("numerical_not_evaluated", {})[numerical.name] = error.what
         if self.case.model.element == "tet4":
             found += self._locking()
         return found
@@ -179,7 +186,7 @@ class Numerics:
         try:
             element, depth, force = self._start_run()
         except LimbError as error:
-            self.writer.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
+            self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
             return []
         if element != "tet4":
             return []
@@ -188,7 +195,7 @@ class Numerics:
         linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(own, working.depth[1:]))])
         judged = self._judged("locking", linear, working, "tet4 against tet10")
         if judged.deviations > MATTERS:
-            self.writer.warnings.append(
+            self.notes.warnings.append(
                 f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
                 "with quadratic ones. That is numerical, not tissue; the diagnosis goes on with tet10."
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.score import Direction
 from limbcli.diagnostics.verdict import Diagnosis
-from limbcli.effects.base import Effect
+from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_joint import slices
 
 
-def diagnosis_json(found: Diagnosis, site: SiteData, effects: dict[str, Effect]) -> dict[str, Any]:
+def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:
     """Everything, with plain values; units in the keys."""
+    null = {slot.name: slot.parameter.null for name in bench.effects for slot in bench.slots((name,))}
     family = found.family
     where = [
         {"part": t.name.removeprefix(PREFIX), "p": t.p, "p_adjusted": t.p_adjusted,
@@ -27,7 +30,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, effects: dict[str, Effect])
     candidates = [
         {"name": t.name, "sentence": found.facts[t.name].sentence, "kind": found.facts[t.name].kind,
          "score": t.score.statistic, "p": t.p, "p_adjusted": t.p_adjusted,
-         "estimate": _estimate(t.score.direction, t.score.eta, effects.get(t.name)),
+         "estimate": _estimate(t.score.direction, t.score.eta, null),
          "at": t.score.direction.point}
         for t in family.tests if t.name in found.facts
     ]  # fmt: skip
@@ -67,9 +70,8 @@ def diagnosis_json(found: Diagnosis, site: SiteData, effects: dict[str, Effect])
     }
 
 
-def _estimate(direction: Direction, eta: np.ndarray, effect: Effect | None) -> dict[str, float]:
+def _estimate(direction: Direction, eta: np.ndarray, null: dict[str, float]) -> dict[str, float]:
     """First-order estimates as parameter values (null + eta)."""
-    null = effect.null if effect else {}
     return {n: float(null.get(n, 0.0) + x) for n, x in zip(direction.names, eta, strict=True)}
 
 
@@ -82,30 +84,43 @@ def _refit(refit: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def gap_picture(found: Diagnosis, site: SiteData, path: Path) -> None:
-    """Measured minus predicted over depth, in deviations, before and after, channel by channel."""
-    channels = [c for c in ("force", "swe", "map", "travel") if c in site.data.channel]
-    figure = Figure(figsize=(4.2 * len(channels), 3.6), layout="constrained")
-    axes = figure.subplots(1, len(channels), squeeze=False)[0]
-    depth = np.array([site.protocol.depth[row.level] for row in site.rows])
+_SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
+          "hold": "fall of the force in holds"}  # fmt: skip
+
+
+def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
+    """Measured minus predicted, in deviations, before and after; a column a channel, a row a measurement."""
+    channels = [c for c in _SHOWN if any(row.channel == c for site in sites for row in site.rows)]
+    size = (4.2 * len(channels), 3.6 * len(sites))
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(len(sites), len(channels), squeeze=False)
+    for site, inside, line in zip(sites, slices(sites), axes, strict=True):
+        for ax, channel in zip(line, channels, strict=True):
+            _gap(ax, found, site, inside, channel)
+        name = f"{site.name}: " if len(sites) > 1 else ""
+        line[0].set_ylabel(f"{name}measured - predicted\n(standard deviations)")
+    handles, labels = next(ax for ax in axes.flat if ax.lines[1:]).get_legend_handles_labels()
+    axes[0, 0].legend(handles, labels, fontsize=8)
+    figure.savefig(path, dpi=150)
+
+
+def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str) -> None:
     stages = [(found.base, "base model", "#7a7a7a", "o")]
     if found.shrink and len(found.shrink) > 1:
         last = found.shrink[-1].explanation
         final = next(r.fitted for r in found.refits if r.explanation == last)
         stages.append((final, "with " + " + ".join(last), "#0072b2", "s"))
-    for ax, channel in zip(axes, channels, strict=True):
-        mask = np.array([each == channel for each in site.data.channel])
-        ax.axhspan(-2, 2, color="#eef1f4", zorder=0)
-        ax.axhline(0, color="#22303c", lw=0.8)
-        for fitted, label, color, marker in stages:
-            z = (site.data.y - fitted.prediction)[mask] / site.data.deviation[mask]
-            ax.plot(depth[mask], z, marker, ms=4, color=color, label=label, alpha=0.85)
-        ax.set_xlabel("depth (mm)")
-        ax.set_title({"force": "force", "swe": "mean wave speed", "map": "wave-speed map",
-                      "travel": "probe travel"}[channel])  # fmt: skip
-    axes[0].set_ylabel("measured - predicted\n(standard deviations)")
-    axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+    mask = np.array([row.channel == channel for row in site.rows])
+    at = np.arange(int(mask.sum()), dtype=float)
+    if channel != "hold":
+        at = np.array([site.protocol.depth[row.level] for row in site.rows if row.channel == channel])
+    ax.axhspan(-2, 2, color="#eef1f4", zorder=0)
+    ax.axhline(0, color="#22303c", lw=0.8)
+    for fitted, label, color, marker in stages:
+        z = (site.data.y - fitted.prediction[inside]) / site.data.deviation
+        ax.plot(at, z[mask], marker, ms=4, color=color, label=label, alpha=0.85)
+    ax.set_xlabel("hold (early, late)" if channel == "hold" else "depth (mm)")
+    ax.set_title(_SHOWN[channel])
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:

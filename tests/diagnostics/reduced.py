@@ -102,7 +102,8 @@ class ReducedBook:
     def shift(self, m: float, ingredients) -> tuple[np.ndarray, np.ndarray]:
         """At m rounded to halves, and remembered: a change hardly depends on m, and is shared."""
         rounded = max(round(2 * m) / 2, 1.0)
-        key = (len(self.model.mesh.points), self.depth[-1], self.spread, rounded)
+        axes = tuple(self.model.info.get("patient_from_model", ()))
+        key = (len(self.model.mesh.points), self.depth[-1], self.spread, rounded, axes)
         key += tuple((e.name, tuple(sorted(theta.items()))) for e, theta in ingredients)
         if key not in _SHIFTS:
             _SHIFTS[key] = self._shift(rounded, ingredients)

@@ -9,8 +9,8 @@ import pytest
 
 from limbcli.effects.reading import Curves
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_bench import _filled
 from limbcli.stages.diagnosis_numerics import log_force_at, measured_slope
+from limbcli.stages.diagnosis_site import filled
 
 
 def curve(power: float) -> Curves:
@@ -36,6 +36,6 @@ def test_measured_slope_is_that_of_the_loading_and_nothing_while_depth_falls():
 
 def test_gaps_are_closed_by_the_nearest_depth_but_too_many_are_not():
     table = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 3.0, np.nan]])
-    assert _filled(table) == pytest.approx(np.array([[0.0, 1.0, 2.0], [0.1, 2.0, 2.0], [0.2, 3.0, 2.0]]))
+    assert filled(table) == pytest.approx(np.array([[0.0, 1.0, 2.0], [0.1, 2.0, 2.0], [0.2, 3.0, 2.0]]))
     empty = np.array([[0.0, np.nan, np.nan], [0.1, np.nan, np.nan], [0.2, 1.0, 1.0]])
-    assert np.isnan(_filled(empty)).any()
+    assert np.isnan(filled(empty)).any()

@@ -97,11 +97,11 @@ def test_what_cannot_be_run_is_said(rng):
 def test_json_and_pictures(rng, tmp_path):
     the_bench = bench(levels(rng, reading=Reading(force_zero=1.0)))
     found = diagnose(the_bench, n_draws=1500)
-    content = diagnosis_json(found, the_bench.site, the_bench.effects)
+    content = diagnosis_json(found, the_bench.site, the_bench)
     assert content["verdict"] == "named"
     assert content["candidates"][0]["p_adjusted"] < 0.05
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
-    gap_picture(found, the_bench.site, tmp_path / "gap.png")
+    gap_picture(found, [the_bench.site], tmp_path / "gap.png")
     candidates_picture(found, tmp_path / "candidates.png")
     assert (tmp_path / "gap.png").stat().st_size > 5000
     assert (tmp_path / "candidates.png").stat().st_size > 5000

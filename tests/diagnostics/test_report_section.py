@@ -32,10 +32,8 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
     found = diagnose(bench, n_draws=1000)
     with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:
-        writer.data.update(
-            {**diagnosis_json(found, bench.site, bench.effects), "sentences": sentences(found)}
-        )
-        gap_picture(found, bench.site, writer.file("gap", "gap.png"))
+        writer.data.update({**diagnosis_json(found, bench.site, bench), "sentences": sentences(found)})
+        gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
     shown = diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"

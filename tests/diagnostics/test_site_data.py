@@ -13,6 +13,7 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis_curves import Windows
 from limbcli.stages.diagnosis_data import ModelError, depth_slopes, site_data
+from limbcli.stages.diagnosis_holds import HeldForces
 
 N = 6
 
@@ -48,7 +49,9 @@ def test_channels_are_those_measured():
     assert plain.channels == ("force",)
     assert len(plain.rows) == N - 1  # level 0 is 0 N at 0 mm by definition
     full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
-    rich = site_data("p1", full, Noise(), windows=Windows(), maps=[grid_map(2.0)] * N)
+    windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
+    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
+    rich = site_data("p1", full, Noise(), windows=Windows(), maps=[grid_map(2.0)] * N, held=held)
     assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
     assert sum(row.channel == "map" for row in rich.rows) == 9 * N
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))

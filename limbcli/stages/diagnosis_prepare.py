@@ -1,0 +1,211 @@
+"""A site made ready for the diagnosis: working mesh, curves, numerical checks, data.
+
+Every simulation is kept in `<out>/diagnose/.work-<site>`, so that an interrupted diagnosis goes on
+where it was.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.effects.base import Effect
+from limbcli.errors import LimbError, MeasurementError
+from limbcli.files import sha256
+from limbcli.measurement.elastography import read_maps
+from limbcli.measurement.indentation import read_levels, read_trace
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_model import MeshOptions, site_model
+from limbcli.model import LimbModel
+from limbcli.model_io import load_model, save_model
+from limbcli.progress import Progress
+from limbcli.results import plain, read_result
+from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.diagnosis_curves import CurveBook, Windows
+from limbcli.stages.diagnosis_data import SiteData, site_data
+from limbcli.stages.diagnosis_holds import HeldForces, held_forces
+from limbcli.stages.diagnosis_numerics import F_KAPPA, USUAL_C, Intervention, Numerics
+from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.mesh import read_limb, site_position
+
+STAGE = "diagnose"
+_N_DEPTHS = 7
+_BEYOND = 1.12
+
+
+@dataclass
+class Notes:
+    """What preparing a site has to tell: written with its results."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    inputs: dict[str, Path] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class WorkingMesh:
+    """size, far_size : mm, edges of the working mesh; interventions : whether crop and contact are tried."""
+
+    size: float = 5.0
+    far_size: float = 14.0
+    interventions: bool = True
+
+
+@dataclass
+class Prepared:
+    """One site, ready: its curves beside its data, what was tried on its mesh, and what to tell."""
+
+    site: Site
+    book: CurveBook
+    curves: SiteCurves
+    interventions: list[Intervention]
+    notes: Notes
+
+    def close(self) -> None:
+        self.book.close()
+
+
+def prepare(
+    case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh, progress: Progress
+) -> Prepared:
+    """Mesh, solve without effects, try the numerical ones, and stack the data.
+
+    Raises
+    ------
+    CaseError
+        If `segment` has not been run.
+    MeasurementError
+        If the levels cannot be used.
+    SolveError
+        If the model without effects cannot be solved.
+    """
+    return _Preparation(case, site, out, mesh, progress).all(effects)
+
+
+def turned_by_90(
+    case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
+) -> SiteCurves:
+    """The same measurement as it would be with the probe's long side across to what it was.
+
+    Raises
+    ------
+    MeshError, SolveError
+        If the place cannot be meshed or simulated that way.
+    """
+    site, known = prepared.site, prepared.curves
+    other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
+    progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
+    book = _Preparation(case, other, out, mesh, progress).book()
+    curves = SiteCurves(known.site, book, known.effects, progress=progress)
+    nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
+    try:
+        for m in nearest[:2]:
+            curves.solve_node(m)
+        curves.m_reference = min(curves.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
+    finally:
+        book.close()
+    return curves
+
+
+def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
+    """Along the limb where the probe was across it, and the other way round."""
+    if isinstance(site.long_axis, str):
+        return "axial" if site.long_axis == "transverse" else "transverse"
+    entries = model.info.get("patient_from_model", np.eye(4).ravel())
+    y = np.array(entries, dtype=float).reshape(4, 4)[:3, 1]
+    return float(y[0]), float(y[1]), float(y[2])
+
+
+class _Preparation:
+    def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
+        self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
+        self.work = out / STAGE / f".work-{site.name}"
+        self.work.mkdir(parents=True, exist_ok=True)
+        self.levels = read_levels(site.levels)
+        self.windows = Windows()
+        self.notes = Notes()
+        self.notes.inputs["levels"] = site.levels
+
+    def all(self, effects: Mapping[str, Effect]) -> Prepared:
+        book = self.book()
+        try:
+            numerics = Numerics(
+                self.case, self.site, self.levels, book, out=self.out, size=self.mesh.size,
+                notes=self.notes, progress=self.progress,
+            )  # fmt: skip
+            tie = numerics.tie()
+            interventions = numerics.interventions() if self.mesh.interventions else []
+            data = self._data(numerics, numerics.noise(tie, interventions))
+        except LimbError:
+            book.close()
+            raise
+        curves = SiteCurves(data, book, effects, tie=tie, progress=self.progress)
+        return Prepared(self.site, book, curves, interventions, self.notes)
+
+    def book(self) -> CurveBook:
+        deepest = _BEYOND * float(np.nanmax(self.levels.depth))
+        depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
+        try:
+            c, source = tissue_stiffness(self.levels, self.site)
+        except LimbError:
+            c, source = USUAL_C, "a usual value (level 0 has no shear-wave speed)"
+        self.notes.data["c_reference_source"] = source
+        return CurveBook(
+            self._working_mesh(), depths.tolist(), c=c, f_kappa=F_KAPPA, windows=self.windows, keep=self.work,
+            density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
+        )  # fmt: skip
+
+    def _working_mesh(self) -> LimbModel:
+        """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
+        own = self.out / "mesh" / self.site.name / "model.npz"
+        if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
+            self.notes.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
+            return load_model(own)
+        segmented = read_result(self.out, "segment")
+        surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
+        place = site_position(self.site, segmented)
+        recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
+                  self.mesh.size, self.mesh.far_size]  # fmt: skip
+        text = json.dumps(plain(recipe))
+        kept, key = self.work / "model.npz", self.work / "model.json"
+        if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
+            return load_model(kept)
+        self.progress.event("note", text="making the working mesh")
+        probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
+        sizes = Sizes(under_probe=self.mesh.size, far=self.mesh.far_size)
+        meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
+        limb = read_limb(segmented)
+        model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
+        save_model(model, kept)
+        key.write_text(text, encoding="utf-8")
+        return model
+
+    def _data(self, numerics: Numerics, model_error: list[Any]) -> SiteData:
+        maps = None
+        if self.site.swe_maps is not None:
+            maps = read_maps(self.site.swe_maps, len(self.levels))
+            self.notes.inputs["swe maps"] = self.site.swe_maps
+        held = None
+        if self.site.trace is not None:
+            self.notes.inputs["trace"] = self.site.trace
+            held, why = self._held()
+            if held is None:
+                self.notes.data["holds_not_used"] = why
+        return site_data(
+            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps,
+            model_error=model_error, held=held,
+        )  # fmt: skip
+
+    def _held(self) -> tuple[HeldForces | None, str]:
+        assert self.site.trace is not None
+        try:
+            return held_forces(read_trace(self.site.trace), self.levels)
+        except MeasurementError as error:
+            return None, error.what

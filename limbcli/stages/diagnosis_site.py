@@ -1,0 +1,232 @@
+"""One site's curves for any tissue and effects: out of a few simulations, interpolated and shifted.
+
+The law's exponent m is solved at a handful of values and interpolated; c scales force and
+modulus exactly. An effect of the law changes the curves as the kept deformation says
+(`effects.frozen`); one of the mesh or the contact is solved. After a refit the model with the
+effect in it is solved once as it stands, and what the stand-in missed is put right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol as Typed
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from limbcli.diagnostics.bench import Explanation
+from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.effects.reading import Curves, Reading
+from limbcli.errors import SolveError
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis_curves import Ingredients, _touches_loads
+from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_numerics import Tie
+
+_STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
+_STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
+
+
+class Book(Typed):
+    """What curves come out of: solved ones, and first-order changes of them."""
+
+    c: float
+
+    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
+
+    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an effect at one point of its grid does to ln force and ln speed, a spline a parameter."""
+
+    splines: Mapping[str, tuple[CubicSpline | None, Array, Array]]
+
+    def at(self, theta: Theta) -> Array:
+        total: Array | float = 0.0
+        for name, (spline, null_and_step, linear) in self.splines.items():
+            x = (theta[name] - null_and_step[0]) / null_and_step[1]
+            total = total + (x * linear if spline is None else spline(x))
+        return np.asarray(total)
+
+
+class SiteCurves:
+    """One site's data beside one book of curves; `tie`: from the working mesh to the site's own."""
+
+    def __init__(
+        self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
+        progress: Progress = SILENT,
+    ):  # fmt: skip
+        self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
+        self.m_reference = 2.0
+        self.nodes: dict[float, Curves] = {}
+        self._changes: dict[tuple[str, str], Change] = {}
+        self._repairs: dict[tuple[Explanation, str], Array] = {}
+
+    def solve_node(self, m: float) -> bool:
+        """Solve at this m; False where it fails and others are known."""
+        try:
+            self.nodes[m] = self.book.curves(m)
+        except SolveError:
+            if not self.nodes:
+                raise
+            return False
+        return True
+
+    def predict(
+        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
+    ) -> Array:
+        """What this site's data should be (n,)."""
+        curves = self.curves(c, m, explanation, theta, points)
+        return self.site.predict(curves, self.reading(explanation, theta, points))
+
+    def curves(
+        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
+    ) -> Curves:
+        """The stand-in's curves with these values."""
+        depth, values, plain = self._base(m)
+        values = values + self._repairs.get((explanation, label(points)), 0.0)
+        for name, point in zip(explanation, points, strict=True):
+            if self.effects[name].solves:
+                values = values + self._change(self.effects[name], point).at(theta)
+        log_force, log_speed = values[:, 0], values[:, 1:]
+        force = np.concatenate([[0.0], np.exp(log_force[1:]) * c / self.book.c])
+        taller = 1.0 if self.tie is None else self.tie.thickness_ratio
+        thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
+        return Curves(depth, force, log_speed + 0.5 * np.log(c / self.book.c), plain.window_depth, thickness)
+
+    def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
+        reading = Reading()
+        for name, point in zip(explanation, points, strict=True):
+            reading = self.effects[name].observe(reading, {**point, **theta})
+        return reading
+
+    def repair(self, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> None:
+        """Solve the model with these effects as it stands, and let the stand-in give the same there.
+
+        Raises
+        ------
+        SolveError
+            If the simulation fails.
+        """
+        effects = [self.effects[name] for name in explanation]
+        solving = tuple(
+            (e, {**e.null, **theta, **q}) for e, q in zip(effects, points, strict=True) if e.solves
+        )
+        true = logs(self.book.curves(m, solving)) + self._tied()
+        missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
+        missed[0, 0] = 0.0
+        key = (explanation, label(points))
+        self._repairs[key] = self._repairs.get(key, 0.0) + np.nan_to_num(missed)
+
+    def inherit(
+        self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
+    ) -> None:
+        """A larger explanation starts with the repair of the one it grew from."""
+        known = self._repairs.get((old, label(old_points)))
+        if known is not None:
+            self._repairs.setdefault((new, label(points)), known)
+
+    # ------------------------------------------------------------
+
+    def _tied(self) -> Array | float:
+        return 0.0 if self.tie is None else np.column_stack([self.tie.log_force, self.tie.log_speed])
+
+    def _base(self, m: float) -> tuple[Array, Array, Curves]:
+        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
+        nodes = sorted(self.nodes)
+        first = self.nodes[nodes[0]]
+        tables = np.array([logs(self.nodes[node]) for node in nodes])
+        near = np.argsort(np.abs(np.log(np.array(nodes) / m)))[:3]
+        at, out = np.log(np.array(nodes)[near]), np.zeros_like(tables[0])
+        for i in range(len(near)):
+            others = [j for j in range(len(near)) if j != i]
+            weight = np.prod([(np.log(m) - at[j]) / (at[i] - at[j]) for j in others]) if others else 1.0
+            out = out + weight * tables[near[i]]
+        return first.depth, out + self._tied(), first
+
+    def _change(self, effect: Effect, point: Theta) -> Change:
+        key = (effect.name, point_name(point))
+        if key not in self._changes:
+            self._changes[key] = self._solved_change(effect, point)
+        return self._changes[key]
+
+    def _solved_change(self, effect: Effect, point: Theta) -> Change:
+        if effect.febio_only:
+            raise only_febio(effect)
+        self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
+        splines = {}
+        for p in effect.parameters:
+            if effect.new_mesh or _touches_loads(effect):
+                splines[p.name] = self._by_solving(effect, point, p.name)
+            else:
+                splines[p.name] = self._by_shifting(effect, point, p.name)
+        return Change(splines)
+
+    def _by_solving(self, effect: Effect, point: Theta, name: str) -> tuple[None, Array, Array]:
+        p = next(each for each in effect.parameters if each.name == name)
+        theta = {**effect.null, **point, name: p.start}
+        moved = logs(self.book.curves(self.m_reference, ((effect, theta),)))
+        change = moved - logs(self.book.curves(self.m_reference))
+        return None, np.array([p.null, p.start - p.null]), np.nan_to_num(change)
+
+    def _by_shifting(self, effect: Effect, point: Theta, name: str) -> tuple[CubicSpline, Array, Array]:
+        p = next(each for each in effect.parameters if each.name == name)
+        step = p.start - p.null
+        known = np.isfinite(logs(self.nodes[self.m_reference]))
+        places, values = [0.0], [np.zeros(known.shape)]
+        for times in _STEPS_ONE if p.sign else _STEPS_TWO:
+            value = p.null + times * step
+            if not p.low - 1e-12 <= value <= p.high + 1e-12:
+                continue
+            theta = {**effect.null, **point, name: value}
+            moved = np.column_stack(self.book.shift(self.m_reference, ((effect, theta),)))
+            moved = filled(np.where(known, moved, 0.0))
+            if np.isfinite(moved).all():
+                places.append(times)
+                values.append(moved)
+        if len(places) < 2:
+            raise SolveError(
+                f"no wave can run, or the law has no answer, with {name} near {p.start:g}",
+                where=f"effect {effect.name}", fix="look at the deepest level",
+            )  # fmt: skip
+        order = np.argsort(places)
+        table = np.array(values)[order]
+        return CubicSpline(np.array(places)[order], table), np.array([p.null, step]), table[0]
+
+
+def only_febio(effect: Effect) -> SolveError:
+    return SolveError(
+        "only FEBio can run it, and the diagnosis works with the reference solver",
+        where=f"effect {effect.name}", fix="run the written model with FEBio",
+    )  # fmt: skip
+
+
+def logs(curves: Curves) -> Array:
+    """(n, 1 + n_parts): ln force (0 at depth 0) and ln speeds."""
+    log_force = np.zeros(len(curves.depth))
+    log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
+    return np.column_stack([log_force, curves.log_speed])
+
+
+def filled(moved: Array) -> Array:
+    """Changes (n, 1 + n_parts) with gaps closed by the nearest depths of the same part: no wave, few cells.
+
+    Left as it is where the force, or more than a third of the speeds, is missing.
+    """
+    known = np.isfinite(moved)
+    if not known[:, 0].all() or known.mean() < 2 / 3:
+        return moved
+    out, at = moved.copy(), np.arange(len(moved))
+    for k in range(moved.shape[1]):
+        here = known[:, k]
+        out[:, k] = np.interp(at, at[here], moved[here, k]) if here.any() else 0.0
+    return out
+
+
+def label(points: Sequence[Theta]) -> str:
+    """The points of the effects' grids in words."""
+    return "; ".join(point_name(point) for point in points if point)

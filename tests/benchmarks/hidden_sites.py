@@ -1,0 +1,121 @@
+"""Hidden effects on a real model of a site: simulated on another mesh, diagnosed as a user would; resumable.
+
+    python tests/benchmarks/hidden_sites.py --case CASE --out OUT [--truth CASE] --work DIR
+
+CASE must have been segmented, meshed and run into OUT. The measurement is simulated on --truth (the case
+itself by default; for a phantom its true surfaces) with a mesh of its own, and every arm is one
+line of <work>/sites.jsonl. A summary of verdicts ends the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.effects import effect
+from limbcli.errors import LimbError
+from limbcli.phantom.protocol import Protocol
+from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+from limbcli.stages.hidden import hide
+from limbcli.stages.indent import KnownTissue
+from limbcli.stages.synth import SynthOptions, synth
+
+ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
+anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2
+nonlinearity=0.9 tilt=7 friction=0.3"""
+TISSUE = KnownTissue(8.0, 80.0, 6.0)
+
+
+def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
+    """Simulate, diagnose, and compare with what was hidden."""
+    hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
+    work: Path = options.work
+    source = Case.open(options.truth or options.case)
+    made = work / "synth"
+    for each in (made, work / "synth.truth.toml"):
+        shutil.rmtree(each) if each.is_dir() else each.unlink(missing_ok=True)
+    begun = time.perf_counter()
+    protocol = Protocol(max_force=options.max_force_n)
+    synth(
+        source, out=work / "truth-out", out_case=made, sites=[options.site],
+        options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0),
+    )  # fmt: skip
+    simulated = time.perf_counter()
+    trial = work / "case"
+    shutil.rmtree(trial, ignore_errors=True)
+    shutil.copytree(options.case, trial)
+    shutil.rmtree(trial / options.site, ignore_errors=True)
+    shutil.copytree(made / options.site, trial / options.site)
+    out = work / "out"
+    if not out.is_dir():
+        shutil.copytree(options.out, out, ignore=shutil.ignore_patterns("fit", "report", "diagnose"))
+    found = diagnose(Case.open(trial), out=out, sites=[options.site], options=DiagnoseOptions())[0].data
+    kept = work / "kept" / f"{arm}-{seed}.json"
+    kept.parent.mkdir(exist_ok=True)
+    shutil.copyfile(out / "diagnose" / options.site / "diagnosis.json", kept)
+    truth = sorted(each.name for each in hidden)
+    first, last = found["shrink"][0], found["shrink"][-1]
+    ranked = sorted(found["candidates"], key=lambda c: c["p_adjusted"])
+    return {
+        "arm": arm,
+        "seed": seed,
+        "truth": truth,
+        "verdict": found["verdict"],
+        "set": [sorted(each) for each in found["confidence_set"]],
+        "best": [(c["name"], round(c["p_adjusted"], 4)) for c in ranked[:4]],
+        "chi2_per_nu": [first["chi2_per_nu"], last["chi2_per_nu"]],
+        "error": [_error(each["values"]) for each in (first, last)],
+        "not_evaluated": sorted(found["not_evaluated"]),
+        "seconds": [round(simulated - begun, 1), round(time.perf_counter() - simulated, 1)],
+    }
+
+
+def _error(values: dict) -> float:
+    return float(abs(np.log(values["c_kpa"] / TISSUE.c_kpa)) + abs(np.log(values["m"] / TISSUE.m)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--case", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--truth", type=Path)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--site", default="p1")
+    parser.add_argument("--max-force-n", type=float, default=12.0)
+    parser.add_argument("--arms", nargs="*", default=ARMS.split())
+    parser.add_argument("--seed", type=int, default=100)
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    store = options.work / "sites.jsonl"
+    rows = [json.loads(line) for line in store.read_text().splitlines()] if store.is_file() else []
+    done = {(r["arm"], r["seed"]) for r in rows}
+    for k, arm in enumerate(options.arms):
+        seed = options.seed + k
+        if (arm, seed) in done:
+            continue
+        [effect(each.partition("=")[0]) for each in arm.split("+") if arm != "none"]
+        try:
+            row = one(arm, seed, options)
+        except LimbError as error:
+            row = {"arm": arm, "seed": seed, "failed": str(error)}
+        rows.append(row)
+        with store.open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
+        print(json.dumps(row), flush=True)
+    told = [r for r in rows if "verdict" in r]
+    real = [r for r in told if r["truth"]]
+    print(f"nothing missing: {[r['verdict'] for r in told if not r['truth']]}")
+    for word in ("named", "ambiguous", "unexplained", "adequate", "untestable"):
+        these = [r for r in real if r["verdict"] == word]
+        inside = sum(r["truth"] in r["set"] for r in these)
+        print(f"{word:12s} {len(these):3d}, truth in the set {inside}")
+
+
+if __name__ == "__main__":
+    main()

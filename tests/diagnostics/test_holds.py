@@ -1,0 +1,93 @@
+"""Relaxation read from a load-cell record."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.effects.reading import Curves, Reading
+from limbcli.measurement.indentation import Levels, Trace
+from limbcli.stages.diagnosis_holds import STEP_S, find_plateaus, held_forces, relaxing
+
+DEPTHS = np.array([0.0, 3.0, 6.0, 9.0])
+HOLD_S, RAMP_S, RATE_HZ = 20.0, 1.0, 60.0
+CURVES = Curves(np.linspace(0, 10, 21), 0.12 * np.linspace(0, 10, 21) ** 1.5, np.zeros((21, 0)), np.zeros(0))
+
+
+def record(rng, *, shares=(), depth=True, noise=0.02, hold=HOLD_S) -> Trace:
+    """Ramps and holds at fixed depth, relaxing by terms (share, tau); integrated sample by sample."""
+    step = 1.0 / RATE_HZ
+    pieces = [np.full(round(hold * RATE_HZ), DEPTHS[0])]
+    for a, b in pairwise(DEPTHS):
+        pieces += [np.linspace(a, b, round(RAMP_S * RATE_HZ)), np.full(round(hold * RATE_HZ), b)]
+    path = np.concatenate(pieces)
+    elastic = 0.12 * path**1.5
+    force = elastic.copy()
+    for share, tau in shares:
+        state = 0.0
+        for k in range(1, len(path)):
+            state = state * np.exp(-step / tau) + (elastic[k] - elastic[k - 1])
+            force[k] += share * state
+    force = force + noise * rng.standard_normal(len(force))
+    shown = path + 0.02 * rng.standard_normal(len(path)) if depth else None
+    return Trace(step * np.arange(len(path)), force, shown, None, None, Path("trace.csv"))
+
+
+def levels() -> Levels:
+    n, nan = len(DEPTHS), np.full(len(DEPTHS), np.nan)
+    force = 0.12 * DEPTHS**1.5
+    return Levels(force, DEPTHS, nan, nan, nan, ("load",) * n, np.full(n, HOLD_S), nan, nan, Path("x"))
+
+
+def test_relaxing_force_of_a_ramp_is_the_convolution():
+    tau, t = 3.0, STEP_S * np.arange(80)
+    ramp = np.minimum(t, 5.0)
+    exact = tau * (1 - np.exp(-t / tau))
+    exact = np.where(t > 5, tau * (np.exp(5 / tau) - 1) * np.exp(-t / tau), exact)
+    assert relaxing(ramp, tau) == pytest.approx(exact, abs=1e-12)
+
+
+def test_plateaus_are_the_holds(rng):
+    found = held_forces(record(rng), levels())[0]
+    assert found is not None
+    assert len(found) == 4  # two holds carry more than 1 N, two numbers each
+    assert len(find_plateaus(found.depth)) == len(DEPTHS)
+
+
+def test_elastic_record_falls_by_nothing_and_is_predicted_so(rng):
+    found, _ = held_forces(record(rng), levels())
+    assert np.all(np.abs(found.y) < 4 * found.deviation)
+    assert found.predict(CURVES, Reading()) == pytest.approx(np.zeros(len(found)), abs=3e-3)
+
+
+def test_relaxing_record_is_predicted_by_its_own_terms(rng):
+    shares = ((0.4, 2.0), (0.2, 15.0))
+    found, _ = held_forces(record(rng, shares=shares), levels())
+    z = (found.y - found.predict(CURVES, Reading(prony=shares))) / found.deviation
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    without = (found.y - found.predict(CURVES, Reading())) / found.deviation
+    assert np.max(np.abs(without)) > 10.0
+
+
+def test_without_depth_a_steady_force_says_nothing_and_a_falling_one_does(rng):
+    found, why = held_forces(record(rng, depth=False), levels())
+    assert found is None
+    assert "held by hand" in why
+    falling, _ = held_forces(record(rng, depth=False, shares=((0.5, 4.0),)), levels())
+    assert falling is not None
+    assert falling.depth[-1] == pytest.approx(DEPTHS[-1])
+
+
+def test_depth_that_creeps_under_a_steady_force_tells_relaxation_too(rng):
+    """A force held by hand: the depth grows meanwhile, and an elastic model then wants more force."""
+    trace = record(rng, noise=0.0)
+    t = trace.time
+    creeping = trace.depth + 0.6 * (trace.depth > 8) * (1 - np.exp(-(t - t[trace.depth > 8][0]) / 5.0))
+    steady = Trace(t, trace.force, creeping, None, None, trace.path)
+    found, _ = held_forces(steady, levels())
+    last = found.predict(CURVES, Reading())[-2]
+    assert last < -5 * found.deviation[-2]  # the elastic force rises, the measured one does not
+    assert abs(found.y[-2]) < 5 * found.deviation[-2]

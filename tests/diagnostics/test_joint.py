@@ -1,0 +1,104 @@
+"""Two measurements of one place, the second with the probe turned by 90 degrees."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.engine import diagnose
+from limbcli.effects import effect
+from limbcli.effects.reading import Reading
+from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_data import GAIN_OF_SPEEDS, site_data
+from limbcli.stages.diagnosis_joint import joined, slices
+from limbcli.stages.diagnosis_site import SiteCurves
+
+
+def _module(name: str):
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+reduced = _module("reduced")
+CANDIDATES = ("force-zero", "force-gain", "anisotropy", "swe-time-scale", "skin-layer")
+# Patient from model: the limb's axis is the model's y, or (the probe along the limb) its x.
+ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+ALONG = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def book(axes: np.ndarray, cells=(6, 5, 5), n=6, deepest=9.0, **more):
+    model = reduced.block_model(*cells)
+    model = replace(model, info={**model.info, "patient_from_model": axes.ravel().tolist()})
+    return reduced.ReducedBook(model, np.linspace(0, deepest, n), **more)
+
+
+def measurement(rng, axes, ingredients=(), reading=None):
+    truth = book(axes, (7, 6, 6), 8, 10.0, spread=1.03)
+    return reduced.measured(rng, ingredients, reading, book=truth)
+
+
+def curves(name, levels, axes):
+    b = book(axes)
+    site = site_data(name, levels, reduced.NOISE, windows=b.windows)
+    return SiteCurves(site, b, {each: effect(each) for each in CANDIDATES})
+
+
+def test_one_site_is_as_it_was(rng):
+    levels = measurement(rng, ACROSS)
+    alone = curves("p1", levels, ACROSS)
+    assert joined([alone.site]) is alone.site.data
+
+
+def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
+    sites = [curves(name, measurement(rng, axes), axes).site for name, axes in (("a", ACROSS), ("b", ALONG))]
+    data = joined(sites)
+    first, second = slices(sites)
+    across = data.noise.covariance[first, second]
+    gain = next(p for p in sites[0].data.noise.parts if p.name == GAIN_OF_SPEEDS).covariance.max()
+    speeds = np.array([row.channel == "swe" for row in sites[0].rows])
+    assert across[np.ix_(speeds, speeds)] == pytest.approx(gain)
+    assert across[np.ix_(~speeds, ~speeds)] == pytest.approx(0.0)
+    assert set(data.blocks) >= {"site a", "site b"}
+    assert "b: mean speed" in data.groups
+
+
+def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
+    both = SiteBench.joint(
+        [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]
+    )
+    assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
+        "force_zero_n@a", "force_zero_n@b", "force_gain",
+    ]  # fmt: skip
+    values = {"force_zero_n@a": 1.0, "force_zero_n@b": 2.0}
+    assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
+
+
+def test_an_offset_in_one_measurement_is_found_there(rng):
+    offset = measurement(rng, ALONG, reading=Reading(force_zero=1.2))
+    both = SiteBench.joint([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
+    found = diagnose(both, n_draws=1500, propose=False)
+    assert ("force-zero",) in found.confidence_set
+    fitted = next(r.fitted for r in found.refits if r.explanation == ("force-zero",))
+    assert fitted.values["force_zero_n@b"] == pytest.approx(1.2, abs=0.3)
+    assert abs(fitted.values["force_zero_n@a"]) < 0.3
+
+
+@pytest.mark.slow
+def test_turning_the_probe_tells_fibres_from_another_time_scale_of_the_waves(rng):
+    """Across the fibres alone both make the force too high for the speeds; along them they part."""
+    fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.2, "fibre_tension_per_c": 0.4}),)
+    first = measurement(rng, ACROSS, fibres)
+    alone = diagnose(SiteBench.joint([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
+    both = SiteBench.joint([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
+    together = diagnose(both, n_draws=1500, propose=False)
+    assert ("anisotropy",) in together.confidence_set
+    assert ("swe-time-scale",) not in together.confidence_set
+    assert len(together.confidence_set) <= max(len(alone.confidence_set), 1)
