@@ -53,7 +53,8 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows), thickness."""
+    """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows); thickness at
+    the first."""
 
     force: Array
     log_speed: Array
@@ -106,11 +107,18 @@ def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Re
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
         travel=protocol.depth + reading.compliance * protocol.force,
-        thickness=curves.thickness,
+        thickness=curves.thickness - _first_depth(curves, protocol, reading),
     )
     for change in reading.after:
         shown = change(shown, curves, protocol)
     return shown
+
+
+def _first_depth(curves: Curves, protocol: Protocol, reading: Reading) -> float:
+    """How deep the probe already is (mm) at the first level: as much nearer is the bone on its image."""
+    if not len(protocol):
+        return 0.0
+    return max(float(true_depth(curves, protocol.depth[:1], reading)[0]), 0.0)
 
 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:

@@ -48,7 +48,7 @@ def menu(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
                                _unloaded, force[:-1]))  # fmt: skip
     if "skin-bone" not in has:
         found.append(_proposal(bench, fits, "B-mode thickness", "measure skin to bone at first touch",
-                               lambda c, r, p: np.array([c.thickness]), np.array([_THICKNESS])))  # fmt: skip
+                               _first_thickness, np.array([_THICKNESS])))  # fmt: skip
     if "travel" not in has:
         found.append(_proposal(bench, fits, "probe travel", "record the probe's absolute travel",
                                lambda c, r, p: read(c, p, r).travel, np.full(n, _TRAVEL)))  # fmt: skip
@@ -61,6 +61,10 @@ def menu(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
     if len(bench.sites) == 1 and any(name in fit.explanation for fit in fits for name in _TURNS):
         found += _rotated(bench, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
+
+
+def _first_thickness(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    return np.array([read(curves, protocol, reading).thickness])
 
 
 def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:

@@ -22,6 +22,7 @@ from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layers import layers_at
 from limbcli.imaging.limbs import Side
+from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
@@ -195,13 +196,16 @@ def _write(
     labels = writer.file("labels", LABELS)
     write_labels(labels, found.labels)
     writer.data["labels_sha256"] = sha256(labels)
-    surfaces = {"skin": surface_of(found.skin, edge=SKIN_EDGE, smooth=options.smooth)}
+    skin, lowered = without_bumps(
+        surface_of(found.skin, edge=SKIN_EDGE, smooth=options.smooth), found.markers
+    )
+    surfaces = {"skin": skin}
     progress.event("task", name="surfaces", done=1, total=1 + len(names))
     for number, (name, bone) in enumerate(zip(names, found.bones, strict=True), 2):
         surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth)
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
     _write_surfaces(surfaces, writer)
-    _tell_markers(found, writer)
+    _tell_markers(found, lowered, writer)
     _tell_layers(case, found, surfaces["skin"], writer)
     verdict = _tell_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
@@ -210,11 +214,12 @@ def _write(
     contact_sheet(sheet, image, found, title=title)
 
 
-def _tell_markers(found: Segmentation, writer: StageWriter) -> None:
+def _tell_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:
     writer.data["markers"] = [
-        {"number": each.number, "position_mm": each.position, "volume_mm3": each.volume}
-        for each in found.markers
-    ]
+        {"number": each.number, "position_mm": each.position, "volume_mm3": each.volume,
+         "skin_lowered_mm": down}
+        for each, down in zip(found.markers, lowered, strict=True)
+    ]  # fmt: skip
     if found.markers:
         writer.summary.append(f"{len(found.markers)} skin marker(s), numbered from distal to proximal")
 

@@ -1,0 +1,82 @@
+"""The skin under a marker: continued from the skin around it.
+
+A capsule and the skin it touches are equally bright, so that the outline keeps a bump of half a voxel or
+more where the marker stood; and the marker is just where the probe goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limbcli.imaging.markers import Marker
+from limbcli.imaging.surface import ClosedSurface
+from limbcli.model import Array
+
+_BLUR = 3.0  # mm round a capsule that its brightness reaches
+_BLEND = 4.0  # mm over which the outline takes over again
+_RING = 8.0  # mm: width of the ring that the skin is continued from
+_FEWEST = 12
+_LARGEST_MOVE = 4.0  # mm: what would move the skin further is not a marker's bump
+
+
+def without_bumps(skin: ClosedSurface, markers: Sequence[Marker]) -> tuple[ClosedSurface, list[float]]:
+    """The skin with each marker's footprint put on a quadric through the skin around it.
+
+    Returns
+    -------
+    surface with the same triangles; mm by which each marker's spot was lowered (negative: raised)
+    """
+    points = skin.points.copy()
+    normals = _vertex_normals(skin)
+    moved = []
+    for marker in markers:
+        points, depth = _smoothed(points, normals, marker)
+        moved.append(depth)
+    return ClosedSurface(points, skin.triangles), moved
+
+
+def _smoothed(points: Array, normals: Array, marker: Marker) -> tuple[Array, float]:
+    reach = (3.0 * marker.volume / (4.0 * np.pi)) ** (1 / 3) + _BLUR
+    centre = np.array(marker.position)
+    spot = int(np.argmin(np.linalg.norm(points - centre, axis=1)))
+    near = np.flatnonzero(np.linalg.norm(points - points[spot], axis=1) < reach + _BLEND + _RING + 4.0)
+    axis = normals[near].mean(axis=0)
+    near = near[normals[near] @ axis > 0.3 * np.linalg.norm(axis)]
+    x, y, z = _local(points[near] - points[spot], axis / np.linalg.norm(axis))
+    away = np.hypot(x, y)
+    ring = (away > reach + _BLEND / 2) & (away < reach + _BLEND / 2 + _RING)
+    if ring.sum() < _FEWEST:
+        return points, 0.0
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    quadric = np.linalg.lstsq(terms[ring], z[ring], rcond=None)[0]
+    lowered = (z - terms @ quadric) * _weight(away, reach)
+    if np.abs(lowered).max() > _LARGEST_MOVE:
+        return points, 0.0
+    out = points.copy()
+    out[near] -= np.outer(lowered, axis / np.linalg.norm(axis))
+    return out, float(lowered[np.argmin(away)])
+
+
+def _weight(away: Array, reach: float) -> Array:
+    """1 on the footprint, 0 beyond the blend, smooth between."""
+    t = np.clip((away - reach) / _BLEND, 0.0, 1.0)
+    return np.asarray(1.0 - t * t * (3.0 - 2.0 * t))
+
+
+def _local(offsets: Array, axis: Array) -> tuple[Array, Array, Array]:
+    """Coordinates along two directions across `axis`, and along it."""
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    return offsets @ first, offsets @ np.cross(axis, first), offsets @ axis
+
+
+def _vertex_normals(skin: ClosedSurface) -> Array:
+    """(n, 3), outward, of unit length; 0 where a point has no triangle."""
+    a, b, c = (skin.points[skin.triangles[:, k]] for k in range(3))
+    faces = np.cross(b - a, c - a)
+    normals = np.zeros_like(skin.points)
+    for k in range(3):
+        np.add.at(normals, skin.triangles[:, k], faces)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
