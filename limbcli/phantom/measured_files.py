@@ -7,7 +7,7 @@ from pathlib import Path
 from limbcli.measurement.elastography import map_file, write_map
 from limbcli.phantom.noise import Readings, levels_rows
 
-TRACE_HEADER = "time_s,force_n,accel_x_g,accel_y_g,accel_z_g"
+TRACE_HEADER = "time_s,force_n,depth_mm,accel_x_g,accel_y_g,accel_z_g"
 
 
 def write_readings(folder: Path, readings: Readings) -> None:
@@ -15,7 +15,7 @@ def write_readings(folder: Path, readings: Readings) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     header, rows = levels_rows(readings)
     _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])
-    trace = (f"{t:.4f},{f:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, x, y, z in readings.trace)
+    trace = (f"{t:.4f},{f:.3f},{d:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, d, x, y, z in readings.trace)
     _write(folder / "trace.csv", [TRACE_HEADER, *trace])
     for level, swe in enumerate(readings.maps):
         write_map(map_file(folder / "swe", level), swe)

@@ -12,7 +12,7 @@ from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import Protocol, TrueLevels
 
-SAMPLE_NOISE_N = 0.03
+SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 
 
@@ -20,7 +20,7 @@ _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 class Readings:
     """One measurement as it would be written down, a row a level.
 
-    skin_bone is None where the beam meets no bone; trace: columns time s, force N and
+    skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
     three accelerations in g.
     """
 
@@ -54,7 +54,7 @@ def measure(true: TrueLevels, law: NoiseLaw, *, protocol: Protocol, rng: np.rand
         maps=maps,
         skin_bone=None if true.skin_bone is None else true.skin_bone - depth,
         hold=protocol.hold,
-        trace=_trace(force, protocol, rng, quiet=law.force_n == 0),
+        trace=_trace(force, depth, protocol, rng, quiet=law.force_n == 0),
     )
 
 
@@ -65,21 +65,26 @@ def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generato
     return SweMap(swe.lateral[keep], swe.depth[keep], speed[keep])
 
 
-def _trace(force: Array, protocol: Protocol, rng: np.random.Generator, *, quiet: bool) -> Array:
-    """Force against time: smooth ramps and holds, sampled; the probe's weight lies along z."""
+def _trace(force: Array, depth: Array, protocol: Protocol, rng: np.random.Generator, *, quiet: bool) -> Array:
+    """Force and depth against time: smooth ramps and holds, sampled; the probe's weight lies along z."""
     per_ramp = round(protocol.ramp * protocol.sampling_hz)
     per_hold = round(protocol.hold * protocol.sampling_hz)
     s = (np.arange(per_ramp) + 1.0) / per_ramp
     rise = s * s * (3 - 2 * s)
-    pieces = [np.full(per_hold, force[0])]
-    for before, after in pairwise(force):
-        pieces += [before + (after - before) * rise, np.full(per_hold, after)]
-    level = np.concatenate(pieces)
-    time = np.arange(len(level)) / protocol.sampling_hz
+
+    def steps(levels: Array) -> Array:
+        pieces = [np.full(per_hold, levels[0])]
+        for before, after in pairwise(levels):
+            pieces += [before + (after - before) * rise, np.full(per_hold, after)]
+        return np.concatenate(pieces)
+
+    held, deep = steps(force), steps(depth)
+    time = np.arange(len(held)) / protocol.sampling_hz
     noise = 0.0 if quiet else 1.0
-    level = level + noise * SAMPLE_NOISE_N * rng.standard_normal(len(level))
-    acceleration = np.array(_PROBE_DOWN_G) + noise * 0.004 * rng.standard_normal((len(level), 3))
-    return np.column_stack([time, level, acceleration])
+    held = held + noise * SAMPLE_NOISE_N * rng.standard_normal(len(held))
+    acceleration = np.array(_PROBE_DOWN_G) + noise * 0.004 * rng.standard_normal((len(held), 3))
+    deep = deep + noise * SAMPLE_NOISE_MM * rng.standard_normal(len(deep))
+    return np.column_stack([time, held, deep, acceleration])
 
 
 def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from limbcli.effects import effect
 from limbcli.effects.base import Effect, Theta
@@ -112,18 +113,34 @@ def _skin(model: LimbModel, theta: Theta) -> LimbModel:
 # ---------------------------------------------------------------- in the readings
 
 
+def _same(values: Array) -> Array:
+    return values
+
+
+def _record(
+    readings: Readings, force: Callable[[Array], Array] = _same, depth: Callable[[Array], Array] = _same
+) -> Array:
+    """The load cell's record with force and depth read otherwise."""
+    trace = readings.trace
+    return np.column_stack([trace[:, 0], force(trace[:, 1]), depth(trace[:, 2]), trace[:, 3:]])
+
+
 def _force_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return replace(readings, force=readings.force + theta["force_zero_n"])
+    shift = theta["force_zero_n"]
+    return replace(readings, force=readings.force + shift, trace=_record(readings, lambda f: f + shift))
 
 
 def _force_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return replace(readings, force=readings.force * theta["force_gain"])
+    gain = theta["force_gain"]
+    return replace(readings, force=readings.force * gain, trace=_record(readings, lambda f: gain * f))
 
 
 def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Levels are read from a first frame that is `depth_zero_mm` deep already."""
-    shown = readings.depth - theta["depth_zero_mm"]
-    return _rows(replace(readings, depth=shown), np.flatnonzero(shown >= 0.0))
+    zero = theta["depth_zero_mm"]
+    shown = readings.depth - zero
+    record = _record(readings, depth=lambda d: d - zero)
+    return _rows(replace(readings, depth=shown, trace=record), np.flatnonzero(shown >= 0.0))
 
 
 def _rows(readings: Readings, keep: IntArray) -> Readings:
@@ -138,29 +155,45 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
 
 
 def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return replace(readings, depth=readings.depth / theta["depth_gain"])
+    gain = theta["depth_gain"]
+    return replace(readings, depth=readings.depth / gain, trace=_record(readings, depth=lambda d: d / gain))
 
 
 def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """The first level is that at which the probe already pressed; force and depth start there."""
     first = int(np.argmin(np.abs(true.force - theta["preload_n"])))
     kept = _rows(readings, np.arange(first, len(readings.force)))
-    return replace(kept, force=kept.force - kept.force[0], depth=kept.depth - kept.depth[0])
+    force, depth = kept.force[0], kept.depth[0]
+    record = _record(readings, lambda f: f - force, lambda d: d - depth)
+    return replace(kept, force=kept.force - force, depth=kept.depth - depth, trace=record)
 
 
 def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Two terms, 1 and 20 s, that share what relaxes; waves see the unrelaxed tissue."""
     share = theta["relaxing_share"]
     extra = np.zeros(len(true.force))
-    for part, tau in ((0.6 * share, 1.0), (0.4 * share, 20.0)):
+    for part, tau in ((part * share, tau) for part, tau in _TERMS):
         state = 0.0
         for k in range(1, len(extra)):
             step = float(true.force[k] - true.force[k - 1])
             fresh = step * tau * -np.expm1(-1.0 / tau)
             state = (state * np.exp(-1.0 / tau) + fresh) * np.exp(-readings.hold / tau)
             extra[k] += part * state
-    stiffer = replace(readings, force=readings.force + extra)
+    stiffer = replace(readings, force=readings.force + extra, trace=_relaxing_trace(readings.trace, share))
     return _speeds(stiffer, lambda v, z, k: v * np.sqrt(1 + share))
+
+
+_TERMS = ((0.6, 1.0), (0.4, 20.0))  # share of what relaxes, time constant in s
+
+
+def _relaxing_trace(trace: Array, share: float) -> Array:
+    """The load cell's record with the same terms, sample by sample."""
+    step = float(np.median(np.diff(trace[:, 0])))
+    elastic, added = trace[:, 1], np.zeros(len(trace))
+    for part, tau in _TERMS:
+        kept = np.exp(-step / tau)
+        added += part * share * lfilter([1.0], [1.0, -kept], np.diff(elastic, prepend=elastic[0]))
+    return np.column_stack([trace[:, 0], elastic + added, trace[:, 2:]])
 
 
 def _time_scale(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
