@@ -67,7 +67,8 @@ class Site:
     long_axis : "transverse", "axial", or a vector (3,)
     levels, trace, swe_maps : paths of levels.csv, trace.csv, and the folder of SWE maps
     instruments : tables "load_cell", "b_mode", "swe_images" for `limbcli measure`, with
-        defaults filled in and `path` added; where there are any, levels.csv may be missing
+        defaults filled in and `path` added (a trace is a load cell's record too); where there are any,
+        levels.csv and the folder of SWE maps may be missing
     layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
     """
 
@@ -265,7 +266,8 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
     problems += found
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
-        if key == "levels" and instruments and isinstance(values.get(key), str):
+        made = {"levels": bool(instruments), "swe_maps": "swe_images" in instruments}.get(key, False)
+        if made and isinstance(values.get(key), str):
             paths[key] = folder / values[key]
             continue
         paths[key], found = _existing(values.get(key), folder, f"{label}: {key}", is_folder=is_folder)
@@ -291,6 +293,9 @@ def _read_instruments(
         path, found = _existing(table.get(kind), folder, f"{title}: {kind}", is_folder=kind == "folder")
         problems += found
         tables[name] = {**table, "path": path}
+    if "load_cell" not in tables and isinstance(values.get("trace"), str):
+        usual, _ = schema.check_table({"file": values["trace"]}, schema.LOAD_CELL, name="", file="")
+        tables["load_cell"] = {**usual, "path": folder / values["trace"]}
     return tables, problems
 
 

@@ -113,6 +113,14 @@ def numbers(count: int) -> Check:
     return check
 
 
+def bone_places(value: object) -> str | None:
+    """A distance in mm (at level 0), or one for every level."""
+    one = number(2.0, 120.0, "mm")
+    if isinstance(value, list) and value:
+        return next((wrong for each in value if (wrong := one(each))), None)
+    return one(value)
+
+
 def thickness(value: object) -> str | None:
     """A thickness in mm, or "mri" for what the images show."""
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
@@ -171,13 +179,14 @@ B_MODE = {
     "folder": Key("folder", text, required=True),
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
     "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
-    "bone_mm": Key("mm", number(2.0, 120.0, "mm")),
+    "bone_mm": Key("mm, or a list of them", bone_places),
 }
 SWE_IMAGES = {
     "folder": Key("folder", text, required=True),
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
-    "box_pixels": Key("[left, top, right, bottom]", numbers(4), required=True),
-    "bar_pixels": Key("[left, top, right, bottom]", numbers(4), required=True),
+    "image_pixels": Key("[left, top, right, bottom]", numbers(4)),
+    "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
+    "bar_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "low_m_per_s": Key("m/s", number(0.0, 20.0, "m/s"), default=0.0),
     "high_m_per_s": Key("m/s", number(0.5, 30.0, "m/s"), required=True),
     "opacity": Key("1", number(0.2, 1.0, ""), default=1.0),

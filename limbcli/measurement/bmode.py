@@ -26,6 +26,7 @@ _TEMPLATE_HALF = 2.5  # mm above and below the line
 _WORST_CORRELATION = 0.3
 _SHADOW = 4.0  # mm of image there must be below the bone
 _LEAST_BRIGHTNESS = 0.45  # of the weakest column of the line, relative to the brightest row
+_BY_HAND = 0.3  # mm: SD of a distance that someone read off the image
 _DARKEST_SHADE = 0.2  # brightness behind the line relative to the tissue in front
 
 
@@ -95,12 +96,13 @@ def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None,
 def follow_bone(
     images: Sequence[UltrasoundImage],
     *,
-    bone: float | None = None,
+    bone: float | Sequence[float] | None = None,
     largest_change: float = 8.0,
 ) -> list[BoneLine]:
     """The skin-bone distance at every level.
 
-    bone : mm below the probe face at the first level; None finds it.
+    bone : mm below the probe face at the first level, or at every level (then none is sought);
+        None finds it.
     largest_change : mm between neighbouring levels within which it is sought.
 
     Raises
@@ -108,13 +110,28 @@ def follow_bone(
     MeasurementError
         If the line cannot be found or is lost; the message names the image.
     """
+    if isinstance(bone, Sequence):
+        return _stated(images, bone)
     if bone is not None:
         _check_inside(images[0], bone)
-    first = find_bone(images[0]) if bone is None else BoneLine(bone, 0.3, 1.0)
+    first = find_bone(images[0]) if bone is None else BoneLine(bone, _BY_HAND, 1.0)
     lines = [first]
     for previous, image in pairwise(images):
         lines.append(_next(previous, image, lines[-1], largest_change))
     return lines
+
+
+def _stated(images: Sequence[UltrasoundImage], bone: Sequence[float]) -> list[BoneLine]:
+    """The distances as someone read them by hand."""
+    if len(bone) != len(images):
+        raise MeasurementError(
+            f"bone_mm states {len(bone)} distances, there are {len(images)} images",
+            where=str(images[0].path.parent),
+            fix="state one distance an image, or only that of the first",
+        )
+    for image, each in zip(images, bone, strict=True):
+        _check_inside(image, each)
+    return [BoneLine(float(each), _BY_HAND, 1.0) for each in bone]
 
 
 def _check_inside(image: UltrasoundImage, bone: float) -> None:

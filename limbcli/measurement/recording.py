@@ -21,6 +21,7 @@ from limbcli.problems import suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 LVM_END_OF_HEADER = "***End_of_Header***"
+_SEGMENT = "Channels"  # what a segment's header begins with
 COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
@@ -79,17 +80,78 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
 
 
 def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
-    text = _text(path)
-    lines = text.splitlines()
+    lines = [line for line in _text(path).splitlines() if line.strip()]
     if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
-        lines = lines[max(k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)) + 1 :]
-    lines = [line for line in lines if line.strip()]
+        return _lvm_table(lines, path, form)
     if len(lines) < 2:
         fix = "name the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     separator = form.separator or max(("\t", ";", ","), key=lambda mark: lines[0].count(mark))
     rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
     return [cell.strip() for cell in rows[0]], rows[1:], separator
+
+
+def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
+    """A LabVIEW measurement file: a header, then segments with a header of their own each.
+
+    Where the segments carry no times (X_Columns No), X_Value is made from their X0 and Delta_X.
+    """
+    ends = [k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)]
+    mark = form.separator or _lvm_separator(lines[: ends[0]])
+    header: list[str] = []
+    rows: list[list[str]] = []
+    for k, end in enumerate(ends):
+        last = ends[k + 1] if k + 1 < len(ends) else len(lines)
+        body = [line.split(mark) for line in lines[end + 1 : last]]
+        own = {cells[0]: cells[1:] for line in lines[:end] for cells in [line.split(mark)]}
+        if not body or body[0][0].strip() == _SEGMENT:
+            continue
+        titles, segment = [cell.strip() for cell in body[0]], _data_rows(body[1:])
+        if own.get("X_Columns", [""])[0].strip() == "No":
+            titles, segment = _with_times(titles, segment, own, path)
+        if header and titles != header:
+            what = f"the segments have different columns: {', '.join(header)}; then {', '.join(titles)}"
+            raise MeasurementError(what, where=str(path), fix="export one segment a file")
+        header = titles
+        rows += segment
+    if not rows:
+        fix = "name the file that the load cell's program wrote"
+        raise MeasurementError("the record has no rows", where=str(path), fix=fix)
+    return header, rows, mark
+
+
+def _lvm_separator(header: list[str]) -> str:
+    named = next((line for line in header if line.startswith("Separator")), "")
+    return "," if named.endswith("Comma") else "\t"
+
+
+def _data_rows(body: list[list[str]]) -> list[list[str]]:
+    """The rows of numbers up to the next segment's header."""
+    rows = []
+    for cells in body:
+        if cells[0].strip() == _SEGMENT:
+            break
+        rows.append(cells)
+    return rows
+
+
+def _with_times(
+    titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path
+) -> tuple[list[str], list[list[str]]]:
+    try:
+        start, step = (float(own[key][0].replace(",", ".")) for key in ("X0", "Delta_X"))
+    except (KeyError, IndexError, ValueError) as error:
+        raise MeasurementError(
+            "the file has no times: X_Columns is No, and X0 or Delta_X is missing",
+            where=str(path),
+            fix="save it with one X column",
+        ) from error
+    comma = any("," in cell for row in rows[:50] for cell in row)
+    times = (f"{start + k * step:.9g}" for k in range(len(rows)))
+    timed = [
+        [time.replace(".", ",") if comma else time, *row[1:]] for time, row in zip(times, rows, strict=True)
+    ]
+    return ["X_Value", *titles[1:]], timed
 
 
 def _text(path: Path) -> str:

@@ -7,6 +7,7 @@ in case.toml is taken from an existing levels.csv or left empty.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,23 +16,20 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.files import atomic_file
+from limbcli.files import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.elastography import map_file, statistics, write_map
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
 from limbcli.measurement.indentation import Levels, Trace, check_values, read_levels
 from limbcli.measurement.recording import RecordingFormat, read_recording
-from limbcli.measurement.swe_image import DecodedMap, Overlay, decode_overlay
-from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.measure_images import box_of, images_of, measured_speeds, tissue_between
 
 STAGE = "measure"
 _FEW_LOST = 0.01  # of the samples
 _SMALL_FORCE = 4.0  # N, of a whole indentation
 _FEWEST_LEVELS = 3
-_IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 
 
 def measure(
@@ -57,19 +55,21 @@ def measure(
             raise CaseError(
                 f"site {site.name} names no instrument file",
                 where=str(case.file),
-                fix="add [site.load_cell], [site.b_mode] or [site.swe_images], or write levels.csv by hand",
+                fix='add trace = "trace.csv", [site.load_cell], [site.b_mode] or [site.swe_images], or write '
+                "levels.csv by hand",
             )
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            rows = _measure_site(site, writer, progress)
+            rows = _measure_site(site, out, writer, progress)
         assert writer.result is not None
         if write:
             _write_levels(site, rows)
+            _write_maps(site, writer.result)
         results.append(writer.result)
     return results
 
 
-def _measure_site(site: Site, writer: StageWriter, progress: Progress) -> str:
+def _measure_site(site: Site, out: Path, writer: StageWriter, progress: Progress) -> str:
     instruments = site.instruments
     known = read_levels(site.levels) if site.levels.is_file() else None
     columns: dict[str, Sequence[float]] = {}
@@ -81,7 +81,8 @@ def _measure_site(site: Site, writer: StageWriter, progress: Progress) -> str:
     if "b_mode" in instruments:
         columns |= _depth(instruments["b_mode"], writer, progress)
     if "swe_images" in instruments:
-        columns |= _speeds(instruments["swe_images"], writer, progress)
+        tissue = tissue_between(site, out, columns.get("skin_bone_mm"))
+        columns |= measured_speeds(instruments["swe_images"], tissue, writer, progress)
     _check_lengths(columns, site)
     place = instruments["load_cell"]["path"] if "load_cell" in instruments else site.levels
     raise_errors(check_values(columns, place), MeasurementError)
@@ -177,22 +178,11 @@ def _check_count(columns: Mapping[str, Sequence[float]], site: Site) -> None:
         )
 
 
-def _images(
-    table: Mapping[str, Any], *, box_pixels: tuple[int, int, int, int] | None = None
-) -> list[UltrasoundImage]:
-    folder: Path = table["path"]
-    paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in _IMAGE_SUFFIXES)
-    if not paths:
-        fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
-        raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
-    return [read_image(each, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels) for each in paths]
-
-
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
     from limbcli.measurement.picture import draw_bone_lines
 
     writer.used("b_mode", table["path"])
-    images = _images(table, box_pixels=_box(table["box_pixels"]) if table["box_pixels"] else None)
+    images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
     draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"))
@@ -204,49 +194,6 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
         "skin_bone_mm": [each.distance for each in lines],
         "depth_mm": [lines[0].distance - each.distance for each in lines],
     }
-
-
-def _speeds(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
-    from limbcli.measurement.picture import draw_speeds
-
-    writer.used("swe_images", table["path"])
-    overlay = Overlay(
-        box_pixels=_box(table["box_pixels"]),
-        bar_pixels=_box(table["bar_pixels"]),
-        low_m_per_s=float(table["low_m_per_s"]),
-        high_m_per_s=float(table["high_m_per_s"]),
-        opacity=float(table["opacity"]),
-    )
-    decoded: list[DecodedMap] = []
-    images = _images(table)
-    for k, image in enumerate(images, 1):
-        decoded.append(decode_overlay(image, overlay))
-        progress.event("task", name="SWE images", done=k, total=len(images))
-    lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
-    depth = tuple(table["roi_depth_mm"] or (-np.inf, np.inf))
-    maps = [each.unsaturated.within(lateral=lateral, depth=depth) for each in decoded]
-    for k, each in enumerate(maps):
-        write_map(map_file(writer.file("maps", "swe").parent / "swe", k), each)
-    figures = [statistics(each) for each in maps]
-    draw_speeds(maps, writer.file("speed_picture", "speeds.png"))
-    writer.data["swe"] = [
-        {"n_masked": d.n_masked, "n_unlike": d.n_unlike, "n_ambiguous": d.n_ambiguous,
-         "n_saturated": int(d.saturated.sum()), **vars(f)}
-        for d, f in zip(decoded, figures, strict=True)
-    ]  # fmt: skip
-    for k, level in enumerate(decoded):
-        share = 100 * float(level.saturated.mean())
-        if share > 10.0:
-            writer.warnings.append(f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar")
-    return {
-        "swe_mean_m_per_s": [each.mean_m_per_s for each in figures],
-        "swe_sd_m_per_s": [each.sd_m_per_s for each in figures],
-        "swe_pixels": [each.n_pixels for each in figures],
-    }
-
-
-def _box(values: Sequence[float]) -> tuple[int, int, int, int]:
-    return int(values[0]), int(values[1]), int(values[2]), int(values[3])
 
 
 def _check_lengths(columns: Mapping[str, Sequence[float]], site: Site) -> None:
@@ -290,6 +237,15 @@ def _as_csv(columns: Mapping[str, Sequence[float]]) -> str:
     for k in range(len(columns[names[0]])):
         lines.append(",".join(f"{columns[name][k]:.6g}" for name in names))
     return "\n".join(lines) + "\n"
+
+
+def _write_maps(site: Site, result: StageResult) -> None:
+    """The decoded maps where case.toml names their folder, if it is not there yet."""
+    if site.swe_maps is None or site.swe_maps.exists() or not (result.folder / "swe").is_dir():
+        return
+    with atomic_folder(site.swe_maps) as folder:
+        for each in sorted((result.folder / "swe").glob("level_*.csv")):
+            shutil.copy2(each, folder / each.name)
 
 
 def _write_levels(site: Site, text: str) -> None:

@@ -32,6 +32,38 @@ def test_labview_file_with_decimal_commas(tmp_path):
     np.testing.assert_allclose(trace.force, [0.1, 1.25, 2.5])
 
 
+def test_labview_segments_are_joined_and_different_columns_are_refused(tmp_path):
+    path = tmp_path / "a.lvm"
+    form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
+    again = LVM[LVM.index("Channels") :].replace("0,0", "1,0")
+    path.write_text(LVM + again)
+    np.testing.assert_allclose(
+        read_recording(path, form).time, [0, 0.017, 0.033, 1.0, 1.017, 1.033], err_msg="no segment is lost"
+    )
+    path.write_text(LVM + again.replace("Force", "Torque"))
+    with pytest.raises(MeasurementError, match="different columns"):
+        read_recording(path, form)
+    path.write_text(LVM + LVM[LVM.index("Channels") :])
+    with pytest.raises(MeasurementError, match="does not grow"):
+        read_recording(path, form)
+
+
+def test_labview_file_without_times_gets_them_from_its_step(tmp_path):
+    path = tmp_path / "a.lvm"
+    form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
+    header = "X_Columns\tNo\n***End_of_Header***\t\n\nChannels\t1\nX0\t2,0E+0\nDelta_X\t0,016667\n"
+    path.write_text(
+        "LabVIEW Measurement\nSeparator\tTab\n" + header + "***End_of_Header***\t\n"
+        "X_Value\tForce\tComment\n\t0,10\n\t1,25\n\t2,50\n"
+    )
+    trace = read_recording(path, form)
+    np.testing.assert_allclose(trace.time, [2.0, 2.016667, 2.033334])
+    np.testing.assert_allclose(trace.force, [0.1, 1.25, 2.5])
+    path.write_text(path.read_text().replace("Delta_X", "Delta"))
+    with pytest.raises(MeasurementError, match="has no times"):
+        read_recording(path, form)
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("N", 1.0), ("kgf", 9.80665), ("gf", 9.80665e-3), ("lbf", 4.4482216)]
 )

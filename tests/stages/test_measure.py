@@ -10,7 +10,9 @@ from PIL import Image
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.measurement.elastography import read_map
 from limbcli.measurement.indentation import read_levels
+from limbcli.results import open_stage
 from limbcli.stages.measure import measure
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
@@ -139,3 +141,73 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
     rows = "\n".join(f"{a:.4f},{'' if np.isnan(b) else f'{b:.6f}'}" for a, b in zip(time, force, strict=True))
     (place / "cell.csv").write_text("t,F\n" + rows + "\n")
     return Case.open(place)
+
+
+# ---------------------------------------------------------------- found, left out, taken over
+
+
+def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
+    (tmp_path / "mri").mkdir()
+    site = SITE.format(name="p1").replace('levels = "p1.csv"', 'levels = "p1.csv"\ntrace = "trace.csv"')
+    (tmp_path / "case.toml").write_text(HEAD + site)
+    trace = record(rng, levels=FORCES)
+    rows = "\n".join(f"{t:.4f},{f:.4f}" for t, f in zip(trace.time, trace.force, strict=True))
+    (tmp_path / "trace.csv").write_text("time_s,force_n\n" + rows + "\n")
+    result = measure(Case.open(tmp_path), out=tmp_path / "out")[0]
+    assert len(result.data["holds"]) == 4
+
+
+def without(folder: Path, target: Path, *keys: str, more: str = "") -> Case:
+    """The case of `folder` with lines of case.toml left out and others put to the elastography."""
+    target.mkdir()
+    lines = (folder / "case.toml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith(keys)]
+    (target / "case.toml").write_text("\n".join(kept) + "\n" + more)
+    for name in ("mri", "bmode", "swe", "cell.csv"):
+        (target / name).symlink_to(folder / name)
+    return Case.open(target)
+
+
+def test_bar_and_box_are_found_and_the_same_speeds_come_out(folder: Path, tmp_path: Path):
+    stated = measure(Case.open(folder), out=tmp_path / "a")[0]
+    case = without(folder, tmp_path / "case", "box_pixels", "bar_pixels")
+    found = measure(case, out=tmp_path / "b")[0]
+    assert any("bar_pixels found" in line for line in found.summary)
+    mine, theirs = (read_levels(each.path("levels")).swe_mean_m_per_s for each in (found, stated))
+    np.testing.assert_allclose(mine, theirs, rtol=5e-3)
+
+
+def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Path):
+    plain = measure(Case.open(folder), out=tmp_path / "a")[0]
+    assert any("skin and fat are left out" in text for text in plain.warnings)
+    with open_stage(tmp_path / "b", "segment", subject="S1") as writer:
+        writer.data["layers"] = {"p1": {"skin_mm": 1.5, "fat_mm": 6.5}}
+    result = measure(Case.open(folder), out=tmp_path / "b")[0]
+    assert not any("skin and fat" in text for text in result.warnings)
+    for level, row in enumerate(BONE_ROWS):
+        depth = read_map(result.folder / "swe" / f"level_{level:02d}.csv").depth
+        assert depth.min() >= 8.0
+        assert depth.max() <= 0.1 * row - 1.5 + 0.2
+
+
+def test_bone_read_by_hand_at_every_level_wins(folder: Path, tmp_path: Path):
+    bone = "bone_mm = [24.0, 23.0, 22.0, 21.0]\n"
+    toml = (folder / "case.toml").read_text()
+    case = without(folder, tmp_path / "case", "-")
+    (tmp_path / "case" / "case.toml").write_text(toml.replace("[site.b_mode]\n", "[site.b_mode]\n" + bone))
+    levels = read_levels(measure(Case.open(case.folder), out=tmp_path / "a")[0].path("levels"))
+    np.testing.assert_allclose(levels.depth, [0, 1, 2, 3], atol=1e-9)
+    short = toml.replace("[site.b_mode]\n", "[site.b_mode]\nbone_mm = [24.0, 23.0]\n")
+    (tmp_path / "case" / "case.toml").write_text(short)
+    with pytest.raises(MeasurementError, match="states 2 distances, there are 4 images"):
+        measure(Case.open(case.folder), out=tmp_path / "b")
+
+
+def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
+    case = without(folder, tmp_path / "case", "-")
+    text = (case.folder / "case.toml").read_text()
+    named = text.replace("[site.load_cell]", 'swe_maps = "maps"\n[site.load_cell]')
+    (case.folder / "case.toml").write_text(named)
+    measure(Case.open(case.folder), out=tmp_path / "a", write=True)
+    assert len(list((case.folder / "maps").glob("level_*.csv"))) == 4
+    assert (case.folder / "p1.csv").is_file()

@@ -1,0 +1,100 @@
+"""Where the colour bar and the colour box lie in an elastography image, where nobody said.
+
+A bar is a narrow coloured strip, of one colour across and of many along. The box is the largest
+coloured area beside it. Where either is not plain to see nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import colorsys
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.swe_image import Box
+from limbcli.measurement.ultrasound_image import UltrasoundImage
+from limbcli.model import Array
+
+_BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0  # of 255: difference of the largest and smallest channel
+_SLENDER = 4.0  # length over width of a bar, at least
+_SHORTEST, _NARROWEST = 40, 4  # pixels
+_UNEVEN = 14.0  # of 255: spread of the colours across a bar, at most
+_HUES = 0.3  # share of the colour circle that a bar runs through, at least
+_SMALLEST_BOX = 900  # pixels
+_COLOURED = 0.2  # share of a row or column of the box that has a colour, at least
+
+
+def find_bar(image: UltrasoundImage) -> Box:
+    """The elastography bar: left, top, right, bottom (pixels, inclusive).
+
+    Raises
+    ------
+    MeasurementError
+        If there is none, or two that are as good.
+    """
+    rgb = image.rgb.astype(np.float64)
+    marks, _ = ndimage.label(np.ptp(rgb, axis=2) >= _BAR_COLOUR)
+    found = []
+    for rows, columns in ndimage.find_objects(marks):
+        box = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
+        span = _hue_span(rgb, box)
+        if span >= _HUES:
+            found.append((span, box))
+    if len(found) != 1:
+        places = "; ".join(str(list(box)) for _, box in found)
+        raise MeasurementError(
+            f"{len(found)} strips look like a colour bar ({places})" if found else "no colour bar was found",
+            where=str(image.path),
+            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar",
+        )
+    return found[0][1]
+
+
+def _hue_span(rgb: Array, box: Box) -> float:
+    """Share of the colour circle that a strip runs through, 0 where it is no bar."""
+    left, top, right, bottom = box
+    part = rgb[top : bottom + 1, left : right + 1]
+    if part.shape[0] < part.shape[1]:
+        part = part.transpose(1, 0, 2)
+    length, width = part.shape[:2]
+    if length < _SHORTEST or width < _NARROWEST or length < _SLENDER * width:
+        return 0.0
+    inner = part[:, 1:-1] if width > 2 else part
+    if np.median(inner.std(axis=1).max(axis=1)) > _UNEVEN:
+        return 0.0
+    line = np.median(inner, axis=1)
+    hues = np.sort([colorsys.rgb_to_hsv(*each)[0] for each in line[np.ptp(line, axis=1) >= _BAR_COLOUR]])
+    gaps = np.diff(np.r_[hues, hues[0] + 1.0]) if len(hues) else np.ones(1)
+    return float(1.0 - gaps.max())
+
+
+def find_box(image: UltrasoundImage, bar: Box) -> Box:
+    """The colour box: the largest coloured area beside the bar.
+
+    Raises
+    ------
+    MeasurementError
+        If nothing else in the image has a colour.
+    """
+    coloured = np.ptp(image.rgb.astype(np.float64), axis=2) >= _BOX_COLOUR
+    left, top, right, bottom = bar
+    coloured[max(0, top - 4) : bottom + 5, max(0, left - 4) : right + 5] = False
+    marks, count = ndimage.label(ndimage.binary_closing(coloured, iterations=3))
+    sizes = ndimage.sum_labels(coloured, marks, np.arange(1, count + 1)) if count else np.zeros(0)
+    if not count or sizes.max() < _SMALLEST_BOX:
+        raise MeasurementError(
+            "no coloured box was found",
+            where=str(image.path),
+            fix="state box_pixels = [left, top, right, bottom] of the elastography box",
+        )
+    own = coloured & (marks == 1 + int(np.argmax(sizes)))
+    rows, columns = (_extent(own.sum(axis=axis)) for axis in (1, 0))
+    return columns[0], rows[0], columns[1], rows[1]
+
+
+def _extent(counts: NDArray[np.int_]) -> tuple[int, int]:
+    """First and last line that is coloured for a good part of the fullest one."""
+    full = np.flatnonzero(counts >= _COLOURED * counts.max())
+    return int(full[0]), int(full[-1])

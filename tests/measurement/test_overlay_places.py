@@ -1,0 +1,47 @@
+"""Colour bar and box in screens that nobody described."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.overlay_places import find_bar, find_box
+from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
+from tests.measurement.test_swe_image import BAR, BOX, COLUMNS, ROWS, ramp, render
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.5])
+def test_bar_and_box_are_found_where_they_are(rng, opacity):
+    speed = ramp()
+    speed[50:90, 60:140] = np.nan  # a hole without colour
+    image = render(rng, speed, opacity)
+    assert np.abs(np.array(find_bar(image)) - BAR).max() <= 1
+    assert np.abs(np.array(find_box(image, BAR)) - BOX).max() <= 1
+
+
+def test_lying_bar_is_found_too(rng):
+    image = render(rng, ramp())
+    turned = UltrasoundImage(np.rot90(image.rgb).copy(), (), image.path)
+    left, top, right, bottom = find_bar(turned)
+    assert (right - left, bottom - top) == (BAR[3] - BAR[1], BAR[2] - BAR[0])
+
+
+def test_nothing_is_guessed_without_a_bar_with_two_or_without_a_box(rng):
+    grey = np.full((ROWS, COLUMNS, 3), 90, np.uint8)
+    image = render(rng, ramp())
+    with pytest.raises(MeasurementError, match="no colour bar"):
+        find_bar(UltrasoundImage(grey, (), image.path))
+    two = image.rgb.copy()
+    two[:, 10:30] = two[:, BAR[0] : BAR[2] + 1]
+    with pytest.raises(MeasurementError, match="2 strips"):
+        find_bar(UltrasoundImage(two, (), image.path))
+    alone = render(rng, np.full(ramp().shape, np.nan))
+    with pytest.raises(MeasurementError, match="no coloured box"):
+        find_box(alone, find_bar(alone))
+
+
+def test_real_muscle_images_have_no_elastography_bar(shared):
+    for path in sorted((shared / "data" / "b-mode").rglob("*.png"))[:4]:
+        with pytest.raises(MeasurementError):
+            find_bar(read_image(path, mm_per_pixel=0.1))
