@@ -6,12 +6,14 @@ leaves FOLDER/out.npz, or FOLDER/error.txt.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -90,8 +92,18 @@ def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Ar
 
 
 def _pytetwild(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
+    """options: those of `pytetwild.tetrahedralize`; "sizes" (n, 4): x, y, z and the edge length there."""
+    from scipy.spatial import Delaunay
+
+    if importlib.util.find_spec("pyvista") is None:
+        # It can do without, but its own import asks for the name (0.4).
+        sys.modules["pyvista"] = ModuleType("pyvista")
     import pytetwild
 
+    sizes = np.array(options.pop("sizes", ()), float)
+    if len(sizes):
+        grid = Delaunay(sizes[:, :3])
+        options |= {"bg_vertices": sizes[:, :3], "bg_tets": grid.simplices, "bg_values": sizes[:, 3]}
     nodes, cells = pytetwild.tetrahedralize(points, faces.astype(np.int32), **options)[:2]
     return np.array(nodes, float), np.array(cells, np.int64)
 

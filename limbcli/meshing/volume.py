@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.meshing.domain import Domain, boundary
-from limbcli.meshing.improve import Ties, smooth
+from limbcli.meshing.improve import Ties, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import dihedral_angles_deg
 from limbcli.meshing.remesh import (
     Boundary,
+    SizeField,
     Sizes,
     bad_places,
     face_labels,
@@ -30,6 +31,8 @@ from limbcli.model import Array, IntArray
 
 MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG = 8.0, 4.0
 _LOCAL_REPAIRS = 5
+_ENVELOPE, _WILD_ROUNDS = 0.15, 25  # mm by which fTetWild may leave the surface; its rounds of improvement
+_POOR, _ROUNDS = 0.25, 20  # sine of a dihedral angle; rounds of taking nodes back
 # Trials of TetGen on one boundary: radius-edge ratio, smallest dihedral angle asked for, seed.
 _TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
 
@@ -168,15 +171,53 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Domain
 
 def _with_ftetwild(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     """fTetWild: slower, its surface within a tolerance of ours, but it refuses nothing."""
-    fine = remesh(boundary(domain), domain, size_field(domain, probe, sizes.finer(0.8)))
-    options = {"edge_length_abs": 0.5 * (sizes.under_probe + sizes.far), "epsilon": 1e-3, "stop_energy": 8.0}
-    nodes, cells = in_process(
-        "pytetwild", fine.surface.points, fine.surface.faces, options, time_limit_s=120.0
-    )
-    raw = checked(nodes, cells, fine.surface.volume, "fTetWild", tolerance=0.02)
+    field = size_field(domain, probe, sizes)
+    surface = _remeshed_or_not(domain, field, tale)
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    options = {
+        "edge_length_abs": sizes.far,
+        "epsilon": _ENVELOPE / float(np.linalg.norm(high - low)),
+        "num_opt_iter": _WILD_ROUNDS,
+        "num_threads": 2,
+        "sizes": _size_samples(field, low, high).tolist(),
+    }
+    nodes, cells = in_process("pytetwild", surface.points, surface.faces, options, time_limit_s=120.0)
+    raw = checked(nodes, cells, surface.volume, "fTetWild", tolerance=0.02)
     faces = boundary_faces(raw.cells)
-    labels = face_labels(Triangles(raw.points, faces), domain, tolerance=0.5)
-    return _improved(raw, faces, labels, domain)
+    labels = face_labels(Triangles(raw.points, faces), domain, tolerance=3 * _ENVELOPE)
+    ties = Ties.of_faces(len(raw.points), faces, labels)
+    points = settled(raw.points, put_back(raw.points, ties, domain), raw.cells)
+    return _improved(Tetrahedra(points, raw.cells, raw.maker), faces, labels, domain)
+
+
+def _remeshed_or_not(domain: Domain, field: SizeField, tale: list[str]) -> Triangles:
+    """The boundary, remeshed where that can be (it may pierce itself; fTetWild is fast on few facets)."""
+    fine = boundary(domain)
+    try:
+        return remesh(fine, domain, field).surface
+    except MeshError as error:
+        tale.append(f"fTetWild from the boundary as it is: {error.what}")
+        return fine
+
+
+def _size_samples(field: SizeField, low: Array, high: Array, *, spacing: float = 4.0) -> Array:
+    """(n, 4): x, y, z and the edge length wanted there, on a grid over a box and a little more."""
+    axes = [np.arange(a - spacing, b + 2 * spacing, spacing) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.column_stack([points, field.at(points)])
+
+
+def settled(points: Array, wanted: Array, cells: IntArray) -> Array:
+    """Nodes where they are wanted, except those whose cells would become worse than poor by it."""
+    before, x = worst_sines(points, cells), wanted.copy()
+    for _ in range(_ROUNDS):
+        after = worst_sines(x, cells)
+        bad = after < np.minimum(before, _POOR)
+        if not bad.any():
+            return x
+        nodes = np.unique(cells[bad, :4])
+        x[nodes] = points[nodes]
+    return points
 
 
 def boundary_faces(cells: IntArray) -> IntArray:

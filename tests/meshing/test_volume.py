@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import pytest
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.meshing import mesher_process, volume
 from limbcli.meshing.distance import Field, Grid
-from limbcli.meshing.domain import CUT, SKIN, Domain
+from limbcli.meshing.domain import CUT, SKIN, Domain, boundary
 from limbcli.meshing.mending import Plane
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.quality import volumes
 from limbcli.meshing.remesh import Boundary, Sizes
+from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.meshing.tetrahedra import Tetrahedra
 
@@ -40,6 +44,56 @@ def test_mesher_that_is_not_installed_is_a_tool_error(make_ball, monkeypatch, tm
     ball = make_ball((0, 0, 0), 10.0, n=6)
     with pytest.raises(ToolError, match="not installed"):
         in_process("pytetwild", ball.points, ball.faces, {}, time_limit_s=60)
+
+
+needs_ftetwild = pytest.mark.skipif(
+    importlib.util.find_spec("pytetwild") is None, reason="the extra ftetwild is not installed"
+)
+
+
+@needs_ftetwild
+def test_ftetwild_fills_what_tetgen_refuses(make_ball):
+    """Two balls that pierce each other: the volume of their union."""
+    crossing = join([make_ball((0, 0, 0), 10.0, n=8), make_ball((5, 0, 0), 10.0, n=8)])
+    with pytest.raises(MeshError, match="tetgen refuses"):
+        in_process("tetgen", crossing.points, crossing.faces, {}, time_limit_s=30)
+    options = {"edge_length_abs": 6.0, "epsilon": 0.01, "num_opt_iter": 2, "num_threads": 2}
+    nodes, cells = in_process("pytetwild", crossing.points, crossing.faces, options, time_limit_s=120)
+    lens = np.pi * 7.5**2 * (3 * 10 - 7.5) / 3 * 2  # of two caps of height R - d/2
+    sphere = 4 / 3 * np.pi * 10**3
+    union = (2 * sphere - lens) * make_ball((0, 0, 0), 10.0, n=8).volume / sphere
+    assert np.abs(volumes(nodes, cells)).sum() == pytest.approx(union, rel=0.02)
+
+
+@needs_ftetwild
+@pytest.mark.slow
+def test_site_whose_surface_tetgen_refuses_is_meshed_by_ftetwild(leg, monkeypatch):
+    """One skin node pushed through the bone: TetGen refuses each way, the last of the chain does not."""
+    remesh = volume.remesh
+
+    def pierced(*arguments):
+        made = remesh(*arguments)
+        points = made.surface.points.copy()
+        points[np.argmax(points[:, 2])] -= [0.0, 0.0, 40.0]
+        return Boundary(Triangles(points, made.surface.faces), made.labels)
+
+    monkeypatch.setattr(volume, "unfold", lambda graded, _domain: graded)
+    monkeypatch.setattr(volume, "bad_places", lambda _graded: np.zeros((0, 3)))
+    monkeypatch.setattr(volume, "remesh", pierced)
+    monkeypatch.setattr(volume, "_remeshed_or_not", lambda d, f, _t: remesh(boundary(d), d, f).surface)
+    sizes = Sizes(under_probe=5.0, far=12.0)
+    options = MeshOptions(element="tet4", sizes=sizes, margin=15.0, spacing=2.0)
+    found = site_model(leg, (0.0, -40.0, 0.0), "transverse", PROBE, options)
+    assert found.maker == "fTetWild"
+    refused = [each for each in found.notes if "tetgen refuses" in each or "TetGen" in each]
+    assert len(refused) >= 3
+    assert found.quality.min_angle_deg >= volume.MIN_ANGLE_DEG
+    assert found.quality.min_angle_under_probe_deg >= volume.MIN_ANGLE_UNDER_PROBE_DEG
+    assert found.quality.inverted_cells == 0
+    skin = found.domain.skin.at(
+        found.model.mesh.points[found.model.mesh.surfaces["contact"].facets["tri3"].ravel()]
+    )
+    assert np.abs(skin).max() < 0.5, "the skin is where it was"
 
 
 def empty_domain() -> Domain:
