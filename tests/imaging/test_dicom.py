@@ -8,7 +8,7 @@ import numpy as np
 import pydicom
 import pytest
 from limb_images import write_dicom
-from pydicom.uid import ImplicitVRLittleEndian, RLELossless
+from pydicom.uid import ImplicitVRLittleEndian, JPEG2000Lossless, RLELossless
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
@@ -47,9 +47,11 @@ def test_implicit_transfer_syntax_gives_the_same_values(ramp, tmp_path):
     assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
 
 
-def test_compressed_pixels_are_decoded(ramp, tmp_path):
-    write_dicom(tmp_path, ramp, change=lambda dataset, k: dataset.compress(RLELossless))
-    assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+@pytest.mark.parametrize("syntax", [RLELossless, JPEG2000Lossless], ids=["RLE", "JPEG 2000"])
+def test_compressed_pixels_are_decoded(ramp, tmp_path, syntax):
+    wide = Volume(np.tile(ramp.values, (8, 8, 1)), ramp.affine)  # JPEG 2000 wants some pixels
+    write_dicom(tmp_path, wide, change=lambda dataset, k: dataset.compress(syntax))
+    assert np.array_equal(read_series(tmp_path).volume.values, wide.values)
 
 
 def test_files_that_are_no_dicom_are_passed_over(ramp, tmp_path):
