@@ -105,7 +105,14 @@ class Bench(Protocol):
     def candidates(self) -> Sequence[Facts]: ...
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
-        """Fit the model with these effects in it; `start`: first guesses of effect parameters."""
+        """Fit the model with these effects in it; `start`: first guesses of effect parameters.
+
+        Where a simulation is dear this may be a stand-in's fit; `verified` makes it good.
+        """
+        ...
+
+    def verified(self, fitted: Fitted) -> Fitted:
+        """The same fit, its numbers out of a simulation of the model as fitted."""
         ...
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:

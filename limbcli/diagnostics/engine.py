@@ -35,7 +35,8 @@ REFIT_BELOW = 0.2
 ALIKE = 0.8
 CLOSED_PERCENTILE = 95.0
 _ROUGH_P = 0.01
-_MAX_REFITS = 10
+_MAX_REFITS = 16
+_HOPELESS = 30.0  # deviance behind the best stand-in: not worth a simulation
 _REFIT_DRAWS = 4000  # enough for a test at 2.5 %
 
 
@@ -111,8 +112,7 @@ class _Run:
         names = self._promising()
         for size in range(1, self.max_effects + 1):
             several = self._of_size(size, names)
-            fitted = [self._refit(each) for each in several]
-            refits = [each for each in fitted if each is not None]
+            refits = self._refits(several)
             joint = {each: joint_trial([self.trials[name] for name in each]) for each in several}
             refits = compare(refits, self.base, self.state, joint, self.whiten, rng=self._rng(2),
                              relative=self.relative)  # fmt: skip
@@ -148,7 +148,7 @@ class _Run:
         alike = [name for name in self.trials if name not in near and any(self._alike(name, k) for k in near)]
         ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
         for name in ranked[_MAX_REFITS:]:
-            self.left_out[name] = "not refitted: ten better candidates were"
+            self.left_out[name] = f"not refitted: {_MAX_REFITS} better candidates were"
         return ranked[:_MAX_REFITS]
 
     def _statistic(self, name: str) -> float:
@@ -201,18 +201,48 @@ class _Run:
             self.progress.event("task", name="candidate " + name, done=k + 1, total=len(facts))
         return trials
 
+    def _refits(self, several: Sequence[Explanation]) -> list[Refit]:
+        """Refit each on its stand-in; those near the best are then simulated as they stand."""
+        drafts = [(each, self._draft(each)) for each in several if each not in self.refits]
+        found = [(each, fitted) for each, fitted in drafts if fitted is not None]
+        chi2 = {each: self._linearised(fitted).chi2 for each, fitted in found}
+        usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
+        limit = min(usable, default=math.inf) + _HOPELESS
+        for each, fitted in found:
+            if chi2[each] <= limit:
+                self._settle(each, fitted)
+            else:
+                self.left_out[" + ".join(each)] = (
+                    "; ".join(fitted.at_bound) or "explains far less than others"
+                )
+        return [self.refits[each] for each in several if each in self.refits]
+
     def _refit(self, explanation: Explanation) -> Refit | None:
-        if explanation in self.refits:
-            return self.refits[explanation]
-        label = " + ".join(explanation)
+        if explanation not in self.refits:
+            fitted = self._draft(explanation)
+            if fitted is not None:
+                self._settle(explanation, fitted)
+        return self.refits.get(explanation)
+
+    def _draft(self, explanation: Explanation) -> Fitted | None:
+        """The refit on the stand-in; None (and why) where it has no answer."""
         found = score(self.state, joint_trial([self.trials[name] for name in explanation]))
         start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
+        try:
+            return self.bench.fit(explanation, start)
+        except LimbError as error:
+            self.not_evaluated[" + ".join(explanation)] = error.what
+            return None
+
+    def _settle(self, explanation: Explanation, draft: Fitted) -> None:
+        """Simulate the model as fitted, and judge what it leaves."""
+        label = " + ".join(explanation)
         self.progress.event("note", text=f"refit with {label}")
         try:
-            fitted = self.bench.fit(explanation, start)
+            fitted = self.bench.verified(draft)
         except LimbError as error:
             self.not_evaluated[label] = error.what
-            return None
+            return
         if fitted.at_bound:
             self.left_out[label] = "; ".join(fitted.at_bound)
         state = self._linearised(fitted)
@@ -220,9 +250,7 @@ class _Run:
         family = self._family(
             state, [*self._group_trials(), *others], n_draws=min(self.n_draws, _REFIT_DRAWS)
         )
-        refit = Refit(fitted, state, family)
-        self.refits[explanation] = refit
-        return refit
+        self.refits[explanation] = Refit(fitted, state, family)
 
     def _each_is_needed(self, refit: Refit) -> bool:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""

@@ -16,6 +16,7 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
 from limbcli.model import LimbModel, Material, Value
 
+EXPONENT = "fibre_exponent"
 SHEAR = Parameter("fibre_shear_per_c", null=0.0, start=0.5, low=0.0, high=5.0, typical=1.0,
                   prior="muscle: mu along / across 1.3 to 3, so mu_f/c 0.3 to 2")  # fmt: skip
 TENSION = Parameter("fibre_tension_per_c", null=0.0, start=0.3, low=0.0, high=5.0, typical=0.5,
@@ -30,7 +31,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
         "ksi": tension * c,
-        "alpha": 0.0,
+        "alpha": theta.get(EXPONENT, 0.0),
         "beta": 2.0,
         "mu": shear * c,
         "lam0": 1.0,
@@ -46,6 +47,7 @@ EFFECT = Effect(
     source="Gennisson et al. 2010, Ultrasound Med Biol 36:789",
     parameters=(SHEAR, TENSION),
     apply=apply,
+    grid=({EXPONENT: 0.0}, {EXPONENT: 3.0}),
     solves=True,
     tell_tale="force higher than the transverse speeds promise; rotating the probe by 90 degrees reverses it",
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -30,6 +31,10 @@ class Curves:
     log_speed: Array
     window_depth: Array
     thickness: float = float("nan")
+
+    @cached_property
+    def force_curve(self) -> PchipInterpolator:
+        return PchipInterpolator(self.depth, self.force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +112,11 @@ def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Re
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
         travel=protocol.depth + reading.compliance * protocol.force,
-        thickness=curves.thickness - _first_depth(curves, protocol, reading),
+        thickness=curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0),
     )
     for change in reading.after:
         shown = change(shown, curves, protocol)
     return shown
-
-
-def _first_depth(curves: Curves, protocol: Protocol, reading: Reading) -> float:
-    """How deep the probe already is (mm) at the first level: as much nearer is the bone on its image."""
-    if not len(protocol):
-        return 0.0
-    return max(float(true_depth(curves, protocol.depth[:1], reading)[0]), 0.0)
 
 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
@@ -131,7 +129,7 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
 
 def force_at(curves: Curves, depth: Array) -> Array:
     """N at any depth: 0 before touch, PCHIP within the simulation, its last slope beyond."""
-    curve = PchipInterpolator(curves.depth, curves.force)
+    curve = curves.force_curve
     end = curves.depth[-1]
     inside = curve(np.clip(depth, 0.0, end))
     return np.asarray(inside + np.maximum(depth - end, 0.0) * curve(end, 1))
@@ -144,10 +142,16 @@ def depth_of_force(curves: Curves, force: float) -> float:
     >>> round(depth_of_force(c, 4.0), 6)
     2.0
     """
-    low, high = 0.0, 2.0 * float(curves.depth[-1])
-    for _ in range(60):
+    curve, end = curves.force_curve, float(curves.depth[-1])
+    if force >= curves.force[-1]:
+        return min(end + (force - float(curves.force[-1])) / max(float(curve(end, 1)), 1e-9), 2.0 * end)
+    k = int(np.argmax(curves.force > force)) if force > 0 else 1
+    low, high = float(curves.depth[k - 1]), float(curves.depth[k])
+    if force <= 0:
+        return low
+    for _ in range(40):
         middle = 0.5 * (low + high)
-        if float(force_at(curves, np.array([middle]))[0]) < force:
+        if float(curve(middle)) < force:
             low = middle
         else:
             high = middle

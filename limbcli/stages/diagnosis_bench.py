@@ -128,8 +128,7 @@ class SiteBench:
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
-        best = self._each(explanation, combinations, start, thorough=True)[0]
-        return self._verified(explanation, best[2])
+        return self._each(explanation, combinations, start, thorough=True)[0][2]
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.effects[name]
@@ -308,8 +307,9 @@ class SiteBench:
             columns.append(change / (2 * _DIFFERENCE * size))
         return np.stack(columns, axis=1)
 
-    def _verified(self, explanation: Explanation, fitted: Fitted) -> Fitted:
+    def verified(self, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the stand-in there, fit again; twice at most."""
+        explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
             return fitted

@@ -142,7 +142,7 @@ class CurveBook:
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
         self.keep, self.progress = keep, progress
         self.tolerance, self.threads = tolerance, threads
-        self.n_solves = 0
+        self.n_solves, self.n_depths = 0, len(depths)
         self._session: ReferenceSession | None = None
         self._known: dict[str, Curves] = {}
         self._kinematics: dict[str, Kinematics] = {}
@@ -213,6 +213,11 @@ class CurveBook:
             raise SolveError(
                 f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
             ) from error
+        if len(result.must_points.depths) != self.n_depths:
+            raise SolveError(
+                f"{len(result.must_points.depths)} of {self.n_depths} depths were reached", where="diagnose",
+                fix="look at the deepest level",
+            )  # fmt: skip
         table = result.simulation.elements[_FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))

@@ -95,10 +95,10 @@ def _cannot(found: Effect) -> CaseError:
 
 
 def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
-    """Exponential fibres with the same stiffness at small stretch: alpha 4 instead of 0."""
+    """Mildly exponential fibres (alpha 1.5) with the same stiffness at small stretch."""
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
-        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 4.0, "beta": 2.0,
+        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0,
         "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model),
     }  # fmt: skip
     return with_part(model, Material("fiber_exp_pow", fibre))

@@ -25,13 +25,14 @@ from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import site_data
+from limbcli.stages.diagnosis_data import ModelError, site_data
 
 TOLD = """force-zero depth-zero anisotropy skin-layer adipose-layer contraction swe-time-scale swe-guided-wave
 preload"""
 TIMES = (0.5, 1.0, 2.0, 4.0)
 PAIRS = (("force-zero", "swe-guided-wave"), ("depth-zero", "anisotropy"), ("force-zero", "skin-layer"))
 TRUE_C_KPA, TRUE_M = 6.5, 4.0
+_LARGEST = 2.0
 
 
 def _reduced():
@@ -57,7 +58,7 @@ class Otherwise:
             c = ground_modulus(model)
             fibre = {
                 "ksi": theta["fibre_tension_per_c"] * c,
-                "alpha": 4.0,
+                "alpha": 1.5,
                 "beta": 2.0,
                 "mu": theta["fibre_shear_per_c"] * c,
                 "lam0": 1.0,
@@ -98,7 +99,13 @@ def detectable() -> dict[str, dict[str, float]]:
 
 def bench(levels) -> SiteBench:
     book = reduced.ReducedBook()
-    site = site_data("p1", levels, reduced.NOISE, windows=book.windows)
+    n = len(levels)
+    none = np.zeros((n, len(book.windows.depths)))
+    errors = [
+        ModelError("model: mesh", np.full(n, 0.01), none, correlation=0.8),
+        ModelError("model: gain of the force by the geometry", np.full(n, 0.03), none),
+    ]
+    site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
     return SiteBench(site, book, EFFECTS)
 
 
@@ -114,8 +121,12 @@ def arms(sizes: dict[str, dict[str, float]]) -> list[tuple[str, dict[str, dict[s
 
 
 def theta_of(name: str, sizes, times: float) -> dict[str, float]:
+    """So many times the detectable size; at most twice the plausible one (skin is not steel)."""
     known = effect(name)
     theta = dict(known.grid[0])
+    first = known.parameters[0]
+    largest = _LARGEST * abs(first.typical - first.null)
+    times = min(times, largest / max(abs(sizes[name][first.name]), 1e-9))
     for p in known.parameters:
         theta[p.name] = float(np.clip(p.null + times * sizes[name][p.name], p.low, p.high))
     return theta

@@ -101,6 +101,9 @@ class Toy:
         bound = tuple(f"{n} on its bound" for n in explanation if n in ONE_SIDED and values[n] <= 0)
         return Fitted(explanation, J @ theta, J, names, values, explanation, bound)
 
+    def verified(self, fitted: Fitted) -> Fitted:
+        return fitted
+
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         sign = (1,) if name in ONE_SIDED else (0,)
         return [Direction(column[:, None], sign, point, (name,)) for point, column in SIGNATURES[name]]
