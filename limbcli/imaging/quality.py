@@ -24,6 +24,7 @@ _BORDER = (0.03, 0.15)  # share of the limb's outline that the image's side cuts
 _THIN = (2.0, 1.0)  # mm, half thickness of a bone at its thinnest section
 _HOLE = (20.0, 500.0)  # mm^3 of holes inside
 _IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
+_END = 0.4  # of the largest section: a smaller one at the first or last slice is a rounded end's
 _EVERY = 5.0  # mm along the limb over which a jump is measured
 
 
@@ -89,8 +90,10 @@ def _jump(mask: Volume) -> float:
     filled = np.flatnonzero(areas)
     step = max(1, round(_EVERY / mask.spacing[2]))
     margin = int(np.ceil(20.0 / mask.spacing[2]))
-    low = filled[0] + (margin if filled[0] > 0 else 0)
-    high = filled[-1] + 1 - (margin if filled[-1] < len(areas) - 1 else 0)
+    # Some files leave empty slices out: an end is round, too, where its section is small.
+    round_low, round_high = areas[filled[[0, -1]]] < _END * areas.max()
+    low = filled[0] + (margin if filled[0] > 0 or round_low else 0)
+    high = filled[-1] + 1 - (margin if filled[-1] < len(areas) - 1 or round_high else 0)
     inner = areas[low:high]
     if len(inner) <= step or inner.min() == 0:
         return 0.0

@@ -46,6 +46,22 @@ def test_a_leak_to_the_skin_is_poor(good):
     assert any("skin" in finding for finding in quality.findings)
 
 
+def test_a_round_end_at_the_first_slice_is_no_jump(good):
+    """DICOM SEG leaves empty slices out: the stump's tip is the first slice."""
+    x, y = np.mgrid[:60, :60] - 29.5
+    radius = 25.0 * np.sqrt(np.clip(np.arange(40) / 6.0, 0.02, 1.0))
+    values = np.hypot(x, y)[:, :, None] < radius
+    stump = Volume(values, np.diag([2.0, 2.0, 3.0, 1.0]))
+
+    def figures(limb):
+        return assess(replace(good, skin=limb, bones=()), ()).figures["limb_jump_share"]
+
+    assert figures(stump) < 0.05
+    crushed = values.copy()
+    crushed[:30, :, 20:] = False
+    assert figures(stump.with_values(crushed)) > 0.5
+
+
 def test_a_hole_and_a_gap_are_seen(good):
     def hole(values):
         inner = np.argwhere(ndimage.binary_erosion(values, iterations=4))
