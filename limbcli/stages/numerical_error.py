@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter, read_result, stage_folder
 
@@ -51,10 +54,29 @@ def edge_under_probe(model: LimbModel) -> float:
 
 
 def studied_error(site: Site, out: Path, writer: StageWriter, *, label: str = "") -> float | None:
-    """What the mesh study of this site found, if there is one."""
+    """What the mesh study of this site found, if there is one of a mesh like today's."""
     study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
     if not study.is_file():
         return None
     writer.used(f"{label}mesh-study", study)
-    found = read_result(out, "mesh-study", site=site.name).data.get("numerical_error_fraction")
+    studied = read_result(out, "mesh-study", site=site.name).data
+    other = _differences(studied, site, out)
+    if other:
+        writer.warnings.append(
+            f"the mesh study of site {site.name} is of another mesh ({other}) and is not used: run "
+            "`limbcli mesh --study` again"
+        )
+        return None
+    found = studied.get("numerical_error_fraction")
     return float(found) if found is not None else None
+
+
+def _differences(studied: Mapping[str, Any], site: Site, out: Path) -> str:
+    """In words, where the mesh that was studied is not the one in the output folder."""
+    try:
+        meshed = read_result(out, "mesh", site=site.name).data
+    except CaseError:
+        return ""
+    keys = ("element", "size_under_probe_mm", "margin_mm")
+    unlike = [key for key in keys if key in studied and key in meshed and studied[key] != meshed[key]]
+    return ", ".join(f"{key} {studied[key]} instead of {meshed[key]}" for key in unlike)

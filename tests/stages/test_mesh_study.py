@@ -14,6 +14,7 @@ from limbcli.meshing.site_model import MeshOptions
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import open_stage, read_result
 from limbcli.stages.mesh_study import StudiedTissue, full_depth, reference_force, studied_tissue, study_site
+from limbcli.stages.numerical_error import studied_error
 
 CASE = """format = 1
 [subject]
@@ -104,3 +105,24 @@ def test_reference_solver_gives_a_force_on_a_meshed_site(case):
     made = site_model(limb(), (0.0, 29.5, 0.0), "transverse", ProbeShape(24, 12, 2), OPTIONS)
     shallow, deep = reference_force(made.model, 1.0), reference_force(made.model, 2.0)
     assert 0 < 1.8 * shallow < deep
+
+
+def test_a_study_of_another_mesh_is_not_used(case, tmp_path):
+    site = case.sites[0]
+
+    def leave(stage, **data):
+        with open_stage(tmp_path, stage, subject="S1", site=site.name) as writer:
+            writer.data.update(data)
+
+    def error():
+        with open_stage(tmp_path, "fit", subject="S1", site=site.name) as writer:
+            return studied_error(site, tmp_path, writer), writer.warnings
+
+    assert error() == (None, [])
+    leave("mesh-study", numerical_error_fraction=0.07, element="tet4", size_under_probe_mm=2.5)
+    leave("mesh", element="tet4", size_under_probe_mm=2.5)
+    assert error() == (0.07, [])
+    leave("mesh", element="tet4", size_under_probe_mm=4.0)
+    found, warnings = error()
+    assert found is None
+    assert "size_under_probe_mm 2.5 instead of 4.0" in warnings[0]
