@@ -365,6 +365,8 @@ def step_times(step: Step, *, every: bool = False) -> list[float]:
 
     >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)))
     [0.5, 1.0]
+    >>> step_times(Step(n_steps=4, step_size=0.1, must_points=(0.3,)), every=True)  # not 0.1 * 3
+    [0.1, 0.2, 0.3, 0.4]
     """
     end = step.n_steps * step.step_size
     inner = [t for t in step.must_points if 0 < t < end * (1 - 1e-9)]
@@ -372,6 +374,6 @@ def step_times(step: Step, *, every: bool = False) -> list[float]:
         return sorted({*inner, end})
     if every:
         grid = [step.step_size * (k + 1) for k in range(step.n_steps - 1)]
-        known = [t for t in inner if all(abs(t - g) > 1e-9 * end for g in grid)]
-        return sorted({*grid, *known, end})
+        between = [g for g in grid if all(abs(t - g) > 1e-9 * end for t in inner)]
+        return sorted({*between, *inner, end})
     return [step.step_size * (k + 1) for k in range(step.n_steps - 1)] + [end]
