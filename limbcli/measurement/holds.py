@@ -12,6 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import Trace
@@ -22,6 +23,7 @@ SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
 _CREEP_SIGNIFICANCE = 4.0
+_SPIKE = 8.0  # robust deviations from the hold's median
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Hold:
     force_se : standard error of the mean, N; force_sd : SD of single samples, N
     drift_n_per_s : slope over the second half, N/s, with its standard error
     overshoot : N by which the force was above the hold in the two seconds before it
-    n_dropouts : gaps of more than three sample times
+    n_dropouts : gaps of more than three sample times; n_spikes : samples left out as no forces of the hold
     depth, depth_drift_mm_per_s : mean and slope of the depth, None without a depth column
     """
 
@@ -44,6 +46,7 @@ class Hold:
     drift_se_n_per_s: float
     overshoot: float
     n_dropouts: int
+    n_spikes: int
     depth: float | None
     depth_se: float | None
     depth_drift_mm_per_s: float | None
@@ -139,15 +142,17 @@ def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: fl
 
 def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) -> Hold:
     t, f = time[a : b + 1], force[a : b + 1]
+    sane = _sane(f)
+    gaps = int((np.diff(t) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
+    t, f = t[sane], f[sane]
     late = t >= 0.5 * (t[0] + t[-1])
     drift, drift_se = _slope(t[late], f[late])
-    step = float(np.median(np.diff(time)))
     before = (time < t[0]) & (time >= t[0] - 2.0)
     overshoot = float(force[before].max() - f.mean()) if before.any() else 0.0
     depth_mean = depth_se = depth_drift = None
     creeping = abs(drift) > _CREEP_SIGNIFICANCE * drift_se and abs(drift) * (t[-1] - t[0]) > f.std()
     if depth is not None and np.isfinite(depth[a : b + 1]).sum() > _BATCHES:
-        d = depth[a : b + 1]
+        d = depth[a : b + 1][sane]
         known = np.isfinite(d)
         depth_mean, depth_se = float(d[known].mean()), _standard_error(d[known])
         depth_drift, slope_se = _slope(t[late & known], d[late & known])
@@ -161,12 +166,19 @@ def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) ->
         drift_n_per_s=drift,
         drift_se_n_per_s=drift_se,
         overshoot=max(0.0, overshoot),
-        n_dropouts=int((np.diff(t) > _DROPOUT_FACTOR * step).sum()),
+        n_dropouts=gaps,
+        n_spikes=int((~sane).sum()),
         depth=depth_mean,
         depth_se=depth_se,
         depth_drift_mm_per_s=depth_drift,
         creeping=bool(creeping),
     )
+
+
+def _sane(force: Array) -> NDArray[np.bool_]:
+    """Samples that are no spikes: within eight robust deviations of the hold's median."""
+    off = np.abs(force - np.median(force))
+    return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), 1e-6))
 
 
 def _standard_error(values: Array) -> float:

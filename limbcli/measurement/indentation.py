@@ -37,6 +37,7 @@ _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_DEPTH_DROP = 1.0
 _TOLERATED_FORCE_DROP = 1.0
+_SILENT_FORCE_DROP = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,13 @@ class Trace:
     probe_travel: Array | None
     acceleration_g: Array | None
     path: Path
+
+    def since(self, time_s: float) -> Trace:
+        """The part of the record after a time."""
+        late = self.time > time_s
+        parts = (self.depth, self.probe_travel, self.acceleration_g)
+        depth, travel, acceleration = (None if each is None else each[late] for each in parts)
+        return Trace(self.time[late], self.force[late], depth, travel, acceleration, self.path)
 
 
 def read_levels(path: Path) -> Levels:
@@ -221,6 +229,10 @@ def _check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 fix = "sort the rows in the order measured; mark unloading with phase = unload"
                 what = f"the levels are not in order of force ({place}, phase {phase})"
                 problems.append(_problem(what, path, fix, line=lines[k]))
+            elif sign > 0 and force[k] < force[k - 1] - _SILENT_FORCE_DROP and depth[k] > depth[k - 1]:
+                what = f"the force falls by {force[k - 1] - force[k]:.2g} N while the depth grows ({place})"
+                fix = "check the reading, or measure this level again"
+                problems.append(_problem(what, path, fix, line=lines[k], warning=True))
             elif depth[k] < depth[k - 1] - _TOLERATED_DEPTH_DROP:
                 fix = "check the depth reading of these levels"
                 what = (

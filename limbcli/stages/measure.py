@@ -19,7 +19,13 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.files import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
-from limbcli.measurement.indentation import Levels, Trace, check_values, read_levels
+from limbcli.measurement.indentation import (
+    Levels,
+    Trace,
+    check_values,
+    doubts_about_levels,
+    read_levels,
+)
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
@@ -93,6 +99,7 @@ def _measure_site(site: Site, out: Path, writer: StageWriter, progress: Progress
     path.write_text(text, encoding="utf-8")
     if {"force_n", "depth_mm"} <= set(columns):
         read_levels(path)  # what a later stage would refuse is refused here
+        writer.warnings.extend(doubts_about_levels(path))
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
     return text
@@ -117,9 +124,8 @@ def _force(table: Mapping[str, Any], writer: StageWriter) -> dict[str, Sequence[
         tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
         mass, axis = float(table["probe_mass_kg"]), table["axis"]
         trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
-    holds = find_holds(trace, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
-    if table["tare_s"] is not None:
-        holds = [each for each in holds if each.start_s > table["tare_s"][1]]
+    pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
+    holds = find_holds(pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
     draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
     _say_holds(holds, trace, float(table["step_n"]), writer)
     columns: dict[str, Sequence[float]] = {
@@ -151,6 +157,13 @@ def _say_holds(holds: Sequence[Hold], trace: Trace, step: float, writer: StageWr
             writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
         if hold.n_dropouts:
             writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
+        if hold.n_spikes:
+            writer.warnings.append(f"{where}: {hold.n_spikes} samples are spikes and were left out")
+    if holds[0].force > 0.5 * step:
+        writer.warnings.append(
+            f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "
+            "hold at about 0 N first, for hold_s"
+        )
     _say_doubts(holds, trace, writer)
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
@@ -174,7 +187,9 @@ def _check_count(columns: Mapping[str, Sequence[float]], site: Site) -> None:
         raise MeasurementError(
             "there is one level only" if n == 1 else f"there are {n} levels only",
             where=f"site {site.name}",
-            fix="measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n",
+            fix="measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n; "
+            f"forces go up to {max(columns.get('force_n', [np.nan])):.3g} N: if that is another unit, say it "
+            "(force_unit)",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,14 @@ def test_weight_without_accelerometer_and_tare_outside_the_record_are_refused(rn
         without_probe_weight(trace, probe_mass_kg=0.3, tare_s=(0.0, 1.0))
     with pytest.raises(MeasurementError, match="no sample lies within"):
         without_probe_weight(trace, probe_mass_kg=0.0, tare_s=(-9.0, -8.0))
+
+
+def test_a_spike_in_a_hold_does_not_move_its_mean(rng):
+    trace = record(rng)
+    hold = find_holds(trace)[2]
+    force = trace.force.copy()
+    force[np.searchsorted(trace.time, hold.start_s + 2.0)] = 90.0
+    spiked = find_holds(replace(trace, force=force))[2]
+    assert spiked.n_spikes == 1
+    assert spiked.force == pytest.approx(hold.force, abs=1e-3)
+    assert spiked.force_se < 2 * hold.force_se

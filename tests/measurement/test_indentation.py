@@ -152,3 +152,14 @@ def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
     rows = [f"{2 * k},{2.0 * k},{(2.1 + 0.2 * k) ** 2},," for k in range(4)]
     assert any("modulus" in text for text in doubts_about_levels(write(tmp_path, rows=rows)))
     assert not doubts_about_levels(write(tmp_path))
+
+
+def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: Path):
+    def doubts(force: str) -> list[str]:
+        rows = ["0,0", "2,2.1", f"{force},4", "6,5.5"]
+        return [
+            text for text in doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows)) if "falls" in text
+        ]
+
+    assert "falls by 0.5 N" in doubts("1.5")[0]
+    assert not doubts("1.9"), "within the noise of a reading"

@@ -211,3 +211,19 @@ def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     measure(Case.open(case.folder), out=tmp_path / "a", write=True)
     assert len(list((case.folder / "maps").glob("level_*.csv"))) == 4
     assert (case.folder / "p1.csv").is_file()
+
+
+def test_level_0_may_follow_the_air_without_a_gap(folder: Path, tmp_path: Path, rng):
+    """The tare in the air and the hold at first touch both read about 0 N: level 0 is not lost."""
+    time, force = times_and_forces(rng)
+    step = float(np.median(np.diff(time)))
+    air = np.arange(0.0, 6.0, step)
+    case = cell_only(folder, tmp_path, np.r_[air, time + 6.0 + step], np.r_[np.zeros(len(air)), force] + 0.7)
+    toml = case.folder / "case.toml"
+    toml.write_text(toml.read_text() + "tare_s = [0.0, 5.0]\n")
+    result = measure(Case.open(case.folder), out=tmp_path / "out")[0]
+    forces = [each["force"] for each in result.data["holds"]]
+    np.testing.assert_allclose(forces, FORCES, atol=0.03)
+    later = record(rng, levels=(*FORCES[1:], 8.0))
+    late = measure(cell_only(folder, tmp_path, later.time, later.force), out=tmp_path / "late")[0]
+    assert any("depths count from there" in text for text in late.warnings)
