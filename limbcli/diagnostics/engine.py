@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from limbcli.diagnostics.groups import PREFIX, group_trials, predicted_without
 from limbcli.diagnostics.heldout import fell, held_out_error
 from limbcli.diagnostics.linear import Linearised, Whitener
 from limbcli.diagnostics.nextstep import NextStep, rank_proposals
+from limbcli.diagnostics.noise import correlated
 from limbcli.diagnostics.placebo import library_percentile, placebo_percentile
 from limbcli.diagnostics.roughness import Roughness, roughness
 from limbcli.diagnostics.score import Direction, Trial, cosine, score
 from limbcli.diagnostics.verdict import Diagnosis, Shrink, Word
 from limbcli.errors import LimbError
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 ALPHA = 0.05
@@ -36,6 +38,8 @@ ALIKE = 0.8
 CLOSED_PERCENTILE = 95.0
 _ROUGH_P = 0.01
 _MAX_REFITS = 16
+_FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
+_SEVERAL_PERCENTILE, _MOST_NAMED = 99.0, 2
 _HOPELESS = 30.0  # deviance behind the best stand-in: not worth a simulation
 _REFIT_DRAWS = 4000  # enough for a test at 2.5 %
 
@@ -245,12 +249,32 @@ class _Run:
             return
         if fitted.at_bound:
             self.left_out[label] = "; ".join(fitted.at_bound)
-        state = self._linearised(fitted)
-        others = [trial for name, trial in self.trials.items() if name not in explanation]
-        family = self._family(
-            state, [*self._group_trials(), *others], n_draws=min(self.n_draws, _REFIT_DRAWS)
-        )
-        self.refits[explanation] = Refit(fitted, state, family)
+        self.refits[explanation] = Refit(fitted, self._linearised(fitted), self._left_by(fitted))
+
+    def _left_by(self, fitted: Fitted) -> Family:
+        """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
+        whiten = Whitener.of(self.data.noise.covariance + self._form_error(fitted))
+
+        def anew(direction: Direction) -> Direction:
+            return replace(direction, columns=whiten(self.whiten.undo(direction.columns)))
+
+        others = [
+            Trial(name, tuple(map(anew, trial.directions)))
+            for name, trial in self.trials.items() if name not in fitted.explanation
+        ]  # fmt: skip
+        state = Linearised.of(whiten(self.data.y - fitted.prediction), whiten(fitted.jacobian))
+        trials = [*group_trials(whiten, self.data.groups), *others]
+        return self._family(state, trials, n_draws=min(self.n_draws, _REFIT_DRAWS))
+
+    def _form_error(self, fitted: Fitted) -> Array:
+        """Covariance (n, n) of an error that is a share of what the effects change, alike at neighbours."""
+        change = _FORM_ERROR * np.abs(fitted.prediction - self.base.prediction)
+        total = np.zeros((len(change), len(change)))
+        for mask in self.data.channels().values():
+            part = correlated("form", np.where(mask, change, 0.0), self.data.order, correlation=_FORM_ALIKE,
+                              source="computed")  # fmt: skip
+            total += part.covariance
+        return total
 
     def _each_is_needed(self, refit: Refit) -> bool:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
@@ -268,7 +292,11 @@ class _Run:
         before, after = held_out_error(self.data, self.base), held_out_error(self.data, refit.fitted)
         if not fell(before, after) or self._percentile(refit) <= CLOSED_PERCENTILE:
             return False
-        return len(refit.explanation) == 1 or self._library_percentile(refit) > CLOSED_PERCENTILE
+        if len(refit.explanation) == 1:
+            return True
+        if len(refit.explanation) > _MOST_NAMED:  # three effects bend to almost any smooth gap
+            return False
+        return self._library_percentile(refit) > _SEVERAL_PERCENTILE
 
     def _library_percentile(self, refit: Refit) -> float:
         """Placebos of an explanation by several effects are picked out of as many combinations as it was."""

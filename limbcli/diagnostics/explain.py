@@ -17,7 +17,7 @@ from limbcli.model import Array
 LEVEL = 0.025  # of each of the two tests, so that the truth is in the set in 95 % of cases
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
 _N_DRAWS = 4000
-_PAIRS_KEPT = 6
+_PAIRS_KEPT = 12
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,8 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     a parameter, so that the rest predicts it no better than to three deviations, is skipped.
     """
     residual = data.y - fitted.prediction
-    covariance, J = data.noise.covariance, fitted.jacobian
+    covariance = data.noise.covariance
+    J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # what a bound holds does not move
     found: dict[str, float] = {}
     squares: list[Array] = []
     for name, mask in _usable(data.blocks, J).items():

@@ -39,6 +39,10 @@ class Whitener:
     def __call__(self, x: Array) -> Array:
         return np.asarray(solve_triangular(self.factor, x, lower=True))
 
+    def undo(self, whitened: Array) -> Array:
+        """L x: the raw quantity again."""
+        return np.asarray(self.factor @ whitened)
+
 
 @dataclass(frozen=True, eq=False)
 class Linearised:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Facts, Fitted, Proposal
@@ -273,6 +274,7 @@ class SiteBench:
         free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
         notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
         jacobian = self._jacobian(x, explanation, points)
+        jacobian[:, 2:][:, self._held(x, slots)] = 0.0
         values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
         values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
         values |= {k: float(v) for point in points for k, v in point.items()}
@@ -282,18 +284,32 @@ class SiteBench:
             tuple(self._on_bounds(x, slots)), notes, {"grid": label(points)},
         )  # fmt: skip
 
+    def _held(self, x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
+        """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
+        low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
+        near = _ON_BOUND * (high - low)
+        return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
+
     def _on_bounds(self, x: Array, slots: Sequence[Slot]) -> list[str]:
-        """Effect parameters that ended on a bound; the lower one is fair where several share the work."""
-        single = len([slot for slot in slots if slot.parameter.sign]) < 2
+        """What ended on a bound. Null is fair for some of an effect's parameters, but not for all."""
         found = []
-        for value, slot in zip(x[2:], slots, strict=True):
+        held = self._held(x, slots)
+        for k, (value, slot) in enumerate(zip(x[2:], slots, strict=True)):
             p = slot.parameter
-            near = _ON_BOUND * (p.high - p.low)
-            if value - p.low < near and single:
-                found.append(f"{slot.name} ended on its lower bound {p.low:g}")
-            elif p.high - value < near:
-                found.append(f"{slot.name} ended on its higher bound {p.high:g}")
+            if not held[k]:
+                continue
+            if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
+                side = "higher" if value > p.null else "lower"
+                found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
+            elif all(held[n] for n, other in enumerate(slots) if self._same_effect(slot, other)):
+                found.append(f"{slot.name} ended at {p.null:g}, which is without it")
         return found
+
+    def _same_effect(self, one: Slot, other: Slot) -> bool:
+        return any(
+            one.parameter in each.parameters and other.parameter in each.parameters
+            for each in self.effects.values()
+        )
 
     def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
         parameters = [slot.parameter for slot in self.slots(explanation)]

@@ -292,6 +292,8 @@ class CurveBook:
             return None
         try:
             with np.load(path) as stored:
+                if len(stored["depth"]) != self.n_depths + 1:
+                    return None
                 return Curves(
                     stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
                     float(stored["thickness"]),
