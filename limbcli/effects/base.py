@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -54,6 +54,8 @@ class Effect:
     needs : channels without which nothing can be said of it: "force", "swe", "map", "travel",
         "skin-bone", "hold"
     grid : values of parameters that mean nothing at the null (a thickness, a place), tried in turn
+    waves : the change of the law that the scanner's window sees, where that is not `apply`'s (a layer
+        thinner than an element stiffens the whole element, and lies above the window)
     solves : the prediction needs a simulation with `apply`; otherwise `observe` is all of it
         (where both differ from the identity and `solves` is false, `apply` is what FEBio is given)
     febio_only : the reference solver refuses the model
@@ -70,6 +72,7 @@ class Effect:
     needs: tuple[str, ...] = ("force",)
     apply: Callable[[LimbModel, Theta], LimbModel] = same_model
     observe: Callable[[Reading, Theta], Reading] = same_reading
+    waves: Callable[[LimbModel, Theta], LimbModel] | None = None
     grid: tuple[Theta, ...] = field(default=({},))
     solves: bool = False
     febio_only: bool = False
@@ -91,6 +94,14 @@ class Effect:
 
     def is_null(self, theta: Theta) -> bool:
         return all(theta.get(each.name, each.null) == each.null for each in self.parameters)
+
+
+def applied(model: LimbModel, effects: Iterable[tuple[Effect, Theta]], *, waves: bool = False) -> LimbModel:
+    """The model with these effects in it; as the shear waves in the scanner's window meet it, on request."""
+    for effect, theta in effects:
+        change = effect.waves if waves and effect.waves is not None else effect.apply
+        model = change(model, theta)
+    return model
 
 
 def point_name(point: Theta) -> str:

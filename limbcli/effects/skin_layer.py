@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Parameter, Theta, same_model
 from limbcli.effects.tissue import layer_share, scaled
 from limbcli.model import LimbModel
 
@@ -38,6 +38,7 @@ EFFECT = Effect(
     source="Hendriks et al. 2003, Skin Res Technol 9:274",
     parameters=(STIFFNESS,),
     apply=apply,
+    waves=same_model,
     grid=({THICKNESS: 1.5},),
     solves=True,
     tell_tale="stiff from the first millimetre on; superficial speeds rise less",

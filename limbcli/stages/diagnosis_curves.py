@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Theta
+from limbcli.effects.base import Effect, Theta, applied
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.reading import Curves
 from limbcli.effects.tissue import thickness
@@ -169,10 +169,13 @@ class CurveBook:
         """
         kinematics = self.kinematics(m)
         plain, changed = self.model_with(m, ()), self.model_with(m, ingredients)
+        in_window = self.model_with(m, ingredients, waves=True)
         ratio = frozen_force(changed, kinematics)[1:] / frozen_force(plain, kinematics)[1:]
         if not np.all(ratio > 0):
             raise SolveError("the effect turns the force's sign", where="diagnose", fix="smaller steps")
-        speeds = [frozen_speed(each, kinematics, density_kg_per_m3=self.density) for each in (changed, plain)]
+        speeds = [
+            frozen_speed(each, kinematics, density_kg_per_m3=self.density) for each in (in_window, plain)
+        ]
         added = np.log(ratio)
         return np.concatenate([added[:1], added]), speeds[0] - speeds[1]
 
@@ -185,11 +188,8 @@ class CurveBook:
                 self._kinematics[key] = self._load_kinematics(key)
         return self._kinematics[key]
 
-    def model_with(self, m: float, ingredients: Ingredients, *, c: float | None = None) -> LimbModel:
-        model = with_tissue(self.model, c=c or self.c, f_kappa=self.f_kappa, m=m)
-        for effect, theta in ingredients:
-            model = effect.apply(model, theta)
-        return model
+    def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
+        return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
     def close(self) -> None:
         if self._session is not None:
@@ -222,7 +222,11 @@ class CurveBook:
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
         curves = self._read(
-            model, result.must_points.depths + offset, result.must_points.forces, table.values[found]
+            model,
+            self.model_with(m, ingredients, waves=True),
+            result.must_points.depths + offset,
+            result.must_points.forces,
+            table.values[found],
         )
         if not ingredients:
             self._kinematics[key] = self._deformation(model, curves.depth, table.values[found])
@@ -256,12 +260,16 @@ class CurveBook:
     def _fresh(self, model: LimbModel) -> ReferenceSession:
         return ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, threads=self.threads)
 
-    def _read(self, model: LimbModel, depths: Array, forces: Array, values: Array) -> Curves:
+    def _read(
+        self, model: LimbModel, in_window: LimbModel, depths: Array, forces: Array, values: Array
+    ) -> Curves:
         rest = np.zeros((len(self.near), 12))
         rest[:, :3] = _centers(model, self.cells)[self.near]
         rest[:, [3, 7, 11]] = 1.0
-        rows = [self._speeds(model, 0.0, rest)]
-        rows += [self._speeds(model, d, table[self.near]) for d, table in zip(depths, values, strict=True)]
+        rows = [self._speeds(in_window, 0.0, rest)]
+        rows += [
+            self._speeds(in_window, d, table[self.near]) for d, table in zip(depths, values, strict=True)
+        ]
         return Curves(
             np.concatenate([[0.0], depths]), np.concatenate([[0.0], forces]), np.array(rows),
             self.windows.depths, thickness(model),

@@ -27,12 +27,13 @@ from limbcli.problems import suggestion
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """One effect hidden: a change of the loaded model, and of what is read off it."""
+    """One effect hidden: a change of the loaded model, of what its waves meet, of what is read off it."""
 
     name: str
     size: dict[str, float]
     in_model: Callable[[LimbModel], LimbModel] | None = None
     in_readings: Callable[[Readings, TrueLevels], Readings] | None = None
+    for_waves: Callable[[LimbModel], LimbModel] | None = None
 
     def facts(self) -> dict[str, Any]:
         return {"effect": self.name, **self.size}
@@ -58,7 +59,11 @@ def hide(text: str) -> Hidden:
     if model is None and readings is None and (found.febio_only or found.kind == "numerical"):
         raise _cannot(found)
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
-    return Hidden(name, theta, in_model, None if readings is None else (lambda r, t: readings(r, t, theta)))
+    waves = found.waves
+    return Hidden(
+        name, theta, in_model, None if readings is None else (lambda r, t: readings(r, t, theta)),
+        None if waves is None else (lambda m: waves(m, theta)),
+    )  # fmt: skip
 
 
 def _number(size: str, found: Effect) -> float:

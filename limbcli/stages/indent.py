@@ -57,12 +57,14 @@ def indent(
     tolerance: float = 1e-6,
     progress: Progress = SILENT,
     change: Change | None = None,
+    change_for_waves: Change | None = None,
 ) -> TrueLevels:
     """What is true at every level of the protocol on a meshed site.
 
     spacing : mm between simulated depths; between them the force is PCHIP
     tolerance : residual over the forces at play
-    change : of the loaded model, its tissue included; speeds then follow from the changed law
+    change : of the loaded model, its tissue included; speeds then follow from the changed law,
+        or from that of `change_for_waves`
 
     Raises
     ------
@@ -73,6 +75,7 @@ def indent(
     cap = min(_DEEPEST, protocol.max_strain * skin_bone) if skin_bone else _DEEPEST
     press = _Press(model, tissue, spacing, tolerance, progress, change)
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
+    seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
     known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
     return true_levels(
         _indentation(model, simulation),
@@ -81,7 +84,7 @@ def indent(
         skin_bone=skin_bone,
         window=window,
         density_kg_per_m3=density_kg_per_m3,
-        speed=None if change is None else _speed_of(model, simulation, density_kg_per_m3),
+        speed=None if change is None else _speed_of(seen, simulation, density_kg_per_m3),
     )
 
 
@@ -118,6 +121,13 @@ class _Press:
             return model, done
         finally:
             session.close()
+
+    def bare(self, change: Change, simulation: Simulation) -> LimbModel:
+        """The model under its load with another change than that simulated."""
+        end = float(simulation.probe_depth(PROBE)[-1])
+        return _Press(self.meshed, self.tissue, self.spacing, self.tolerance, self.progress, change)._loaded(
+            end
+        )
 
     def _loaded(self, end: float) -> LimbModel:
         """The model under its load; a depth has the same time in every piece.

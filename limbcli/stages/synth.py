@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -178,7 +178,8 @@ def _measure_site(
         density_kg_per_m3=site.density_kg_per_m3,
         tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
         progress=progress,
-        change=_change(options.hidden),
+        change=_change([each.in_model for each in options.hidden]),
+        change_for_waves=_change([each.for_waves or each.in_model for each in options.hidden]),
     )
     law = noise_law(site.noise).times(options.noise)
     rng = np.random.default_rng([options.seed, 3, number])
@@ -191,9 +192,9 @@ def _measure_site(
     return SiteMeasurement(site.name, true, readings, law, facts)
 
 
-def _change(hidden: tuple[Hidden, ...]) -> Alter | None:
+def _change(found: Sequence[Alter | None]) -> Alter | None:
     """All changes of the loaded model, one after the other."""
-    changes = [each.in_model for each in hidden if each.in_model is not None]
+    changes = [each for each in found if each is not None]
     if not changes:
         return None
 

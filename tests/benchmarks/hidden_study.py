@@ -52,6 +52,7 @@ class Otherwise:
 
     def __init__(self, name: str):
         self.name = name
+        self.waves = effect(name).waves
 
     def apply(self, model, theta):
         if self.name == "anisotropy":

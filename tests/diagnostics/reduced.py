@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Noise
+from limbcli.effects.base import applied
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.reading import Curves, Reading, read
 from limbcli.effects.reading import Protocol as ReadProtocol
@@ -78,11 +79,9 @@ class ReducedBook:
     spread: float = 1.0
     windows: Windows = field(default_factory=Windows)
 
-    def _with(self, m: float, ingredients) -> LimbModel:
+    def _with(self, m: float, ingredients, *, waves: bool = False) -> LimbModel:
         model = self.model.with_material("tissue", ogden_type(c=self.c, f_kappa=100.0, m=m))
-        for effect, theta in ingredients:
-            model = effect.apply(model, theta)
-        return model
+        return applied(model, ingredients, waves=waves)
 
     def _raw(self, m: float, ingredients) -> tuple[Curves, None]:
         for effect, _ in ingredients:
@@ -92,7 +91,7 @@ class ReducedBook:
         deformed = kinematics(model, self.depth, self.windows, spread=self.spread)
         force = frozen_force(model, deformed)
         force = np.maximum(force - force[0], 0.0)
-        speed = frozen_speed(model, deformed, density_kg_per_m3=1000.0)
+        speed = frozen_speed(self._with(m, ingredients, waves=True), deformed, density_kg_per_m3=1000.0)
         height = float(-model.mesh.points[:, 2].min())
         return Curves(self.depth, force, speed, self.windows.depths, height)
 
