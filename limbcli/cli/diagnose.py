@@ -33,6 +33,14 @@ def command(
     separate: Annotated[
         bool, typer.Option("--separate", help="Each site alone, also those that share a place.")
     ] = False,
+    measured: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--measured",
+            metavar="KEY=VALUE",
+            help="A number measured besides: tare_n, force_gain, first_depth_mm, rate_ratio.",
+        ),
+    ] = None,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -46,7 +54,7 @@ def command(
     options = DiagnoseOptions(
         effects=tuple(effects or ()), effect_file=effect_file, max_effects=max_effects, seed=seed,
         size=size_mm, far_size=far_size_mm, templates=templates, interventions=interventions,
-        separate=separate,
+        separate=separate, measured=_numbers(measured or []),
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
     emit(
@@ -55,3 +63,19 @@ def command(
         ),
         as_json=json,
     )
+
+
+def _numbers(given: list[str]) -> dict[str, float]:
+    """ "tare_n=0.4" and the like as numbers."""
+    from limbcli.errors import CaseError
+
+    found = {}
+    for text in given:
+        key, _, value = text.partition("=")
+        try:
+            found[key.strip()] = float(value)
+        except ValueError:
+            raise CaseError(
+                f"{text!r} is not KEY=NUMBER", where="--measured", fix="for example --measured tare_n=0.4"
+            ) from None
+    return found

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
 from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
@@ -42,7 +43,8 @@ _SAME_PLACE = 2.0  # mm
 @dataclass(frozen=True)
 class DiagnoseOptions:
     """effects : names to try (empty: all); size, far_size : mm, of the working mesh's edges;
-    separate : diagnose every site alone, also those that share a place.
+    separate : diagnose every site alone, also those that share a place;
+    measured : numbers measured besides (see `diagnosis_menu.known`), of the first site of each place.
     """
 
     effects: tuple[str, ...] = ()
@@ -54,6 +56,7 @@ class DiagnoseOptions:
     templates: Path | None = None
     interventions: bool = True
     separate: bool = False
+    measured: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def mesh(self) -> WorkingMesh:
@@ -145,11 +148,13 @@ class _Diagnosed:
 
     def all(self) -> list[StageResult]:
         prepared: list[Prepared] = []
+        extras = known(self.options.measured)
         try:
             for site in self.sites:
+                more = extras if not prepared else []
                 prepared.append(
                     prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
-                            progress=self.progress)
+                            extras=more, progress=self.progress)
                 )  # fmt: skip
             bench = SiteBench.joint([each.curves for each in prepared])
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():

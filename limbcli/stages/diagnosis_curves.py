@@ -35,6 +35,7 @@ Ingredients = tuple[tuple[Effect, Theta], ...]
 _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
+_PATH_STEPS = 2  # a depth
 _FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
 
 
@@ -201,6 +202,8 @@ class CurveBook:
     def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
         model = self.model_with(m, ingredients)
+        if any(contact.friction for contact in model.contacts):
+            model = _fewer_steps(model, _PATH_STEPS * self.n_depths)
         same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
@@ -322,6 +325,15 @@ class CurveBook:
 def _touches_loads(effect: Effect) -> bool:
     """Contact, supports and bodies are set up with a session; only materials may change in it."""
     return effect.name in ("friction", "contact", "crop", "support-motion")
+
+
+def _fewer_steps(model: LimbModel, n: int) -> LimbModel:
+    """What depends on the way takes every step: so many are enough for it."""
+    steps = tuple(
+        replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n) if each.n_steps > n else each
+        for each in model.steps
+    )
+    return replace(model, steps=steps)
 
 
 def _first_cell(model: LimbModel) -> int:

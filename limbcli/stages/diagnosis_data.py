@@ -7,7 +7,7 @@ residual of the force -K e_d, of ln speed -s e_d, of the travel -e_d (K, s: meas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +29,7 @@ MAP_ERROR = 0.015  # of a part's mean speed, from level to level (assumed)
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
 _FEWEST_SPEEDS = 4
+_WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,16 @@ class Row:
     channel: str
     level: int
     part: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """A further measurement: its name, what a model says of it, what was measured and one deviation (n,)."""
+
+    name: str
+    see: Callable[[Curves, Reading, Protocol], Array]
+    y: Array
+    deviation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +62,14 @@ class SiteData:
     channels: tuple[str, ...] = ()
     missing: tuple[str, ...] = field(default=())
     held: HeldForces | None = None
+    extras: tuple[Extra, ...] = ()
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum."""
         shown = read(curves, self.protocol, reading)
         out = np.empty(len(self.rows))
         falls = None if self.held is None else self.held.predict(curves, reading)
+        more = {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
         for k, row in enumerate(self.rows):
             if row.channel == "force":
                 out[k] = shown.force[row.level]
@@ -66,6 +79,8 @@ class SiteData:
                 out[k] = shown.travel[row.level]
             elif row.channel == "hold" and falls is not None:
                 out[k] = falls[row.level]
+            elif row.channel in more:
+                out[k] = more[row.channel][row.level]
             else:
                 out[k] = shown.thickness
         return out
@@ -73,7 +88,7 @@ class SiteData:
 
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
-    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
+    model_error: Sequence[ModelError] = (), held: HeldForces | None = None, extras: Sequence[Extra] = (),
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
@@ -87,6 +102,7 @@ def site_data(
         _travel(levels, keep),
         _skin_bone(levels, keep),
         _holds(held),
+        _extras(extras),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
     parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
@@ -100,7 +116,14 @@ def site_data(
     channels = (*present, *extra)
     wanted = ("force", "swe", "map", "travel", "skin-bone", "hold")
     return SiteData(
-        name, protocol, tuple(rows), data, channels, tuple(c for c in wanted if c not in channels), held
+        name,
+        protocol,
+        tuple(rows),
+        data,
+        channels,
+        tuple(c for c in wanted if c not in channels),
+        held,
+        tuple(extras),
     )
 
 
@@ -180,6 +203,12 @@ def _holds(held: HeldForces | None) -> Stacked:
     return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
 
 
+def _extras(extras: Sequence[Extra]) -> Stacked:
+    rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
+    y = [float(value) for each in extras for value in each.y]
+    return rows, y, [float(value) for each in extras for value in each.deviation]
+
+
 def _noise(
     protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
     keep: IntArray, model_error: Sequence[ModelError],
@@ -239,7 +268,7 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
     for k, row in enumerate(rows):
         groups.setdefault((row.channel, row.part), []).append(k)
     for (channel, _), members in groups.items():
-        if channel == "hold":
+        if channel not in _WITH_DEPTH:
             continue
         depth = protocol.depth[[rows[k].level for k in members]]
         if channel == "travel":
@@ -260,7 +289,7 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     level = np.array([row.level for row in rows])
     for channel in dict.fromkeys(row.channel for row in rows):
         mask = np.array([row.channel == channel for row in rows])
-        groups[names[channel]] = mask
+        groups[names.get(channel, channel)] = mask
         if channel in ("force", "swe", "map"):
             for k, label in enumerate(("first", "middle", "last")):
                 third = (level * 3 // max(len(protocol), 1)) == k

@@ -17,7 +17,10 @@ from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
 
 STEP_S = 0.25
-_RAMP_SHARE = 0.2  # of the steepest ramps: what is steeper is a ramp
+_RAMP_SHARE = 0.2  # of the steepest ramps: what is steeper is a ramp (steps of a force)
+_DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
+_NOISE_TIMES = 5.0  # a slope within so many deviations of its noise is none
+_MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
 _LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
 _FLOOR = 0.004  # of ln force: what else moves in a hold (assumed)
 _SIGNIFICANT = 4.0  # deviations of fall over all holds, where the depth was not recorded
@@ -80,7 +83,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     force = _binned(trace.time, trace.force, time)
     recorded = trace.depth is not None and np.isfinite(trace.depth).mean() > 0.9
     steering = _binned(trace.time, trace.depth, time) if recorded and trace.depth is not None else force
-    holds = find_plateaus(steering)
+    holds = find_plateaus(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
     if not holds:
         return None, f"the record has no hold of {_LEAST_HOLD_S:g} s"
     depth = steering if recorded else _depth_of_levels(holds, force, levels, len(time))
@@ -89,7 +92,8 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     windows, means = _windows(holds, force)
     if not len(windows):
         return None, "no hold carries a force to speak of"
-    found = HeldForces(depth, windows, fall(force, windows), _deviation(trace, windows, means, recorded))
+    deviation = _deviation(trace, windows, means, depth if recorded else None)
+    found = HeldForces(depth, windows, fall(force, windows), deviation)
     if not recorded:
         fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.deviation**2)))
         if fallen < _SIGNIFICANT:
@@ -97,12 +101,13 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     return found, ""
 
 
-def find_plateaus(signal: Array) -> list[tuple[int, int]]:
-    """Stretches [from, to) of the grid between ramps, of 3 s at least."""
+def find_plateaus(signal: Array, *, share: float = _RAMP_SHARE) -> list[tuple[int, int]]:
+    """Stretches [from, to) of the grid between ramps, of 3 s at least; `share` of the steepest is a ramp."""
     slope = np.abs(np.gradient(signal))
+    noise = 1.4826 * float(np.median(slope))
     slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
-    steepest = float(np.quantile(slope, 0.98))
-    steady = slope <= _RAMP_SHARE * steepest if steepest > 0 else np.ones(len(slope), dtype=bool)
+    limit = max(share * float(np.quantile(slope, 0.98)), _NOISE_TIMES * noise)
+    steady = slope <= limit
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return [(a, b) for a, b in pairs if (b - a) * STEP_S >= _LEAST_HOLD_S]
@@ -144,16 +149,21 @@ def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Arra
     return np.array(windows, dtype=np.int64).reshape(-1, 2, 2), np.array(means)
 
 
-def _deviation(trace: Trace, windows: IntArray, force: Array, recorded: bool) -> Array:
-    """Of ln force ratios: the samples' scatter, that of the depth times the slope, and a floor."""
+def _deviation(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
+    """Of ln force ratios: the samples' scatter, that of the depth times the slope, and a floor.
+
+    moving : the recorded depth on the grid; what it moves within a hold is known less well
+    """
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, 0, 1] - windows[:, 0, 0]) * STEP_S * rate, 1.0)
     scatter = _scatter(trace.force) / np.sqrt(samples) / force
     depth = np.zeros(len(force))
-    if recorded and trace.depth is not None:
+    if moving is not None and trace.depth is not None:
         deepest = float(np.nanmax(trace.depth))
         stiffness = 1.5 * float(np.nanmax(trace.force)) / max(deepest, 1.0)  # N/mm, of a power of depth
-        depth = stiffness * _scatter(trace.depth) / np.sqrt(samples) / force
+        places = np.array([[moving[a:b].mean() for a, b in pair] for pair in windows])
+        moved = _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1])
+        depth = stiffness * np.hypot(_scatter(trace.depth) / np.sqrt(samples), moved) / force
     return np.asarray(np.sqrt(2 * scatter**2 + 2 * depth**2 + _FLOOR**2))
 
 

@@ -2,62 +2,114 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.diagnostics.bench import Fitted, Proposal
 from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
-from limbcli.errors import LimbError
+from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
+from limbcli.stages.diagnosis_data import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 
 if TYPE_CHECKING:
     from limbcli.stages.diagnosis_bench import SiteBench
 
 See = Callable[[Curves, Reading, Protocol], Array]
-_TARE, _TRAVEL, _THICKNESS, _LEVEL, _PART, _RELAX = 0.05, 0.1, 0.5, 0.05, 0.035, 0.03
 _SLOW_S, _FAST_S = 20.0, 0.5
 ROTATE = "rotate the probe"
 # Effects that a turned probe sees otherwise than the first measurement does.
 _TURNS = ("anisotropy", "contraction", "inclusion", "tilt")
 
 
+@dataclass(frozen=True)
+class Item:
+    """A measurement that could be added at a site.
+
+    see : what a model says of it (n,); deviation : of the measurement (n,)
+    instead_of : the channel that holds it where it was made already
+    given : its key for one that is a number of its own (`--measured KEY=VALUE`), and what that says
+    """
+
+    name: str
+    sentence: str
+    see: See
+    deviation: Callable[[Protocol, int], Array]
+    instead_of: str = ""
+    given: str = ""
+    meaning: str = ""
+
+
+def _each(value: float) -> Callable[[Protocol, int], Array]:
+    return lambda protocol, n: np.full(n, value)
+
+
+def _of_force(protocol: Protocol, n: int) -> Array:
+    return np.maximum(0.02 * protocol.force[-2::-1][:n], 0.1)
+
+
+def items() -> tuple[Item, ...]:
+    """The menu."""
+    return (
+        Item("tare", "tare the load cell in air, at the angle of the measurement",
+             lambda c, r, p: np.array([r.force_zero - r.preload]), _each(0.05),
+             given="tare_n", meaning="N shown by the load cell in air at the angle of the measurement"),
+        Item("known weight", "hang a known weight on the load cell",
+             lambda c, r, p: np.array([r.force_gain]), _each(0.01),
+             given="force_gain", meaning="shown over true weight"),
+        Item("lift-off", "lift off through thick gel, read the depth at which the force vanishes",
+             lambda c, r, p: true_depth(c, np.zeros(1), r), _each(0.3),
+             given="first_depth_mm", meaning="mm that the probe was below first touch at level 0"),
+        Item("two rates", "repeat the ramp to the deepest level in 0.5 s and in 20 s", _two_rates,
+             _each(0.03), given="rate_ratio", meaning="force after 0.5 s over that after 20 s, at the deepest level"),
+        Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, _each(0.03),
+             instead_of="hold"),
+        Item("unload", "read the levels on the way back too", _unloaded, _of_force),
+        Item("B-mode thickness", "measure skin to bone at first touch", _first_thickness, _each(0.5),
+             instead_of="skin-bone"),
+        Item("probe travel", "record the probe's absolute travel",
+             lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
+        Item("wave speeds", "take a shear-wave mean at every level", _mean, _each(0.05), instead_of="swe"),
+        Item("speed maps", "keep the maps, not only their means",
+             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map"),
+    )  # fmt: skip
+
+
+def known(given: Mapping[str, float]) -> list[Extra]:
+    """Numbers that were measured besides, as data.
+
+    Raises
+    ------
+    CaseError
+        If a key is not on the menu, or a ratio is not above 0.
+    """
+    by_key = {item.given: item for item in items() if item.given}
+    found = []
+    for key, value in given.items():
+        if key not in by_key:
+            fix = "; ".join(f"{k}: {item.meaning}" for k, item in by_key.items())
+            raise CaseError(f"{key!r} is not known", where="--measured", fix=fix)
+        item = by_key[key]
+        if not np.isfinite(value) or (key == "rate_ratio" and value <= 0):
+            raise CaseError(f"{key}={value:g} cannot be", where="--measured", fix=item.meaning)
+        y = np.array([np.log(value) if key == "rate_ratio" else value])
+        found.append(Extra(item.name, item.see, y, item.deviation(_NOTHING, 1)))
+    return found
+
+
+_NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
+
+
 def menu(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
     """What is not measured yet, as far as it may tell these explanations apart."""
     has = {channel for each in bench.sites for channel in each.site.channels}
-    protocol = bench.site.protocol
-    n = len(protocol)
-    force = np.maximum(0.02 * protocol.force, 0.1)
-    found = [
-        _proposal(bench, fits, "tare", "tare the load cell in air, at the angle of the measurement",
-                  lambda c, r, p: np.array([r.force_zero - r.preload, 10.0 * (r.force_gain - 1)]),
-                  np.array([_TARE, 10.0 * 0.01])),
-        _proposal(bench, fits, "lift-off", "lift off through thick gel, record where the force vanishes",
-                  lambda c, r, p: true_depth(c, np.zeros(1), r), np.array([0.3])),
-        _proposal(bench, fits, "two rates", "repeat the ramp to the deepest level in 0.5 s and in 20 s",
-                  _two_rates, np.full(1, _RELAX)),
-    ]  # fmt: skip
-    if "hold" not in has:
-        found.append(_proposal(bench, fits, "hold", "hold the deepest level for 60 s, record force and depth",
-                               _relaxation, np.full(3, _RELAX)))  # fmt: skip
-    if not any(protocol.unloading):
-        found.append(_proposal(bench, fits, "unload", "read the levels on the way back too",
-                               _unloaded, force[:-1]))  # fmt: skip
-    if "skin-bone" not in has:
-        found.append(_proposal(bench, fits, "B-mode thickness", "measure skin to bone at first touch",
-                               _first_thickness, np.array([_THICKNESS])))  # fmt: skip
-    if "travel" not in has:
-        found.append(_proposal(bench, fits, "probe travel", "record the probe's absolute travel",
-                               lambda c, r, p: read(c, p, r).travel, np.full(n, _TRAVEL)))  # fmt: skip
-    if "swe" not in has:
-        found.append(_proposal(bench, fits, "wave speeds", "take a shear-wave mean at every level", _mean,
-                               np.full(n, _LEVEL)))  # fmt: skip
-    if "map" not in has:
-        found.append(_proposal(bench, fits, "speed maps", "keep the maps, not only their means",
-                               lambda c, r, p: _contrast(read(c, p, r).log_speed), None))  # fmt: skip
+    open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
+    if any(bench.site.protocol.unloading):
+        open_items = [item for item in open_items if item.name != "unload"]
+    found = [_proposal(bench, fits, item) for item in open_items]
     if len(bench.sites) == 1 and any(name in fit.explanation for fit in fits for name in _TURNS):
         found += _rotated(bench, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
@@ -109,16 +161,14 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 # ---------------------------------------------------------------- at one site
 
 
-def _proposal(
-    bench: SiteBench, fits: Sequence[Fitted], name: str, sentence: str, see: See, deviation: Array | None
-) -> Proposal:
+def _proposal(bench: SiteBench, fits: Sequence[Fitted], item: Item) -> Proposal:
     predictions, jacobians = {}, {}
     for fitted in fits:
-        value, jacobian = _seen(bench, fitted, bench.sites[0], see)
+        value, jacobian = _seen(bench, fitted, bench.sites[0], item.see)
         predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
     size = len(next(iter(predictions.values())))
-    spread = np.full(size, _PART) if deviation is None else deviation
-    return Proposal(name, sentence, predictions, jacobians, np.diag(spread**2))
+    deviation = item.deviation(bench.site.protocol, size)
+    return Proposal(item.name, item.sentence, predictions, jacobians, np.diag(deviation**2))
 
 
 def _seen(bench: SiteBench, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ where it was.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_curves import CurveBook, Windows
-from limbcli.stages.diagnosis_data import SiteData, site_data
+from limbcli.stages.diagnosis_data import Extra, ModelError, SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
 from limbcli.stages.diagnosis_numerics import F_KAPPA, USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_site import SiteCurves
@@ -37,7 +37,7 @@ from limbcli.stages.mesh import read_limb, site_position
 
 STAGE = "diagnose"
 _N_DEPTHS = 7
-_BEYOND = 1.12
+_BEYOND, _BEYOND_MM = 1.1, 1.5  # a record may be read too shallow
 
 
 @dataclass
@@ -73,8 +73,9 @@ class Prepared:
 
 
 def prepare(
-    case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh, progress: Progress
-) -> Prepared:
+    case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
+    extras: Sequence[Extra] = (), progress: Progress,
+) -> Prepared:  # fmt: skip
     """Mesh, solve without effects, try the numerical ones, and stack the data.
 
     Raises
@@ -86,7 +87,7 @@ def prepare(
     SolveError
         If the model without effects cannot be solved.
     """
-    return _Preparation(case, site, out, mesh, progress).all(effects)
+    return _Preparation(case, site, out, mesh, progress).all(effects, extras)
 
 
 def turned_by_90(
@@ -133,7 +134,7 @@ class _Preparation:
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
-    def all(self, effects: Mapping[str, Effect]) -> Prepared:
+    def all(self, effects: Mapping[str, Effect], extras: Sequence[Extra]) -> Prepared:
         book = self.book()
         try:
             numerics = Numerics(
@@ -142,7 +143,7 @@ class _Preparation:
             )  # fmt: skip
             tie = numerics.tie()
             interventions = numerics.interventions() if self.mesh.interventions else []
-            data = self._data(numerics, numerics.noise(tie, interventions))
+            data = self._data(numerics.noise(tie, interventions), extras)
         except LimbError:
             book.close()
             raise
@@ -150,7 +151,7 @@ class _Preparation:
         return Prepared(self.site, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
-        deepest = _BEYOND * float(np.nanmax(self.levels.depth))
+        deepest = _BEYOND * float(np.nanmax(self.levels.depth)) + _BEYOND_MM
         depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         try:
             c, source = tissue_stiffness(self.levels, self.site)
@@ -187,7 +188,7 @@ class _Preparation:
         key.write_text(text, encoding="utf-8")
         return model
 
-    def _data(self, numerics: Numerics, model_error: list[Any]) -> SiteData:
+    def _data(self, model_error: Sequence[ModelError], extras: Sequence[Extra]) -> SiteData:
         maps = None
         if self.site.swe_maps is not None:
             maps = read_maps(self.site.swe_maps, len(self.levels))
@@ -200,7 +201,7 @@ class _Preparation:
                 self.notes.data["holds_not_used"] = why
         return site_data(
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps,
-            model_error=model_error, held=held,
+            model_error=model_error, held=held, extras=extras,
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:
