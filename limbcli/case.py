@@ -211,8 +211,6 @@ def _read_imaging(table: Mapping[str, Any], folder: Path, *, present: bool) -> t
         problems.append(Problem("[imaging] names no geometry", file, fix))
     if table.get("bones") and not table.get("skin"):
         problems.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
-    if table.get("skin") and not table.get("bones"):
-        problems.append(Problem("[imaging] has a skin but no bones", file, 'add `bones = ["file", ...]`'))
     if table.get("mri") and table.get("skin"):
         problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
     paths: dict[str, Path | None] = {}

@@ -182,7 +182,8 @@ def read_surface(path: Path) -> ClosedSurface:
         If the file is no surface or has no triangles.
     """
     try:
-        mesh = meshio.read(path)
+        with np.errstate(over="ignore"):  # meshio guesses at a size that may not fit
+            mesh = meshio.read(path)
         points = np.asarray(mesh.points, dtype=float)
         faces = [_triangles(block.data) for block in mesh.cells if block.data.shape[1] in (3, 4)]
     except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:

@@ -99,6 +99,11 @@ def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") ->
     return Limb(outer, tuple(inner), tuple(ends), tuple(notes))
 
 
+def skin_and_bones(surface: Triangles) -> list[Triangles]:
+    """The bodies of one file that holds a limb, the largest (its skin) first; stray bits are left out."""
+    return _without_strays(bodies(surface), [], "skin")
+
+
 def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> list[Triangles]:
     """Pieces that are bodies: large, or closed and not tiny."""
     size = np.linalg.norm(np.ptp(pieces[0].points, axis=0))

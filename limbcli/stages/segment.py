@@ -28,6 +28,8 @@ from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, read_surface, surface_of, write_surface
 from limbcli.imaging.volume import Volume
+from limbcli.meshing.mending import skin_and_bones
+from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
@@ -258,11 +260,34 @@ def _from_surfaces(case: Case, writer: StageWriter) -> None:
     assert case.imaging.skin is not None
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
-    surfaces = {}
-    for name, path in [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]:
+    given = [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]
+    for name, path in given:
         writer.used(name, path)
-        surfaces[name] = _usable(read_surface(path), name, path, writer)
+    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in given}
+    if not case.imaging.bones:
+        surfaces = _bodies(surfaces["skin"], case.imaging.skin, writer)
+    paths = dict(given)
+    surfaces = {
+        name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
+        for name, each in surfaces.items()
+    }
     _write_surfaces(surfaces, writer)
+
+
+def _bodies(surface: ClosedSurface, path: Path, writer: StageWriter) -> dict[str, ClosedSurface]:
+    """Skin and bones out of one file that holds them all."""
+    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
+    if not bones:
+        raise CaseError(
+            "the skin's file holds one body only, and no bones are named",
+            where=str(path),
+            fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
+        )
+    writer.summary.append(
+        f"{path.name} holds {1 + len(bones)} bodies: the largest is the skin, the others bones"
+    )
+    named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
+    return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
 
 
 def _bone_names(case: Case) -> list[str]:
@@ -275,8 +300,7 @@ def _bone_names(case: Case) -> list[str]:
     return names
 
 
-def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
-    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
+def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
         raise CaseError(
@@ -285,8 +309,13 @@ def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) 
             fix="save it in mm (patient LPS frame)",
             size_mm=float(size),
         )
+    return surface
+
+
+def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
+    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
     if not surface.is_closed:
-        writer.warnings.append(f"{path.name} is not closed; it will be closed when the model is cut")
+        writer.warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
     if surface.volume < 0:
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
         writer.warnings.append(f"the normals of {path.name} pointed inward and were turned")

@@ -149,11 +149,28 @@ def test_surfaces_of_the_case_reach_the_same_files(segmented, tmp_path):
     )
 
 
+def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
+    _, first, _ = segmented
+    parts = [read_surface(first.path(name)) for name in ("bone_tibia", "skin", "bone_fibula")]
+    starts = np.cumsum([0, *(len(each.points) for each in parts)])
+    triangles = [each.triangles + start for each, start in zip(parts, starts[:-1], strict=True)]
+    whole = ClosedSurface(np.vstack([each.points for each in parts]), np.vstack(triangles))
+    write_surface(tmp_path / "limb.ply", whole)
+    result = segment(case_with(tmp_path, skin=tmp_path / "limb.ply"), out=tmp_path / "out")
+    assert "3 bodies" in result.summary[0]
+    found, wanted = result.data["volume_cm3"], first.data["volume_cm3"]
+    assert found["skin"] == pytest.approx(wanted["skin"], rel=1e-3)
+    assert found["bone_1"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
+    with pytest.raises(CaseError, match="one body only"):
+        segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
+
+
 def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
     _, first, _ = segmented
     skin = read_surface(first.path("skin"))
     write_surface(tmp_path / "skin.ply", ClosedSurface(skin.points, skin.triangles[:, ::-1].copy()))
-    result = segment(case_with(tmp_path, skin=tmp_path / "skin.ply"), out=tmp_path)
+    case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(first.path("bone_tibia"),))
+    result = segment(case, out=tmp_path)
     assert read_surface(result.path("skin")).volume > 0
     assert any("inward" in line for line in result.warnings)
 
