@@ -28,6 +28,8 @@ def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
         axes.plot([hold.start_s, hold.end_s], [hold.force, hold.force], color=colour, lw=1.5)
         axes.annotate(str(k), (hold.start_s, hold.force), xytext=(2, 4), textcoords="offset points", size=8)
     axes.set(xlabel="time / s", ylabel="force / N", title="holds found (orange: creep still going on)")
+    low, high = np.nanpercentile(trace.force, (0.1, 99.9))  # spikes do not squeeze the holds
+    axes.set_ylim(low - 0.1 * (high - low) - 0.1, high + 0.1 * (high - low) + 0.1)
     figure.savefig(path, dpi=130)
 
 
