@@ -117,13 +117,11 @@ class ReducedBook:
 NOISE = Noise(force=0.1, depth=0.15, swe_level_fraction=0.03, swe_pixel_fraction=0.1, source="repeats")
 
 
-def measured(
-    rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
-    m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
-    understated: float = 1.0,
-    hold: float = 20.0,
-) -> Levels:  # fmt: skip
-    """Levels as an instrument would write them: a finer block, another spread, noise of another law."""
+def truth(
+    ingredients=(), reading: Reading | None = None, *, c: float = 0.0065, m: float = 4.0,
+    book: ReducedBook | None = None, n_levels: int = 14, hold: float = 20.0,
+):  # fmt: skip
+    """The true curves, how they are read, and the protocol: a finer block, another spread."""
     book = book or ReducedBook(block_model(11, 8, 7), np.linspace(0, 10, 9), spread=1.03)
     curves = book.curves(m, ingredients)
     curves = replace(
@@ -131,19 +129,30 @@ def measured(
     )
     shown = np.linspace(0, 8.5, n_levels)
     protocol = ReadProtocol(np.zeros(n_levels), shown, np.full(n_levels, hold))
-    truth = read(curves, protocol, reading or Reading())
+    return curves, reading or Reading(), protocol
+
+
+def measured(
+    rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
+    m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
+    understated: float = 1.0,
+    hold: float = 20.0,
+) -> Levels:  # fmt: skip
+    """Levels as an instrument would write them: a finer block, another spread, noise of another law."""
+    curves, true_reading, protocol = truth(
+        ingredients, reading, c=c, m=m, book=book, n_levels=n_levels, hold=hold
+    )
+    shown, so = protocol.depth, read(curves, protocol, true_reading)
     k = understated
 
     def laplace(sd):
         return k * sd * rng.laplace(size=n_levels) / np.sqrt(2)
 
-    force = truth.force + laplace(noise.force)
+    force = so.force + laplace(noise.force)
     depth = shown + laplace(noise.depth)
     gain = 1 + 0.02 * rng.standard_normal()
     speed = (
-        np.exp(truth.log_speed[:, 0])
-        * gain
-        * (1 + k * noise.swe_level_fraction * rng.standard_normal(n_levels))
+        np.exp(so.log_speed[:, 0]) * gain * (1 + k * noise.swe_level_fraction * rng.standard_normal(n_levels))
     )
     force[0], depth[0] = (0.0, 0.0) if reading is None else (force[0], 0.0)
     nan = np.full(n_levels, np.nan)

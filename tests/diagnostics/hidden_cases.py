@@ -1,0 +1,225 @@
+"""Data with something hidden in them, on the reduced model, and what the diagnosis says of them.
+
+The truth comes from a finer block, another shape of the deformation, Laplace noise and, where the
+library has a simpler form, another form of the effect.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.heldout import fell
+from limbcli.diagnostics.nextstep import best_step
+from limbcli.effects import EFFECTS, effect
+from limbcli.effects.reading import Reading
+from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
+from limbcli.model import Material
+from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_data import Extra, ModelError, site_data
+from limbcli.stages.diagnosis_menu import ROTATE, items
+from limbcli.stages.diagnosis_site import SiteCurves
+
+TRUE_C_KPA, TRUE_M = 6.5, 4.0
+LARGEST = 2.0  # times the plausible size: skin is not steel
+# Patient from model, the limb's axis along the model's y, and along its x: the probe turned by 90 degrees.
+ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+ALONG = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+Truth = Mapping[str, Mapping[str, float]]
+
+
+def _reduced():
+    if "reduced" not in sys.modules:
+        spec = importlib.util.spec_from_file_location("reduced", Path(__file__).with_name("reduced.py"))
+        sys.modules["reduced"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules["reduced"])
+    return sys.modules["reduced"]
+
+
+reduced = _reduced()
+
+
+class Otherwise:
+    """An effect of the library in another form: mildly exponential fibres, a thinner skin."""
+
+    def __init__(self, name: str):
+        self.name = name
+        self.waves = effect(name).waves
+
+    def apply(self, model, theta):
+        if self.name == "anisotropy":
+            c = ground_modulus(model)
+            fibre = {
+                "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0,
+                "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model),
+            }  # fmt: skip
+            return with_part(model, Material("fiber_exp_pow", fibre))
+        if self.name == "skin-layer":
+            ratio = 1 + (np.exp(theta["log_skin_ratio"]) - 1) * 1.5 / 1.2
+            return scaled(model, 1 + layer_share(model, 0.0, 1.2) * (ratio - 1))
+        return effect(self.name).apply(model, theta)
+
+
+def outside(shown, curves, protocol):
+    """Not in the library: the tissue slackens at one depth (a muscle that slips aside)."""
+    depth = protocol.depth
+    dip = 0.6 * np.exp(-(((depth - 4.0) / 0.9) ** 2)) - 0.5 * np.exp(-(((depth - 6.5) / 0.7) ** 2))
+    return replace(shown, force=shown.force - dip)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of the truth's block and of the fitted one, and their numbers of depths."""
+
+    true_cells: tuple[int, int, int] = (11, 8, 7)
+    true_depths: int = 9
+    cells: tuple[int, int, int] = (9, 6, 6)
+    depths: int = 7
+
+
+FINE = Grid()
+COARSE = Grid((8, 6, 6), 8, (7, 5, 5), 6)
+
+
+def book(cells, n_depths: int, deepest: float, axes: np.ndarray, **more):
+    model = reduced.block_model(*cells)
+    model = replace(model, info={**model.info, "patient_from_model": axes.ravel().tolist()})
+    return reduced.ReducedBook(model, np.linspace(0, deepest, n_depths), **more)
+
+
+@dataclass
+class Case:
+    """One hidden truth: `arm` names it, `truth` is effect -> its parameters."""
+
+    arm: str
+    truth: Truth
+    seed: int
+    grid: Grid = FINE
+    n_draws: int = 4000
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng([self.seed, zlib.crc32(self.arm.encode())])
+        reading, ingredients = Reading(), []
+        for name, theta in self.truth.items():
+            known = effect(name)
+            if known.solves:
+                ingredients.append((Otherwise(name), theta))
+            else:
+                reading = known.observe(reading, theta)
+        if self.arm == "outside":
+            reading = Reading(after=(outside,))
+        self.ingredients, self.reading = tuple(ingredients), reading
+        self.levels = self._measured(ACROSS)
+
+    def _true(self, axes: np.ndarray) -> dict:
+        true = book(self.grid.true_cells, self.grid.true_depths, 10.0, axes, spread=1.03)
+        return {"c": TRUE_C_KPA / 1e3, "m": TRUE_M, "book": true}
+
+    def _measured(self, axes: np.ndarray):
+        plain = self.reading == Reading() and not self.truth
+        understated = 2.5 if self.arm == "noise understated" else 1.0
+        return reduced.measured(
+            self.rng, self.ingredients, None if plain else self.reading, understated=understated,
+            **self._true(axes),
+        )  # fmt: skip
+
+    def curves(self, levels, axes: np.ndarray = ACROSS, name: str = "p1", extras=()) -> SiteCurves:
+        """The fitted side: another block, and allowance for what that changes."""
+        fitted = book(self.grid.cells, self.grid.depths, 9.0, axes)
+        n = len(levels)
+        none = np.zeros((n, len(fitted.windows.depths)))
+        errors = [
+            ModelError("model: mesh", np.full(n, 0.01), none, correlation=0.8),
+            ModelError("model: gain of the force by the geometry", np.full(n, 0.03), none),
+        ]
+        site = site_data(
+            name, levels, reduced.NOISE, windows=fitted.windows, model_error=errors, extras=extras
+        )
+        return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
+
+    def diagnose(self, *curves: SiteCurves, propose: bool = True):
+        bench = SiteBench.joint(curves or [self.curves(self.levels)])
+        if len(bench.sites) == 1:
+            bench.turned = self._turned
+        return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose)
+
+    def _turned(self) -> SiteCurves:
+        turned = self.curves(self.levels, ALONG)
+        for m in (2.0, 5.0):
+            turned.solve_node(m)
+        return turned
+
+    def with_recommended(self, found) -> tuple[str, object] | None:
+        """The recommended measurement made on the truth, and the diagnosis with it."""
+        best = best_step(found.next_steps)
+        if best is None:
+            return None
+        name = best[0]
+        if name == ROTATE:
+            again = [self.curves(self.levels), self.curves(self._measured(ALONG), ALONG, "p1-turned")]
+            return name, self.diagnose(*again, propose=False)
+        item = next(each for each in items() if each.name == name)
+        curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
+        y = item.see(curves, reading, protocol)
+        deviation = item.deviation(protocol, len(y))
+        extra = Extra(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
+        return name, self.diagnose(self.curves(self.levels, extras=[extra]), propose=False)
+
+
+def theta_of(name: str, sizes: Mapping[str, Mapping[str, float]], times: float) -> dict[str, float]:
+    """So many times the detectable size, at most `LARGEST` times the plausible one."""
+    known = effect(name)
+    theta = dict(known.grid[0])
+    first = known.parameters[0]
+    largest = LARGEST * abs(first.typical - first.null)
+    times = min(times, largest / max(abs(sizes[name][first.name]), 1e-9))
+    for p in known.parameters:
+        theta[p.name] = float(np.clip(p.null + times * sizes[name][p.name], p.low, p.high))
+    return theta
+
+
+def detectable(grid: Grid = FINE) -> dict[str, dict[str, float]]:
+    """Size of each effect that is found with 80 % power, from a diagnosis of data with nothing in them."""
+    found = Case("nothing", {}, 0, grid).diagnose(propose=False)
+    sizes = {}
+    for spot in found.blind_spots:
+        times = spot.detectable_times_typical
+        sizes[spot.name] = {p.name: times * (p.typical - p.null) for p in effect(spot.name).parameters}
+    return sizes
+
+
+def account(case: Case, found, *, follow: bool = True) -> dict:
+    """One data set as a line of the study."""
+    first, last = found.shrink[0], found.shrink[-1]
+    row = {
+        "arm": case.arm,
+        "seed": case.seed,
+        "truth": sorted(case.truth),
+        "verdict": found.verdict,
+        "chosen": sorted(found.chosen),
+        "set": [sorted(each) for each in found.confidence_set],
+        "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
+        "held_out_fell": fell(first.held_out, last.held_out),
+        "error": [_error(each) for each in (found.base, found.final)],
+        "recommended": None,
+        "set_after": None,
+    }
+    if follow and found.verdict == "ambiguous" and case.truth:
+        more = case.with_recommended(found)
+        if more is not None:
+            row["recommended"], after = more[0], more[1]
+            row["set_after"] = [sorted(each) for each in after.confidence_set]
+            row["power"] = best_step(found.next_steps)[1]
+    return row
+
+
+def _error(fitted) -> float:
+    """|ln c error| + |ln m error|."""
+    return float(abs(np.log(fitted.values["c_kpa"] / TRUE_C_KPA)) + abs(np.log(fitted.values["m"] / TRUE_M)))
