@@ -16,7 +16,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
-from limbcli.errors import LimbError, MeasurementError
+from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels, read_trace
@@ -37,7 +37,7 @@ from limbcli.stages.mesh import read_limb, site_position
 
 STAGE = "diagnose"
 _N_DEPTHS = 7
-_BEYOND, _BEYOND_MM = 1.1, 1.5  # a record may be read too shallow
+_BEYOND, _BEYOND_MM = 1.05, (3.0, 0.5)  # a record may be read too shallow
 
 
 @dataclass
@@ -151,7 +151,20 @@ class _Preparation:
         return Prepared(self.site, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
-        deepest = _BEYOND * float(np.nanmax(self.levels.depth)) + _BEYOND_MM
+        """Curves beyond the deepest reading, as far as the solver gets."""
+        for more in _BEYOND_MM[:-1]:
+            book = self._book(more)
+            try:
+                book.curves(2.0)
+            except SolveError as error:
+                self.progress.event("note", text=f"{error.what}: less deep")
+                book.close()
+            else:
+                return book
+        return self._book(_BEYOND_MM[-1])
+
+    def _book(self, more: float) -> CurveBook:
+        deepest = _BEYOND * float(np.nanmax(self.levels.depth)) + more
         depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         try:
             c, source = tissue_stiffness(self.levels, self.site)

@@ -79,13 +79,13 @@ class Grid:
     """Cells of the truth's block and of the fitted one, and their numbers of depths."""
 
     true_cells: tuple[int, int, int] = (11, 8, 7)
-    true_depths: int = 9
+    true_depths: int = 11
     cells: tuple[int, int, int] = (9, 6, 6)
-    depths: int = 7
+    depths: int = 9
 
 
 FINE = Grid()
-COARSE = Grid((8, 6, 6), 8, (7, 5, 5), 6)
+COARSE = Grid((8, 6, 6), 10, (7, 5, 5), 8)
 
 
 def book(cells, n_depths: int, deepest: float, axes: np.ndarray, **more):
@@ -119,7 +119,7 @@ class Case:
         self.levels = self._measured(ACROSS)
 
     def _true(self, axes: np.ndarray) -> dict:
-        true = book(self.grid.true_cells, self.grid.true_depths, 10.0, axes, spread=1.03)
+        true = book(self.grid.true_cells, self.grid.true_depths, 12.0, axes, spread=1.03)
         return {"c": TRUE_C_KPA / 1e3, "m": TRUE_M, "book": true}
 
     def _measured(self, axes: np.ndarray):
@@ -132,7 +132,7 @@ class Case:
 
     def curves(self, levels, axes: np.ndarray = ACROSS, name: str = "p1", extras=()) -> SiteCurves:
         """The fitted side: another block, and allowance for what that changes."""
-        fitted = book(self.grid.cells, self.grid.depths, 9.0, axes)
+        fitted = book(self.grid.cells, self.grid.depths, 12.0, axes)
         n = len(levels)
         none = np.zeros((n, len(fitted.windows.depths)))
         errors = [

@@ -1,0 +1,78 @@
+"""A fast set of hidden truths: nothing missing, every effect that can be told, pairs, something unknown.
+
+Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): it is not among them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def _cases():
+    if "hidden_cases" not in sys.modules:
+        path = Path(__file__).with_name("hidden_cases.py")
+        spec = importlib.util.spec_from_file_location("hidden_cases", path)
+        sys.modules["hidden_cases"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules["hidden_cases"])
+    return sys.modules["hidden_cases"]
+
+
+cases = _cases()
+ONCE = {
+    "force-zero": {"force_zero_n": 0.9},
+    "depth-zero": {"depth_zero_mm": 1.8},
+    "preload": {"preload_n": 1.8},
+    "anisotropy": {"fibre_shear_per_c": 0.3, "fibre_tension_per_c": 0.15},
+    "skin-layer": {"log_skin_ratio": 3.5, "skin_thickness_mm": 1.5},
+    "contraction": {"active_stress_per_c": 0.9},
+    "viscoelasticity": {"relaxing_share": 0.9, "relaxation_time_s": 10.0},
+    "swe-time-scale": {"swe_modulus_scale": 0.5},
+    "swe-guided-wave": {"guided_1e4_per_hz2": 1.6},
+}
+PAIRS = (("depth-zero", "anisotropy"), ("force-zero", "skin-layer"))
+
+
+def found(arm: str, truth, seed: int = 7):
+    return cases.Case(arm, truth, seed, cases.COARSE, 1500).diagnose(propose=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_nothing_missing_names_nothing(seed):
+    assert found("nothing", {}, seed).verdict in ("adequate", "ambiguous", "unexplained")
+    assert found("nothing", {}, seed).chosen == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(ONCE))
+def test_truth_is_in_the_set_and_the_gap_is_closed_by_it(name):
+    result = found(name, {name: ONCE[name]})
+    assert (name,) in result.confidence_set, (result.verdict, result.confidence_set)
+    assert result.verdict in ("named", "ambiguous")
+    fitted = next(r for r in result.refits if r.explanation == (name,))
+    assert fitted.is_adequate
+    assert fitted.state.chi2 < 0.5 * result.shrink[0].chi2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", PAIRS)
+def test_pairs_are_never_named_as_something_else(pair):
+    result = found(" + ".join(pair), {name: ONCE[name] for name in pair})
+    assert result.verdict in ("named", "ambiguous", "unexplained")
+    if result.verdict == "named":
+        assert set(result.chosen) == set(pair)
+
+
+@pytest.mark.slow
+def test_what_the_library_does_not_know_is_named_nothing():
+    result = found("outside", {})
+    assert result.verdict in ("unexplained", "ambiguous")
+
+
+@pytest.mark.slow
+def test_noise_stated_too_small_is_noticed():
+    assert found("noise understated", {}).relative
