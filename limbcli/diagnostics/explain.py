@@ -14,7 +14,8 @@ from limbcli.diagnostics.linear import Linearised, Whitener
 from limbcli.diagnostics.score import Direction, Trial, cone_projection, score, statistics, visible_columns
 from limbcli.model import Array
 
-LEVEL = 0.025  # of each of the two tests, so that the truth is in the set in 95 % of cases
+LEVEL = 0.025  # of the test against the best of the set
+ADEQUATE = 0.005  # of the tests of what is left: the model's own error is known only roughly
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
 _N_DRAWS = 4000
 _PAIRS_KEPT = 12
@@ -40,7 +41,7 @@ class Refit:
 
     @property
     def is_adequate(self) -> bool:
-        return self.family.smallest >= LEVEL
+        return self.family.smallest >= ADEQUATE
 
     @property
     def in_set(self) -> bool:

@@ -137,7 +137,7 @@ class Case:
         none = np.zeros((n, len(fitted.windows.depths)))
         errors = [
             ModelError("model: mesh", np.full(n, 0.01), none, correlation=0.8),
-            ModelError("model: gain of the force by the geometry", np.full(n, 0.03), none),
+            ModelError("model: gain of the force by the geometry", np.full(n, 0.05), none),
         ]
         site = site_data(
             name, levels, reduced.NOISE, windows=fitted.windows, model_error=errors, extras=extras
