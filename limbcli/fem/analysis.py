@@ -19,7 +19,8 @@ from limbcli.errors import SolveError
 from limbcli.fem.history import Histories
 from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
-from limbcli.fem.system import Forces, State, System, norm
+from limbcli.fem.state import Forces, State, norm
+from limbcli.fem.system import System
 from limbcli.model import Array, LimbModel, Step
 from limbcli.progress import SILENT, Progress
 

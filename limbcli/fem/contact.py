@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem import contact_kernels as kernels
+from limbcli.fem.contact_points import FACET, N_STATE
 from limbcli.fem.element import shape
 from limbcli.fem.friction import FrictionPair
 from limbcli.fem.groups import Group
@@ -119,8 +119,8 @@ def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group
         mine = group == k
         volume[mine] = each.weight[cell[mine]].sum(axis=1)
     shape_of_state = (len(facets), len(weights))
-    state = np.zeros((*shape_of_state, kernels.N_STATE))
-    state[..., kernels.FACET] = -1
+    state = np.zeros((*shape_of_state, N_STATE))
+    state[..., FACET] = -1
     return Patch(
         facets, N, dN, weights, group, cell, area / volume, normals,
         np.zeros(len(facets)), np.zeros(shape_of_state), state,

@@ -16,7 +16,8 @@ from limbcli.fem import kernels
 from limbcli.fem.fields import _STRESS, NODE_FIELDS, cell_fields
 from limbcli.fem.parameters import LawParameter, Parameter, programs
 from limbcli.fem.sensitivity import Sensitivity
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.materials import Program
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array

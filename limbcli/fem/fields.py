@@ -13,7 +13,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import kernels
 from limbcli.fem.rigid import rotation_vector
-from limbcli.fem.system import Forces, State, System
+from limbcli.fem.state import Forces, State
+from limbcli.fem.system import System
 from limbcli.materials.energy import energy_density
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 from limbcli.model import Array, IntArray, LogRecord

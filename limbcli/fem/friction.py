@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.fem import contact_kernels, friction_kernels
+from limbcli.fem import friction_kernels
+from limbcli.fem.contact_points import FACET, TRACTION
 from limbcli.fem.pairs import Carried, Pair
 from limbcli.fem.rigid import AT_REST, Body, BodyState
 from limbcli.model import Array, IntArray
@@ -32,7 +33,7 @@ class FrictionPair(Pair):
         for patch in self.patches:
             shape = patch.state.shape[:2]
             patch.state = np.zeros((*shape, friction_kernels.N_STATE))
-            patch.state[..., contact_kernels.FACET] = -1
+            patch.state[..., FACET] = -1
         self.before = [np.zeros((*p.state.shape[:2], friction_kernels.N_BEFORE)) for p in self.patches]
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
@@ -91,7 +92,7 @@ class FrictionPair(Pair):
 
     def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
         """The tractions as they are: with friction none are carried along."""
-        return [p.state[..., contact_kernels.TRACTION].copy() for p in self.patches]
+        return [p.state[..., TRACTION].copy() for p in self.patches]
 
     def shifted_force(self, carried: Carried, out: Array) -> None:
         """Nothing: the residual is always at the contact's own tractions."""

@@ -13,7 +13,7 @@ converged step of the point, of the rigid body's matter now opposite to it, and 
 has s = y/|y|, which jumps where a point that has just come into contact turns back; a slip shorter than
 that of a sticking point is taken here to be resisted by the same penalty.
 
-Columns of `state` beyond those of `contact_kernels`: whether it sticks, T. Columns of `before`: the point,
+Columns of `state` beyond those of `contact_points`: whether it sticks, T. Columns of `before`: the point,
 its tangents g1 and g2, the anchor, the anchor's facet (or -1), all of the last converged step. `move` (4, 3):
 the rotation of the body since then, in rows, and its translation: place now = move[:3] place + move[3].
 
@@ -26,17 +26,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.fem.contact_kernels import (
+from limbcli.fem.contact_points import (
     FACET,
     GAP,
     NORMAL,
     OTHER,
     POINT,
     TRACTION,
-    _cross,
+    add_symmetric,
+    cross,
+    normal_change,
+    point_change,
     point_geometry,
+    push,
 )
-from limbcli.fem.contact_kernels import N_STATE as N_NORMAL
+from limbcli.fem.contact_points import N_STATE as N_NORMAL
 
 STICKS, PUSH = N_NORMAL, N_NORMAL + 1
 N_STATE = N_NORMAL + 4
@@ -65,8 +69,8 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
     """y, c and m of a point in contact (see above); returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
     old, w = np.empty(3), np.empty(3)
-    _cross(before[TANGENTS : TANGENTS + 3], g2, m)
-    _cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
+    cross(before[TANGENTS : TANGENTS + 3], g2, m)
+    cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
     along = 0.0
     for i in range(3):
         m[i] = 2.0 * n[i] - m[i] - w[i]
@@ -88,7 +92,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
 def resist(x, facets, N, dN, eps, mu, before, move, state):
     """Take stick or slip of every point that touches, and its push; returns how many stick."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m, anchor, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     sticking = 0
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -104,16 +108,16 @@ def resist(x, facets, N, dN, eps, mu, before, move, state):
                     anchor[i] = move[3, i]
                     for j in range(3):
                         anchor[i] += move[i, j] * before[f, k, ANCHOR + j]
-                    push[i] = eps[f] * (r[i] - anchor[i])
-                    normal += push[i] * n[i] / size
+                    thrust[i] = eps[f] * (r[i] - anchor[i])
+                    normal += thrust[i] * n[i] / size
                 for i in range(3):
-                    shear += (push[i] - normal * n[i] / size) ** 2
+                    shear += (thrust[i] - normal * n[i] / size) ** 2
                 if normal > 0.0 and np.sqrt(shear) < mu * normal:
                     row[STICKS] = 1.0
                     row[TRACTION] = normal
                     row[FACET] = before[f, k, HELD]
                     for i in range(3):
-                        row[PUSH + i] = push[i]
+                        row[PUSH + i] = thrust[i]
                         row[POINT + i] = anchor[i]
                     sticking += 1
                     continue
@@ -128,7 +132,7 @@ def resist(x, facets, N, dN, eps, mu, before, move, state):
 @njit(cache=True, nogil=True)
 def force(facets, N, weights, state, center, out, body):
     """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
-    f3, arm, moment = np.empty(3), np.empty(3), np.empty(3)
+    f3 = np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
@@ -137,14 +141,7 @@ def force(facets, N, weights, state, center, out, body):
             size = np.sqrt(row[NORMAL] ** 2 + row[NORMAL + 1] ** 2 + row[NORMAL + 2] ** 2)
             for i in range(3):
                 f3[i] = weights[k] * size * row[PUSH + i]
-                arm[i] = row[POINT + i] - center[i]
-            _cross(arm, f3, moment)
-            for i in range(3):
-                body[i] += f3[i]
-                body[3 + i] += moment[i]
-            for a in range(facets.shape[1]):
-                for i in range(3):
-                    out[facets[f, a], i] += N[k, a] * f3[i]
+            push(f3, row, center, facets[f], N[k], out, body)
 
 
 @njit(cache=True)
@@ -153,26 +150,22 @@ def _change(row, before, move, eps, mu, center, r, g1, g2, n, y, c, m, dr, d1, d
 
     y, c, m : of `_slip`, where the point slips
     """
-    dn, w, v = np.empty(3), np.empty(3), np.empty(3)
-    _cross(d1, g2, dn)
-    _cross(g1, d2, w)
-    size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+    dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    size = normal_change(g1, g2, n, d1, d2, dn, dnu)
     dsize = 0.0
     for i in range(3):
-        dn[i] += w[i]
         dsize += n[i] * dn[i] / size
         v[i] = row[POINT + i] - center[i]
-    _cross(motion[3:6], v, w)  # turning of the body
+    cross(motion[3:6], v, w)  # turning of the body
     if row[STICKS] > 0.0:
         for i in range(3):
             df[i] = size * eps * (dr[i] - motion[i] - w[i]) + dsize * row[PUSH + i]
             darm[i] = w[i]
         return
-    nu, dnu, dq, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    nu, dq, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     top, bottom = 0.0, 0.0
     for i in range(3):
         nu[i] = n[i] / size
-        dnu[i] = (dn[i] - nu[i] * dsize) / size
         top += row[OTHER + i] * (dr[i] - row[GAP] * dnu[i] - w[i] - motion[i])
         bottom += row[OTHER + i] * nu[i]
     dg = top / bottom
@@ -184,8 +177,8 @@ def _change(row, before, move, eps, mu, center, r, g1, g2, n, y, c, m, dr, d1, d
     p, dp = row[TRACTION], eps * dg
     if length > 0.0:
         u = np.empty(3)
-        _cross(before[TANGENTS : TANGENTS + 3], d2, u)
-        _cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
+        cross(before[TANGENTS : TANGENTS + 3], d2, u)
+        cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
         along, turn, mnu = 0.0, 0.0, 0.0
         for i in range(3):
             dm[i] = 2.0 * dn[i] - u[i] - w[i]
@@ -227,7 +220,7 @@ def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, mo
     """Derivative of `force` along v (n_points, 3) and the body's motion (6); stick and slip held."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m, arm, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, f3, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
@@ -235,33 +228,18 @@ def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, mo
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             size = _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
-            dr[:] = 0.0
-            d1[:] = 0.0
-            d2[:] = 0.0
-            for a in range(facets.shape[1]):
-                for i in range(3):
-                    value = v[facets[f, a], i]
-                    dr[i] += N[k, a] * value
-                    d1[i] += dN[k, a, 0] * value
-                    d2[i] += dN[k, a, 1] * value
+            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             _change(
                 row, before[f, k], move, eps[f], mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
                 darm,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
-                arm[i] = row[POINT + i] - center[i]
-                body[i] += df[i]
-            _cross(arm, df, w)
+                f3[i] = weights[k] * size * row[PUSH + i]
+            push(df, row, center, facets[f], N[k], out, body)
+            cross(darm, f3, w)
             for i in range(3):
                 body[3 + i] += w[i]
-                arm[i] = weights[k] * size * row[PUSH + i]
-            _cross(darm, arm, w)
-            for i in range(3):
-                body[3 + i] += w[i]
-            for a in range(facets.shape[1]):
-                for i in range(3):
-                    out[facets[f, a], i] += N[k, a] * df[i]
 
 
 @njit(cache=True, nogil=True)
@@ -298,15 +276,4 @@ def stiffness(x, facets, N, dN, weights, eps, mu, before, move, state, center, p
                             K[a, i, b, j] += weights[k] * N[k, a] * df[i]
         if not touching:
             continue
-        place = 0
-        for b in range(nodes):
-            for a in range(b + 1):
-                code = pairs[f, place]
-                place += 1
-                pair = code // 2
-                swapped = code % 2 == 1
-                for i in range(3):
-                    for j in range(3):
-                        slot = slots[pair, j, i] if swapped else slots[pair, i, j]
-                        if slot >= 0:
-                            values[slot] += 0.5 * (K[a, i, b, j] + K[b, j, a, i])
+        add_symmetric(K, pairs[f], slots, values)

@@ -31,6 +31,9 @@ class LinearSolver(Protocol):
     @property
     def solves_per_factor(self) -> float: ...
 
+    @property
+    def n_perturbed(self) -> int: ...
+
     def factor(self, values: Array) -> None: ...
 
     def solve(self, rhs: Array) -> Array: ...
@@ -48,6 +51,12 @@ def _singular(detail: str) -> SingularMatrix:
         where="sparse factorisation",
         fix="hold every part of the tissue: look for a region or a rigid body without support",
     )
+
+
+def check_supported(solver: LinearSolver) -> None:
+    """Raise where the last factor, of tissue at rest, was only had by making up for pivots that are zero."""
+    if solver.n_perturbed:
+        raise _singular(f"{solver.n_perturbed} pivots of nothing before any load")
 
 
 class Pardiso:
@@ -96,6 +105,11 @@ class Pardiso:
     @property
     def factor_entries(self) -> int:
         return int(self._iparm[17])
+
+    @property
+    def n_perturbed(self) -> int:
+        """Pivots of the last factor that were too small to divide by."""
+        return int(self._iparm[13])
 
     @property
     def solves_per_factor(self) -> float:
@@ -182,6 +196,11 @@ class SuperLU:
         if not np.isfinite(x).all():
             raise _singular("the solution is not finite")
         return x
+
+    @property
+    def n_perturbed(self) -> int:
+        """0: what SuperLU cannot factor, it refuses."""
+        return 0
 
     @property
     def solves_per_factor(self) -> float:

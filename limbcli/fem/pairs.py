@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.fem import contact_kernels as kernels
+from limbcli.fem.contact_points import FACET, TRACTION
+from limbcli.fem.contact_search import search
 from limbcli.fem.groups import Group
 from limbcli.fem.penalty import penalties
 from limbcli.fem.rigid import BodyState
@@ -58,7 +60,7 @@ class Pair:
         spheres, box = _bounds(x, self.facets2)
         c = self.contact
         return sum(
-            kernels.search(
+            search(
                 0, len(p.facets), x, p.facets, p.N, p.dN, x, self.facets2, spheres, box,
                 c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
             )
@@ -103,14 +105,14 @@ class Pair:
         """As before any load: no facet touched, no multiplier."""
         for p in self.patches:
             p.state[:] = 0.0
-            p.state[..., kernels.FACET] = -1
+            p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
 
     def augment(self) -> float:
         """Take the tractions over as multipliers; the relative change of their sum of squares."""
         before = sum(float((p.multiplier**2).sum()) for p in self.patches)
         for p in self.patches:
-            p.multiplier = p.state[..., kernels.TRACTION].copy()
+            p.multiplier = p.state[..., TRACTION].copy()
         after = sum(float((p.multiplier**2).sum()) for p in self.patches)
         return abs(after - before) / after if after else 0.0
 

@@ -14,7 +14,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import contact_kernels, kernels
 from limbcli.fem.penalty import penalty_derivative
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.materials import Program
 from limbcli.model import Array
 

@@ -15,7 +15,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem.newton import Newton
 from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Shape, partial
-from limbcli.fem.system import Forces, State, System
+from limbcli.fem.state import Forces, State
+from limbcli.fem.system import System
 from limbcli.fem.tangent import gmres
 from limbcli.model import Array
 

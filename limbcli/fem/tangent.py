@@ -18,7 +18,8 @@ from numba import njit
 
 from limbcli.errors import SolveError
 from limbcli.fem.linear import LinearSolver
-from limbcli.fem.system import State, System, norm
+from limbcli.fem.state import State, norm
+from limbcli.fem.system import System
 from limbcli.model import Array
 
 

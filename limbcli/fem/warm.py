@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.model import Array
 
 Key = tuple[str, str]

@@ -1,6 +1,6 @@
-"""Compiled kernels on disk: dropped when a law's source has changed.
+"""Compiled kernels on disk: dropped when the source of a law or of an element loop has changed.
 
-numba looks only at the file of a kernel itself, not at the laws that it calls, so a
+numba looks only at the file of a kernel itself, not at those of the functions that it calls, so a
 changed law would go on being served from an old cache.
 """
 
@@ -14,13 +14,14 @@ _STAMP = "kernels.stamp"
 
 
 def drop_stale_kernels() -> bool:
-    """Delete cached kernels of laws and element loops if a law's file changed since they were made.
+    """Delete cached kernels of laws and element loops if a file of theirs changed since they were made.
 
     Returns whether anything was deleted. A folder that cannot be written is left alone.
     """
     here = Path(__file__).parent
-    sources = sorted(here.glob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    sources = [*sorted(here.glob("*.py")), *sorted((here.parent / "fem").glob("*.py"))]
+    texts = [text for text in (path.read_bytes() for path in sources) if b"njit" in text]
+    digest = hashlib.sha256(b"".join(texts)).hexdigest()
     stamp = here / "__pycache__" / _STAMP
     with suppress(OSError):
         if stamp.is_file() and stamp.read_text() == digest:

@@ -18,7 +18,8 @@ import limbcli
 from limbcli.files import atomic_file
 
 if TYPE_CHECKING:
-    from limbcli.fem.system import State, System
+    from limbcli.fem.state import State
+    from limbcli.fem.system import System
 
 RESTART_FILE = "restart.npz"
 
@@ -73,7 +74,7 @@ class Restart:
 
 def _state(stored: Any, k: int, time: float) -> State:
     from limbcli.fem.rigid import BodyState
-    from limbcli.fem.system import State
+    from limbcli.fem.state import State
 
     def parts(name: str) -> tuple[Any, ...]:
         keys = [key for key in stored.files if key.startswith(f"{name}{k}_")]

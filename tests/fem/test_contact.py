@@ -16,7 +16,8 @@ from limbcli.fem.analysis import Analysis
 from limbcli.fem.contact import make_pairs
 from limbcli.fem.newton import Settings
 from limbcli.fem.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
 from limbcli.model import Drive, LimbModel, RigidBody, Spring, Support
 
@@ -223,6 +224,6 @@ def test_force_from_febios_displacements_is_febios(golden: Path, folder: str, to
     state = system.prescribed(system.rest(), time)
     u = state.u.copy()
     u[: len(table)] = table[:, 1:4]
-    ours = system.forces(system._followed(State(time, u, state.bodies))).bodies[0]
+    ours = system.forces(system.followed(State(time, u, state.bodies))).bodies[0]
     np.testing.assert_allclose(ours[:3], expected[:3], atol=tolerance * abs(expected[2]))
     np.testing.assert_allclose(ours[3:], expected[3:], atol=100 * tolerance * abs(expected[2]))

@@ -25,7 +25,7 @@ def test_tangent_agrees_with_differences_on_the_jump(rng: np.random.Generator) -
     shear = np.zeros_like(system.X)
     shear[:, 0] = 0.1 * (0.8 * system.X[:, 1] + 0.6 * system.X[:, 2])  # I4 = 1.01
     state = system.rest()
-    state = system._followed(replace(state, u=shear - 0.005 * system.X))
+    state = system.followed(replace(state, u=shear - 0.005 * system.X))
     state = system.moved(state, 2e-5 * rng.standard_normal(system.n_unknowns))
     a = np.array((0.0, 0.8, 0.6))
     F = np.eye(3) + np.einsum("cgnj,cni->cgij", system.groups[0].grad, state.u[system.groups[0].cells])

@@ -11,7 +11,8 @@ from small_models import block, punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.newton import Settings
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
 from limbcli.fem.warm import Solved, WarmStart, even_step
 from limbcli.materials import ogden_type

@@ -13,7 +13,8 @@ from limbcli.errors import MeshError, SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.fields import cell_fields, gauss_fields
 from limbcli.fem.newton import Settings
-from limbcli.fem.system import State, System
+from limbcli.fem.state import State
+from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 from limbcli.materials.energy import energy_density

@@ -1,0 +1,94 @@
+"""Loops over the tissue's cells: internal forces, volume ratios, tangent; shared by a few threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from limbcli.fem import kernels
+from limbcli.fem.assembly import Pattern, Threads
+from limbcli.fem.groups import Group, Operands
+from limbcli.fem.state import State
+from limbcli.model import Array
+
+_NO_VOLUMES = np.zeros((0, 1))
+
+
+class ElementLoops:
+    """The tissue's cells in groups, with the numbers of the time that was set last.
+
+    X (n_points, 3) : places at rest; scales, histories : of viscoelastic stresses, by group
+    """
+
+    X: Array
+    threads: Threads
+    pattern: Pattern
+    groups: list[Group]
+    operands: list[Operands]
+    scales: list[float]
+    histories: list[Array]
+
+    def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
+        """Internal nodal forces, smallest det F and where."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        worst, place = np.inf, (-1, -1)
+        for k, o in enumerate(self.operands):
+            found = self._add(kernels.internal_force, state, o, o.arguments(), parts)
+            low, cell = min(found)
+            if low < worst:
+                worst, place = low, (k, cell)
+        return _total(parts), worst, place
+
+    def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
+        """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
+        out = tuple(np.empty(o.weight.shape) for o in self.operands)
+        for o, J in zip(self.operands, out, strict=True):
+            self._add(kernels.linear_volumes, state, o, (v, o.cells, o.grad, o.base), [J] * self.threads.n)
+        return out
+
+    def volume_force(self, state: State) -> Array:
+        """What pressures at the state's own volume ratios add to the internal forces (n_points, 3)."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        for o, volumes in zip(self.operands, state.volumes, strict=True):
+            args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
+            self._add(kernels.volume_force, state, o, args, parts)
+        return _total(parts)
+
+    def stiffness(self, state: State) -> Array:
+        """Upper triangle of the elastic tangent of the tissue's unknowns (without contact), its symmetric
+        part."""
+        parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
+        for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
+            args = (*o.arguments(), *self._mixed(state, k), pairs, self.pattern.slots)
+            self._add(kernels.tangent, state, o, args, parts)
+        return _total(parts)
+
+    def tangent_times(self, state: State, v: Array) -> Array:
+        """Elastic tangent of all nodes times v (n_points, 3); with the slope of a stress that jumps."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        for k, o in enumerate(self.operands):
+            args = (*o.sloped().arguments(), *self._mixed(state, k), v)
+            self._add(kernels.tangent_times, state, o, args, parts)
+        return _total(parts)
+
+    def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
+        volumes = state.volumes[group] if state.volumes else _NO_VOLUMES
+        return self.operands[group].lame, volumes
+
+    def _add(
+        self, kernel: Callable[..., Any], state: State, o: Operands, args: tuple[Any, ...], parts: list[Array]
+    ) -> list[Any]:
+        """Run a kernel over a group's cells, each thread into its own part."""
+
+        def task(worker: int, begin: int, end: int) -> Any:
+            return kernel(begin, end, state.u, *args, parts[worker])
+
+        return self.threads.run(task, len(o.cells))
+
+
+def _total(parts: list[Array]) -> Array:
+    for each in parts[1:]:
+        parts[0] += each
+    return parts[0]
