@@ -17,18 +17,58 @@ from numba import njit
 from limbcli.materials.dispatch import second_piola, workspace
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, right_cauchy_green
 
+WIDTH = 12  # at least the nodes of a cell, and a multiple of four
+
 
 @njit(cache=True)
-def _gradient(u, nodes, grad, base, F):
-    for i in range(3):
-        for j in range(3):
-            F[i, j] = base[i, j]
+def _gather(u, nodes, own):
+    """The cell's own rows of u, into own (n_nodes, 3)."""
     for a in range(nodes.shape[0]):
         n = nodes[a]
-        for i in range(3):
-            ui = u[n, i]
-            for j in range(3):
-                F[i, j] += ui * grad[a, j]
+        own[a, 0], own[a, 1], own[a, 2] = u[n, 0], u[n, 1], u[n, 2]
+
+
+@njit(cache=True)
+def _scatter(own, nodes, out):
+    """Add the cell's own rows to those of out (n_points, 3)."""
+    for a in range(nodes.shape[0]):
+        n = nodes[a]
+        out[n, 0] += own[a, 0]
+        out[n, 1] += own[a, 1]
+        out[n, 2] += own[a, 2]
+
+
+@njit(cache=True)
+def _gradient(own, grad, base, F):
+    """F = base + sum over the nodes of own (x) grad."""
+    f00, f01, f02 = base[0, 0], base[0, 1], base[0, 2]
+    f10, f11, f12 = base[1, 0], base[1, 1], base[1, 2]
+    f20, f21, f22 = base[2, 0], base[2, 1], base[2, 2]
+    for a in range(own.shape[0]):
+        x, y, z = own[a, 0], own[a, 1], own[a, 2]
+        gx, gy, gz = grad[a, 0], grad[a, 1], grad[a, 2]
+        f00 += x * gx
+        f01 += x * gy
+        f02 += x * gz
+        f10 += y * gx
+        f11 += y * gy
+        f12 += y * gz
+        f20 += z * gx
+        f21 += z * gy
+        f22 += z * gz
+    F[0, 0], F[0, 1], F[0, 2] = f00, f01, f02
+    F[1, 0], F[1, 1], F[1, 2] = f10, f11, f12
+    F[2, 0], F[2, 1], F[2, 2] = f20, f21, f22
+
+
+@njit(cache=True)
+def _add_force(P, grad, own):
+    """own (n_nodes, 3) += P grad."""
+    for a in range(own.shape[0]):
+        gx, gy, gz = grad[a, 0], grad[a, 1], grad[a, 2]
+        own[a, 0] += P[0, 0] * gx + P[0, 1] * gy + P[0, 2] * gz
+        own[a, 1] += P[1, 0] * gx + P[1, 1] * gy + P[1, 2] * gz
+        own[a, 2] += P[2, 0] * gx + P[2, 1] * gy + P[2, 2] * gz
 
 
 @njit(cache=True)
@@ -39,11 +79,12 @@ def _shift_pressure(F, J, shift, C, D, S, CC):
     for q in range(6):
         S[q] += shift * J * D[q]
         i, j = FIRST[q], SECOND[q]
-        for r in range(6):
+        for r in range(q, 6):
             k, l = FIRST[r], SECOND[r]
-            CC[q, r] += (
-                shift * J * (D[q] * D[r] - D[VOIGT[i, k]] * D[VOIGT[j, l]] - D[VOIGT[i, l]] * D[VOIGT[j, k]])
-            )
+            value = D[q] * D[r] - D[VOIGT[i, k]] * D[VOIGT[j, l]] - D[VOIGT[i, l]] * D[VOIGT[j, k]]
+            CC[q, r] += shift * J * value
+            if r > q:
+                CC[r, q] += shift * J * value
 
 
 @njit(cache=True)
@@ -66,10 +107,13 @@ def linear_volumes(start, stop, u, v, cells, grad, base, out):
     """out (n_cells, n_gauss) = det F at u plus its linear change along v (n_points, 3)."""
     F, dF, B = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     zero = np.zeros((3, 3))
+    own, change = np.empty((cells.shape[1], 3)), np.empty((cells.shape[1], 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
+        _gather(v, cells[e], change)
         for g in range(grad.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F)
-            _gradient(v, cells[e], grad[e, g], zero, dF)
+            _gradient(own, grad[e, g], base, F)
+            _gradient(change, grad[e, g], zero, dF)
             total = _cofactor(F, B)
             for i in range(3):
                 for j in range(3):
@@ -81,17 +125,20 @@ def linear_volumes(start, stop, u, v, cells, grad, base, out):
 def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force):
     """force (n_points, 3) += what pressures taken at `volumes` instead of det F add to the internal force."""
     F, B = np.empty((3, 3)), np.empty((3, 3))
+    own = np.empty((cells.shape[1], 3))
+    pushes = np.empty((cells.shape[1], 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
         stiffness = lame[e if lame.shape[0] > 1 else 0]
+        pushes[:] = 0.0
         for g in range(weight.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F)
+            _gradient(own, grad[e, g], base, F)
             shift = weight[e, g] * stiffness * (volumes[e, g] - _cofactor(F, B))
-            for a in range(cells.shape[1]):
-                n = cells[e, a]
-                for i in range(3):
-                    force[n, i] += shift * (
-                        B[i, 0] * grad[e, g, a, 0] + B[i, 1] * grad[e, g, a, 1] + B[i, 2] * grad[e, g, a, 2]
-                    )
+            for i in range(3):
+                for j in range(3):
+                    B[i, j] *= shift
+            _add_force(B, grad[e, g], pushes)
+        _scatter(pushes, cells[e], force)
 
 
 @njit(cache=True)
@@ -126,10 +173,14 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
     P = np.empty((3, 3))
     worst, place = 1e300, -1
     has_history = history.shape[0] == cells.shape[0]
+    own = np.empty((cells.shape[1], 3))
+    pushes = np.empty((cells.shape[1], 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
         row = e if par.shape[0] > 1 else 0
+        pushes[:] = 0.0
         for g in range(weight.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F)
+            _gradient(own, grad[e, g], base, F)
             J = second_piola(F, ops, par[row], S, CC, False, work)
             if worst > J:
                 worst, place = J, e
@@ -143,12 +194,8 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
                     P[i, j] = w * (
                         F[i, 0] * S[VOIGT[0, j]] + F[i, 1] * S[VOIGT[1, j]] + F[i, 2] * S[VOIGT[2, j]]
                     )
-            for a in range(cells.shape[1]):
-                n = cells[e, a]
-                for i in range(3):
-                    force[n, i] += (
-                        P[i, 0] * grad[e, g, a, 0] + P[i, 1] * grad[e, g, a, 1] + P[i, 2] * grad[e, g, a, 2]
-                    )
+            _add_force(P, grad[e, g], pushes)
+        _scatter(pushes, cells[e], force)
     return worst, place
 
 
@@ -164,11 +211,16 @@ def tangent_times(
     C, D = np.empty(6), np.empty(6)
     has_history = history.shape[0] == cells.shape[0]
     mixed = volumes.shape[0] == cells.shape[0]
+    own, change = np.empty((cells.shape[1], 3)), np.empty((cells.shape[1], 3))
+    pushes = np.empty((cells.shape[1], 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
+        _gather(v, cells[e], change)
         row = e if par.shape[0] > 1 else 0
+        pushes[:] = 0.0
         for g in range(weight.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F)
-            _gradient(v, cells[e], grad[e, g], zero, dF)
+            _gradient(own, grad[e, g], base, F)
+            _gradient(change, grad[e, g], zero, dF)
             J = second_piola(F, ops, par[row], S, CC, True, work)
             if mixed:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
@@ -194,12 +246,8 @@ def tangent_times(
                     for k in range(3):
                         value += F[i, k] * dS[VOIGT[k, j]] + dF[i, k] * S[VOIGT[k, j]]
                     P[i, j] = w * value
-            for a in range(cells.shape[1]):
-                n = cells[e, a]
-                for i in range(3):
-                    force[n, i] += (
-                        P[i, 0] * grad[e, g, a, 0] + P[i, 1] * grad[e, g, a, 1] + P[i, 2] * grad[e, g, a, 2]
-                    )
+            _add_force(P, grad[e, g], pushes)
+        _scatter(pushes, cells[e], force)
 
 
 @njit(cache=True, nogil=True)
@@ -219,16 +267,18 @@ def tangent(
     n_nodes = cells.shape[1]
     F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
     A, T = np.empty((9, 9)), np.empty((9, 6))
-    D = np.empty((9, 3))
-    K = np.empty((n_nodes * (n_nodes + 1) // 2, 3, 3))
+    G, D = np.zeros((3, WIDTH)), np.zeros((3, 6 * WIDTH))
+    K = np.empty((n_nodes, 6 * WIDTH))
     C, C_inv = np.empty(6), np.empty(6)
     has_history = history.shape[0] == cells.shape[0]
     mixed = volumes.shape[0] == cells.shape[0]
+    own = np.empty((n_nodes, 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
         row = e if par.shape[0] > 1 else 0
         K[:] = 0.0
         for g in range(weight.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F)
+            _gradient(own, grad[e, g], base, F)
             J = second_piola(F, ops, par[row], S, CC, True, work)
             if mixed:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
@@ -240,27 +290,41 @@ def tangent(
                 for r in range(6):
                     CC[q, r] *= scale
             _tangent9(F, S, CC, weight[e, g], A, T)
-            t = 0
-            for b in range(n_nodes):
-                b0, b1, b2 = grad[e, g, b, 0], grad[e, g, b, 1], grad[e, g, b, 2]
-                for p in range(9):
+            for a in range(n_nodes):
+                for j in range(3):
+                    G[j, a] = grad[e, g, a, j]
+            _add_products(G, A, D, K)
+        for b in range(n_nodes):
+            for a in range(b + 1):
+                code = pairs[e, b * (b + 1) // 2 + a]
+                pair = code // 2
+                swapped = code % 2 == 1
+                for i in range(3):
                     for k in range(3):
-                        D[p, k] = A[p, 3 * k] * b0 + A[p, 3 * k + 1] * b1 + A[p, 3 * k + 2] * b2
-                for a in range(b + 1):
-                    a0, a1, a2 = grad[e, g, a, 0], grad[e, g, a, 1], grad[e, g, a, 2]
-                    for i in range(3):
-                        for k in range(3):
-                            K[t, i, k] += a0 * D[3 * i, k] + a1 * D[3 * i + 1, k] + a2 * D[3 * i + 2, k]
-                    t += 1
-        for t in range(K.shape[0]):
-            code = pairs[e, t]
-            pair = code // 2
-            swapped = code % 2 == 1
-            for i in range(3):
-                for k in range(3):
-                    slot = slots[pair, k, i] if swapped else slots[pair, i, k]
-                    if slot >= 0:
-                        values[slot] += K[t, i, k]
+                        slot = slots[pair, k, i] if swapped else slots[pair, i, k]
+                        if slot >= 0:
+                            first = VOIGT[i, k] * WIDTH
+                            values[slot] += K[a, first + b] if i <= k else K[b, first + a]
+
+
+@njit(cache=True)
+def _add_products(G, A, D, K):
+    """K[a, (ik, b)] += sum over j, l of G[j, a] A[ij, kl] G[l, b], for i <= k.
+
+    Long rows, with zeros beyond the nodes, so that the loops over them become vector instructions.
+    """
+    for i in range(3):
+        for k in range(i, 3):
+            first = VOIGT[i, k] * WIDTH
+            for j in range(3):
+                p = 3 * i + j
+                x, y, z = A[p, 3 * k], A[p, 3 * k + 1], A[p, 3 * k + 2]
+                for b in range(WIDTH):
+                    D[j, first + b] = x * G[0, b] + y * G[1, b] + z * G[2, b]
+    for a in range(K.shape[0]):
+        x, y, z = G[0, a], G[1, a], G[2, a]
+        for t in range(6 * WIDTH):
+            K[a, t] += x * D[0, t] + y * D[1, t] + z * D[2, t]
 
 
 @njit(cache=True, nogil=True)
@@ -270,10 +334,12 @@ def stress_state(start, stop, u, cells, grad, weight, ops, par, base, scale, his
     CC = np.empty((6, 6))
     want = CC_out.shape[0] == cells.shape[0]
     has_history = history.shape[0] == cells.shape[0]
+    own = np.empty((cells.shape[1], 3))
     for e in range(start, stop):
+        _gather(u, cells[e], own)
         row = e if par.shape[0] > 1 else 0
         for g in range(weight.shape[1]):
-            _gradient(u, cells[e], grad[e, g], base, F_out[e, g])
+            _gradient(own, grad[e, g], base, F_out[e, g])
             second_piola(F_out[e, g], ops, par[row], S_out[e, g], CC, want, work)
             for q in range(6):
                 S_out[e, g, q] *= scale

@@ -17,8 +17,10 @@ from limbcli.materials.neo_hooke import add_neo_hooke
 from limbcli.materials.ogden import (
     add_ogden,
     add_ogden_exponent_derivative,
+    add_ogden_squares,
     add_uncoupled,
     add_uncoupled_exponent_derivative,
+    all_squares,
 )
 from limbcli.materials.tensors import determinant, eigen6, right_cauchy_green
 
@@ -48,6 +50,9 @@ def second_piola(F, ops, par, S, CC, tangent, work):
     spectral = False
     for leaf in range(ops.shape[0]):
         law, off, extra = ops[leaf, 0], ops[leaf, 1], ops[leaf, 2]
+        if law == OGDEN and all_squares(par, off, extra):
+            add_ogden_squares(par, off, extra, J, C, six[1], six[2], S, CC, tangent)
+            continue
         if not spectral and law in (OGDEN, UNCOUPLED, OGDEN_DM, UNCOUPLED_DM):
             eigen6(C, squares, vectors)
             for i in range(3):

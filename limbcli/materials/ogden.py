@@ -21,6 +21,7 @@ from numba import njit
 
 from limbcli.errors import SolveError
 from limbcli.materials.principal import add_principal
+from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, square6
 from limbcli.model import Material
 
 MAX_TERMS = 6
@@ -59,6 +60,60 @@ def power_quotient(m, si, sj, pi, pj):
 
 
 @njit(cache=True)
+def powers(x):
+    """exp(x) - 1, exp(x), exp(-x) - 1 and exp(-x), none of them by cancellation."""
+    above = np.expm1(abs(x))
+    high = 1.0 + above
+    if x >= 0.0:
+        return above, high, -above / high, 1.0 / high
+    return -above / high, 1.0 / high, above, high
+
+
+@njit(cache=True)
+def all_squares(par, off, n_terms):
+    """Whether all exponents are 2 or -2, so that no principal stretches are needed."""
+    n_others = 0
+    for k in range(n_terms):
+        if par[off + 1 + 2 * k] != 0.0 and abs(par[off + 2 + 2 * k]) != 2.0:
+            n_others += 1
+    return n_others == 0
+
+
+@njit(cache=True)
+def add_ogden_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
+    """`add_ogden` where all exponents are 2 or -2, in C, D = C^-1 and G = D^2 (6 each, the latter two set).
+
+    S = kappa (J - 1) J D + c+/2 (1 - D) + c-/2 (D - G), c+ and c- the sums of c_k of either sign.
+    """
+    inverse6(C, D)
+    square6(D, G)
+    plus, minus = 0.0, 0.0
+    for k in range(n_terms):
+        if par[off + 2 + 2 * k] > 0.0:
+            plus += par[off + 1 + 2 * k]
+        else:
+            minus += par[off + 1 + 2 * k]
+    inner = par[off] * (J - 1.0) * J + 0.5 * (minus - plus)
+    for q in range(6):
+        S[q] += inner * D[q] - 0.5 * minus * G[q]
+    for q in range(3):
+        S[q] += 0.5 * plus
+    if not tangent:
+        return
+    slope = par[off] * (2.0 * J - 1.0) * J
+    for p in range(6):
+        i, j = FIRST[p], SECOND[p]
+        for q in range(p, 6):
+            k, l = FIRST[q], SECOND[q]
+            ik, jl, il, jk = VOIGT[i, k], VOIGT[j, l], VOIGT[i, l], VOIGT[j, k]
+            value = slope * D[p] * D[q] - inner * (D[ik] * D[jl] + D[il] * D[jk])
+            value += 0.5 * minus * (D[ik] * G[jl] + D[il] * G[jk] + G[ik] * D[jl] + G[il] * D[jk])
+            CC[p, q] += value
+            if q > p:
+                CC[q, p] += value
+
+
+@njit(cache=True)
 def add_ogden(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
     """par[off:] = kappa, c1, m1, c2, m2, ...; logs = ln l_i."""
     pressure = par[off] * (J - 1.0) * J
@@ -68,15 +123,24 @@ def add_ogden(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, ta
         d[i] = 0.0
         for j in range(3):
             a[i, j] = slope
+    e0 = e1 = e2 = r0 = r1 = r2 = 0.0
+    p0 = p1 = p2 = q0 = q1 = q2 = 1.0
     for k in range(n_terms):
         c = par[off + 1 + 2 * k]
         if c == 0.0:
             continue
         m = par[off + 2 + 2 * k]
-        p0, p1, p2 = np.exp(m * logs[0]), np.exp(m * logs[1]), np.exp(m * logs[2])
-        tau[0] += c / m * np.expm1(m * logs[0])
-        tau[1] += c / m * np.expm1(m * logs[1])
-        tau[2] += c / m * np.expm1(m * logs[2])
+        if k > 0 and m == -par[off + 2 * k] and par[off + 2 * k - 1] != 0.0:  # of the term before
+            e0, p0, r0, q0 = r0, q0, e0, p0
+            e1, p1, r1, q1 = r1, q1, e1, p1
+            e2, p2, r2, q2 = r2, q2, e2, p2
+        else:
+            e0, p0, r0, q0 = powers(m * logs[0])
+            e1, p1, r1, q1 = powers(m * logs[1])
+            e2, p2, r2, q2 = powers(m * logs[2])
+        tau[0] += c / m * e0
+        tau[1] += c / m * e1
+        tau[2] += c / m * e2
         if tangent:
             a[0, 0] += c * p0
             a[1, 1] += c * p1

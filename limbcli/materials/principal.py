@@ -9,6 +9,7 @@ shear terms (d_ij - tau_i / l_i^2) / l_j^2.
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 from limbcli.materials.tensors import FIRST, SECOND
@@ -26,23 +27,30 @@ def add_principal(squares, vectors, tau, a, d, S, CC, tangent):
             S[p] += s * vectors[FIRST[p], i] * vectors[SECOND[p], i]
     if not tangent:
         return
+    P, H = np.empty((3, 6)), np.empty((3, 6))
     for i in range(3):
+        for p in range(6):
+            P[i, p] = vectors[FIRST[p], i] * vectors[SECOND[p], i]
+    for i in range(3):
+        H[i, :] = 0.0
         for j in range(3):
             value = a[i, j]
             if i == j:
                 value -= 2.0 * tau[i]
             value /= squares[i] * squares[j]
-            for p in range(6):
-                left = value * vectors[FIRST[p], i] * vectors[SECOND[p], i]
-                for q in range(6):
-                    CC[p, q] += left * vectors[FIRST[q], j] * vectors[SECOND[q], j]
+            for q in range(6):
+                H[i, q] += value * P[j, q]
+    for p in range(6):
+        for q in range(6):
+            CC[p, q] += P[0, p] * H[0, q] + P[1, p] * H[1, q] + P[2, p] * H[2, q]
     for pair in range(3):
         i = 1 if pair == 1 else 0
         j = 1 if pair == 0 else 2
         g = (d[pair] - tau[i] / squares[i]) / squares[j]
         for p in range(6):
             k, l = FIRST[p], SECOND[p]
-            left = g * (vectors[k, i] * vectors[l, j] + vectors[l, i] * vectors[k, j])
+            P[0, p] = vectors[k, i] * vectors[l, j] + vectors[l, i] * vectors[k, j]
+        for p in range(6):
+            left = g * P[0, p]
             for q in range(6):
-                k2, l2 = FIRST[q], SECOND[q]
-                CC[p, q] += left * (vectors[k2, i] * vectors[l2, j] + vectors[l2, i] * vectors[k2, j])
+                CC[p, q] += left * P[0, q]

@@ -28,22 +28,41 @@ def determinant(F):
 @njit(cache=True)
 def right_cauchy_green(F, C):
     """C = F'F into C (6)."""
-    for q in range(6):
-        i, j = FIRST[q], SECOND[q]
-        C[q] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
+    a, b, c = F[0, 0], F[0, 1], F[0, 2]
+    d, e, f = F[1, 0], F[1, 1], F[1, 2]
+    g, h, i = F[2, 0], F[2, 1], F[2, 2]
+    C[0] = a * a + d * d + g * g
+    C[1] = b * b + e * e + h * h
+    C[2] = c * c + f * f + i * i
+    C[3] = a * b + d * e + g * h
+    C[4] = b * c + e * f + h * i
+    C[5] = a * c + d * f + g * i
 
 
 @njit(cache=True)
 def inverse6(C, D):
     """Inverse of a symmetric tensor of six numbers into D."""
     a, b, c, d, e, f = C[0], C[1], C[2], C[3], C[4], C[5]
-    det = a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f)
-    D[0] = (b * c - e * e) / det
-    D[1] = (a * c - f * f) / det
-    D[2] = (a * b - d * d) / det
-    D[3] = (e * f - d * c) / det
-    D[4] = (d * f - a * e) / det
-    D[5] = (d * e - b * f) / det
+    x, y, z = b * c - e * e, e * f - d * c, d * e - b * f
+    part = 1.0 / (a * x + d * y + f * z)
+    D[0] = x * part
+    D[1] = (a * c - f * f) * part
+    D[2] = (a * b - d * d) * part
+    D[3] = y * part
+    D[4] = (d * f - a * e) * part
+    D[5] = z * part
+
+
+@njit(cache=True)
+def square6(A, B):
+    """B = A A, symmetric tensors of six numbers."""
+    a, b, c, d, e, f = A[0], A[1], A[2], A[3], A[4], A[5]
+    B[0] = a * a + d * d + f * f
+    B[1] = d * d + b * b + e * e
+    B[2] = f * f + e * e + c * c
+    B[3] = a * d + d * b + f * e
+    B[4] = d * f + b * e + e * c
+    B[5] = a * f + d * e + f * c
 
 
 @njit(cache=True)

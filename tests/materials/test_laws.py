@@ -142,6 +142,32 @@ def test_parameter_derivative_of_stress(name: str, parameter: str, states: np.nd
     np.testing.assert_allclose(total, numeric, atol=1e-6 * abs(numeric).max())
 
 
+def test_squares_need_no_principal_stretches(rng: np.random.Generator) -> None:
+    """Exponents 2 and -2 are computed from C itself: the same as in principal axes, at 2 (1 + 1e-9)."""
+    F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
+    F = F[np.linalg.det(F) > 0.1]
+    numbers = {"c1": 0.003, "m1": 2.0, "c2": 0.001, "m2": -2.0, "c3": 0.002, "m3": -2.0, "kappa": 0.4}
+    near = numbers | {"m1": 2.0 * (1 + 1e-9), "m2": -2.0 * (1 + 1e-9), "m3": -2.0 * (1 + 1e-9)}
+    plain, general = (second_piola_kirchhoff(Material("ogden", each), F) for each in (numbers, near))
+    for a, b in zip(plain, general, strict=True):
+        sizes = abs(b).max(axis=tuple(range(1, b.ndim)), keepdims=True)
+        assert (abs(a - b) / sizes).max() < 1e-6
+
+
+def test_opposite_exponents_share_their_powers() -> None:
+    """One after the other or apart: far out too, where a power less 1 would be lost by cancellation."""
+    F = np.diag([0.55, 1.3, 1.2])[None]
+    pair = {"c1": 0.003, "m1": 30.0, "c2": 0.002, "m2": -30.0, "kappa": 0.4}
+    apart = {"c1": 0.003, "m1": 30.0, "c2": 1e-30, "m2": 1.0, "c3": 0.002, "m3": -30.0, "kappa": 0.4}
+    for a, b in zip(
+        *(second_piola_kirchhoff(Material("ogden", each), F) for each in (pair, apart)), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14 * abs(b).max())
+    back = {"c1": 0.002, "m1": -30.0, "c2": 0.003, "m2": 30.0, "kappa": 0.4}
+    a, b = (second_piola_kirchhoff(Material("ogden", each), F)[0] for each in (pair, back))
+    np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14 * abs(b).max())
+
+
 def test_uniaxial_ogden_agrees_with_its_closed_form() -> None:
     c, kappa, m = 0.005, 0.5, 8.0
     F = np.diag([1.2879749417, 1.2879749417, 0.6])[None]
