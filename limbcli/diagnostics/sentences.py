@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.verdict import Diagnosis
 
 _WORDS = {
@@ -114,14 +115,20 @@ def _blind(found: Diagnosis) -> str:
 def _next(found: Diagnosis) -> str:
     if found.verdict != "ambiguous":
         return ""
-    useful = [step for step in found.next_steps if step.power >= 0.5]
+    best = best_step(found.next_steps)
+    useful = [
+        step for step in found.next_steps if best is not None and step.name == best[0] and step.power >= 0.5
+    ]
     if not useful:
         return "Next measurement: nothing on the menu would tell the explanations apart."
-    best = useful[0]
-    return (
-        f"Next measurement: {best.sentence}; it tells {best.pair[0]} from {best.pair[1]} with "
-        f"{100 * best.power:.0f} % power."
+    told, worst = useful[0], useful[-1]
+    text = (
+        f"Next measurement: {told.sentence}; it tells {told.pair[0]} from {told.pair[1]} with "
+        f"{100 * told.power:.0f} % power"
     )
+    if worst.pair != told.pair:
+        text += f", {worst.pair[0]} from {worst.pair[1]} with {100 * worst.power:.0f} %"
+    return text + "."
 
 
 def _left(found: Diagnosis) -> str:
