@@ -109,6 +109,10 @@ class _Run:
         if not self._is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
+        failed = [name for name in self._promising() if name in self.not_evaluated]
+        if failed:
+            why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"
+            return self._finish("ambiguous", why, best, (best,))
         return self._finish("named", "one explanation fits, and every other is excluded", best, (best,))
 
     def _explanations(self) -> list[Refit]:

@@ -15,7 +15,7 @@ from limbcli.diagnostics.score import Direction, Trial, cone_projection, score, 
 from limbcli.model import Array
 
 LEVEL = 0.025  # of the test against the best of the set
-ADEQUATE = 0.005  # of the tests of what is left: the model's own error is known only roughly
+ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
 _N_DRAWS = 4000
 _PAIRS_KEPT = 12

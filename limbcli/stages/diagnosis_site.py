@@ -49,8 +49,14 @@ class Change:
         total: Array | float = 0.0
         for name, (spline, null_and_step, linear) in self.splines.items():
             x = (theta[name] - null_and_step[0]) / null_and_step[1]
-            total = total + (x * linear if spline is None else spline(x))
+            total = total + (x * linear if spline is None else _within(spline, x))
         return np.asarray(total)
+
+
+def _within(spline: CubicSpline, x: float) -> Array:
+    """The spline between its ends, its tangent beyond them."""
+    inside = float(np.clip(x, spline.x[0], spline.x[-1]))
+    return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
 
 
 class SiteCurves:
