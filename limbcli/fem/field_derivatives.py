@@ -14,7 +14,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import kernels
 from limbcli.fem.fields import _STRESS, NODE_FIELDS, cell_fields
-from limbcli.fem.parameters import LawParameter, Parameter, programs
+from limbcli.fem.parameters import LawParameter, Parameter, Prestrain, Shape, Tied, programs
 from limbcli.fem.sensitivity import Sensitivity
 from limbcli.fem.state import State
 from limbcli.fem.system import System
@@ -41,19 +41,27 @@ def cell_field_derivatives(
                 where="derivative of a field",
                 fix="use J, F, E or stress components, and combine them",
             )
+    if isinstance(parameter, Shape | Prestrain):
+        raise SolveError(
+            "fields of cells have no derivative by their own places or prestrain",
+            where="derivative of a field",
+            fix="difference two solves; nodes and forces have theirs",
+        )
     v = sensitivity.displacement
     h = _STEP_MM / max(float(abs(v).max()), 1e-30)
     up, down = (
         cell_fields(system, replace(state, u=state.u + sign * h * v), number, fields) for sign in (1.0, -1.0)
     )
     out = (up - down) / (2 * h)
-    if isinstance(parameter, LawParameter):
-        found = programs(system, parameter).get(number, [])
+    parts = parameter.parts if isinstance(parameter, Tied) else ()
+    parts = ((parameter, 1.0),) if isinstance(parameter, LawParameter) else parts
+    for part, rate in parts:
+        found = programs(system, part).get(number, [])
         direct = sum((_stress_change(system, state, number, each) for each in found), np.zeros(()))
         for k, name in enumerate(fields):
             if name in _STRESS and direct.ndim:
                 i, j = np.argwhere(_STRESS[name] == VOIGT)[0]
-                out[:, k] += direct[:, :, i, j].mean(axis=1)
+                out[:, k] += rate * direct[:, :, i, j].mean(axis=1)
     return out
 
 

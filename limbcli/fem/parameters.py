@@ -13,11 +13,12 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem import contact_kernels, kernels
+from limbcli.fem.groups import Operands
 from limbcli.fem.penalty import penalty_derivative
 from limbcli.fem.state import State
 from limbcli.fem.system import System
 from limbcli.materials import Program
-from limbcli.model import Array
+from limbcli.model import Array, Curved
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,18 @@ class Shape:
     _systems: dict[int, Any] = field(default_factory=dict)
 
 
-Parameter = LawParameter | Tied | BodyMotion | Shape
+@dataclass(frozen=True, eq=False)
+class Prestrain:
+    """The prestrain of a material's regions: F0 moves by `direction` (3, 3) per unit theta; without a
+    direction its ramp by one (before its load curve, where it follows one). The residual's dependence is
+    taken by central differences of `step`, the response's dependence on the residual exactly."""
+
+    material: str
+    direction: Array | None = None
+    step: float = 1e-5
+
+
+Parameter = LawParameter | Tied | BodyMotion | Shape | Prestrain
 
 
 def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
@@ -76,6 +88,8 @@ def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, 
         )
     if isinstance(parameter, BodyMotion):
         return _motion(system, state, parameter)
+    if isinstance(parameter, Prestrain):
+        return _prestrain(system, state, parameter)
     return _shape(system, state, parameter)
 
 
@@ -170,3 +184,41 @@ def _moved_system(system: System, parameter: Shape, sign: float) -> System:
             model, supports=system.supports, drives=system.drives, threads=system.threads.n
         )
     return parameter._systems[key]  # type: ignore[no-any-return]
+
+
+def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Array, Array]:
+    mine = [
+        k
+        for k, group in enumerate(system.groups)
+        if group.material.name == parameter.material and group.material.prestrain is not None
+    ]
+    if not mine:
+        raise SolveError(
+            f"no region of {parameter.material!r} has a prestrain",
+            where="derivative with respect to a prestrain",
+            fix=f"use one of {sorted({g.material.name for g in system.groups if g.material.prestrain})}",
+        )
+    nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
+    for k in mine:
+        for sign in (1.0, -1.0):
+            o = _nudged(system, k, parameter, sign * parameter.step)
+            part = np.zeros_like(nodal)
+            kernels.internal_force(0, len(o.cells), state.u, *o.arguments(), part)
+            nodal += sign * part / (2.0 * parameter.step)
+    system.gather_tied(state, nodal, bodies)
+    return nodal, bodies
+
+
+def _nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:
+    """A group's operands with its prestrain moved."""
+    group = system.groups[number]
+    assert group.material.prestrain is not None
+    F0, ramp = group.material.prestrain
+    if parameter.direction is not None:
+        F0 = F0 + change * np.asarray(parameter.direction, dtype=float)
+    elif isinstance(ramp, Curved):
+        ramp = replace(ramp, value=ramp.value + change)
+    else:
+        ramp = float(ramp) + change  # type: ignore[arg-type]
+    moved = group.with_material(replace(group.material, prestrain=(F0, ramp)))
+    return moved.at(system.curve, scale=system.scales[number], history=system.histories[number])

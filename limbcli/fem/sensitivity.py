@@ -14,13 +14,22 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.newton import Newton
-from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Shape, partial
+from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Prestrain, Shape, partial
 from limbcli.fem.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.fem.tangent import gmres
 from limbcli.model import Array
 
-__all__ = ["BodyMotion", "LawParameter", "Parameter", "Sensitivity", "Shape", "partial", "sensitivities"]
+__all__ = [
+    "BodyMotion",
+    "LawParameter",
+    "Parameter",
+    "Prestrain",
+    "Sensitivity",
+    "Shape",
+    "partial",
+    "sensitivities",
+]
 
 _TOLERANCE = 1e-7
 _ENOUGH = 1e-6

@@ -21,7 +21,7 @@ from limbcli.solvers.reference import NAME, prepare
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
-    from limbcli.fem.parameters import LawParameter, Tied
+    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
     from limbcli.fem.warm import WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
@@ -120,7 +120,7 @@ class ReferenceSession:
                 rows[record.file].append(record_rows(system, state, snapshot.forces, record))
             if gradients and snapshot.must:
                 pairs: list[sensitivity.Parameter] = [
-                    _law_parameter(each, moved.get(each)) for each in gradients
+                    _law_parameter(each, moved.get(each), model) for each in gradients
                 ]
                 found = sensitivity.sensitivities(running.newton, state, snapshot.forces, pairs)
                 b = [body.name for body in system.bodies].index(self.body)
@@ -215,10 +215,15 @@ def tied_parts(name: str) -> list[tuple[str, float]]:
     return [(part, -1.0 if sign == "-" else 1.0) for sign, part in re.findall(r"([+-]?)([^+-]+)", name)]
 
 
-def _law_parameter(key: Parameter, weights: Array | None) -> LawParameter | Tied:
-    from limbcli.fem.parameters import LawParameter, Tied
+def _law_parameter(
+    key: Parameter, weights: Array | None, model: LimbModel
+) -> LawParameter | Tied | Prestrain:
+    """What a key stands for; "ramp" of a prestrained material is its prestrain's."""
+    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
 
     material, name = key
+    if name == "ramp" and model.materials[material].law == "prestrain":
+        return Prestrain(material)
     parts = tied_parts(name)
     if len(parts) == 1:
         return LawParameter(material, name, weights=weights)

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_models import punch
 
+from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.field_derivatives import cell_field_derivatives
 from limbcli.fem.fields import cell_fields
 from limbcli.fem.newton import Settings
+from limbcli.fem.parameters import Tied
 from limbcli.fem.rigid import rotation_matrix
-from limbcli.fem.sensitivity import BodyMotion, LawParameter, Parameter, Shape, sensitivities
+from limbcli.fem.sensitivity import (
+    BodyMotion,
+    LawParameter,
+    Parameter,
+    Prestrain,
+    Sensitivity,
+    Shape,
+    sensitivities,
+)
 from limbcli.materials import ogden_type
-from limbcli.model import ElementMap, LimbModel, Material
+from limbcli.model import Curved, ElementMap, LimbModel, Material
+from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)
 FIBRES = Material(
@@ -122,6 +134,23 @@ def test_force_by_thickness() -> None:
     check(model, Shape(directions), change, 1e-3)
 
 
+@pytest.mark.parametrize("what", ["ramp", "ramp on a curve", "F0"])
+def test_force_by_prestrain(what: str, rng: np.random.Generator) -> None:
+    F0 = np.diag([1.04, 1.02, 0.96]) + 0.01 * rng.standard_normal((3, 3))
+    direction = rng.standard_normal((3, 3)) if what == "F0" else None
+
+    def law(h: float) -> Material:
+        moved = F0 if direction is None else F0 + h * direction
+        ramp = 0.7 if direction is not None else 0.7 + h
+        value = Curved(ramp, "ramp") if what == "ramp on a curve" else ramp
+        return Material("prestrain", {"F0": tuple(moved.ravel().tolist()), "ramp": value}, (PLAIN,))
+
+    def change(model: LimbModel, h: float) -> LimbModel:
+        return model.with_material("tissue", law(h))
+
+    check(small(material=law(0.0)), Prestrain("tissue", direction), change, 1e-4)
+
+
 def test_force_by_parameter_with_tet10() -> None:
     value = PLAIN.parameters["m1"]
 
@@ -131,27 +160,45 @@ def test_force_by_parameter_with_tet10() -> None:
     check(small("tet10"), LawParameter("tissue", "m1"), change, 1e-3)
 
 
-@pytest.mark.parametrize("name", ["c1", "m1", "kappa"])
-def test_cell_fields_by_law_parameter(name: str) -> None:
-    """J, F and stresses of every cell against central differences of whole solves."""
+@pytest.mark.parametrize("rates", [{"c1": 1.0}, {"m1": 1.0}, {"kappa": 1.0}, {"m1": 1.0, "m2": -1.0}])
+def test_cell_fields_by_law_parameter(rates: dict[str, float]) -> None:
+    """J, F and stresses of every cell against central differences of whole solves; of tied ones too."""
     fields = ("J", "Fxx", "Fzx", "sz", "sxy", "Ez", "z")
-    value = PLAIN.parameters[name]
-    h = 1e-4 * abs(value)
+    h = 1e-4 * abs(PLAIN.parameters[next(iter(rates))])
 
-    def solved(number: float) -> tuple[Analysis, Snapshot]:
-        material = PLAIN.with_parameters(**{name: number})
-        analysis = Analysis(small("tet4", material), TIGHT)
+    def solved(change: float) -> tuple[Analysis, Snapshot]:
+        numbers = {name: PLAIN.parameters[name] + rate * change for name, rate in rates.items()}
+        analysis = Analysis(small("tet4", PLAIN.with_parameters(**numbers)), TIGHT)
         return analysis, analysis.run()[-1]
 
-    analysis, last = solved(value)
-    parameter = LawParameter("tissue", name)
+    analysis, last = solved(0.0)
+    parameter = Tied(tuple((LawParameter("tissue", name), rate) for name, rate in rates.items()))
     (found,) = sensitivities(analysis.newton, last.state, last.forces, [parameter])
     exact = cell_field_derivatives(analysis.system, last.state, 0, fields, parameter, found)
     sides = []
     for sign in (1, -1):
-        other, end = solved(value + sign * h)
+        other, end = solved(sign * h)
         sides.append(cell_fields(other.system, end.state, 0, fields))
     numeric = (sides[0] - sides[1]) / (2 * h)
     np.testing.assert_allclose(
         exact / abs(numeric).max(axis=0), numeric / abs(numeric).max(axis=0), atol=1e-5
     )
+
+
+def test_cell_fields_by_their_own_places_are_refused() -> None:
+    analysis = Analysis(small(), TIGHT)
+    last = analysis.run()[-1]
+    parameter = Shape(np.zeros_like(analysis.system.X))
+    nothing = Sensitivity(np.zeros_like(analysis.system.X), np.zeros((1, 6)))
+    with pytest.raises(SolveError, match="no derivative by their own places"):
+        cell_field_derivatives(analysis.system, last.state, 0, ("J",), parameter, nothing)
+
+
+def test_a_session_knows_the_ramp_of_a_prestrain() -> None:
+    taut = tuple(np.diag([1.04, 1.02, 0.96]).ravel().tolist())
+    model = small(material=Material("prestrain", {"F0": taut, "ramp": 0.7}, (PLAIN,)))
+    with closing(ReferenceSession(model, threads=1, tolerance=1e-10)) as session:
+        result = session.solve(wrt=[("tissue", "ramp"), ("tissue", "c1")])
+    _, _, exact = response(model, Prestrain("tissue"))
+    assert result.force_gradient["tissue", "ramp"][-1] == pytest.approx(-exact.bodies[0, 2], rel=1e-6)
+    assert not result.differenced
