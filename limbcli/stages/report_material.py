@@ -104,6 +104,8 @@ def _stale(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
     pairs: list[tuple[Outcome | None, Outcome | None]] = []
     for site in sites:
         chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
+        if _is_of_the_model(outcomes.of("build-feb", site), outcomes.of("fit", site)):
+            chain.pop()
         pairs += pairwise(each for each in chain if each.result)
         pairs += [(outcomes.of(before, site), outcomes.maybe(after, site)) for before, after in _EXTRA]
         joint = outcomes.maybe("fit-joint")
@@ -111,6 +113,14 @@ def _stale(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
             pairs.append((outcomes.of("build-feb", site), joint))
     told = [_older(before, after) for before, after in pairs]
     return [each for each in told if each]
+
+
+def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
+    """Whether a fit was made from the very model that lies there, whenever that was written."""
+    if built.result is None or fitted.result is None:
+        return False
+    model = built.result.data.get("model_sha256")
+    return model is not None and fitted.result.provenance.get("inputs_sha256", {}).get("model") == model
 
 
 def _older(before: Outcome | None, after: Outcome | None) -> str:

@@ -433,6 +433,22 @@ def test_a_result_older_than_its_source_is_told(tmp_path):
     assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
 
 
+def test_a_fit_of_the_very_model_is_not_called_old(tmp_path):
+    """A batch writes the same model again; a fit made by hand before it stays true."""
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    with open_stage(out, "build-feb", subject="S1", site="p1") as writer:
+        writer.data["model_sha256"] = "0123"
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
+    path.write_text(json.dumps(content))
+    assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
+    content["provenance"]["inputs_sha256"]["model"] = "0123"
+    path.write_text(json.dumps(content))
+    assert not any("older" in text for text in gather(case, out=out).notices)
+
+
 def test_users_template_replaces_ours(tmp_path):
     case = make_case(tmp_path / "case")
     (tmp_path / "mine" / "report").mkdir(parents=True)
