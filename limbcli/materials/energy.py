@@ -8,6 +8,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.materials import dispatch
+from limbcli.materials.fiber import A0
 from limbcli.model import Array
 
 
@@ -72,8 +73,8 @@ def _I4(p: Array, at: int, C: Array) -> Array:
 
 
 def _fiber(p: Array, C: Array) -> Array:
-    a = _direction(p, 5, C)
-    I4 = _I4(p, 5, C)
+    a = _direction(p, A0, C)
+    I4 = _I4(p, A0, C)
     x = np.maximum(I4 - p[:, 4] ** 2, 0.0)
     alpha, beta = p[:, 1], p[:, 2]
     small = np.abs(alpha) < 1e-12

@@ -5,7 +5,8 @@
 (alpha = 0: ksi/beta x^beta). Up to lam0^2 fibre and shear term vanish both.
 
 A sheared fibre that begins to be stretched makes the stress of the shear term jump. Cells that would have
-to stand on the jump have no equilibrium, so the term comes in linearly between I4 = lam0^2 and lam0^2 + JUMP.
+to stand on the jump have no equilibrium, so the term comes in linearly between I4 = lam0^2 and lam0^2 + JUMP
+(or the parameter `band`, which FEBio does not have: a wider one is solved sooner).
 The slope of that belongs to no energy: its tangent is not symmetric, and is added only where it is asked for.
 
 Active contraction: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
@@ -22,7 +23,7 @@ from numba import njit
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
 
 JUMP = 1e-3
-KSI, ALPHA, BETA, MU, LAM0, A0 = 0, 1, 2, 3, 4, 5
+KSI, ALPHA, BETA, MU, LAM0, BAND, A0 = 0, 1, 2, 3, 4, 5, 6
 
 
 @njit(cache=True)
@@ -57,7 +58,8 @@ def add_fiber(par, off, sloped, C, A, S, CC, tangent):
     if par[off + LAM0] ** 2 >= I4:
         return
     x = I4 - par[off + LAM0] ** 2
-    part = min(x / JUMP, 1.0)
+    band = par[off + BAND]
+    part = min(x / band, 1.0)
     e = np.exp(alpha * x**beta)
     slope = ksi * x ** (beta - 1.0) * e
     curve = 0.0
@@ -70,9 +72,9 @@ def add_fiber(par, off, sloped, C, A, S, CC, tangent):
     for p in range(6):
         shear = mu * (symmetric_product(A, C, p) - A[p])
         S[p] += 2.0 * slope * A[p] + part * shear
-        if tangent and sloped and x < JUMP:
+        if tangent and sloped and x < band:
             for q in range(6):
-                CC[p, q] += 2.0 * shear / JUMP * A[q]
+                CC[p, q] += 2.0 * shear / band * A[q]
     if not tangent:
         return
     mu *= part

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from limbcli.materials import dispatch
+from limbcli.materials.fiber import JUMP
 from limbcli.materials.ogden import MAX_TERMS
 
 Values = Mapping[str, Any]
@@ -92,9 +93,9 @@ LEAVES: Mapping[str, Law] = {
     ),
     "fiber_exp_pow": Law(
         dispatch.FIBER,
-        {"ksi": None, "alpha": 0.0, "beta": 2.0, "mu": 0.0, "lam0": 1.0},
-        lambda v: [v["ksi"], v["alpha"], v["beta"], v["mu"], v["lam0"]],
-        {1: (dispatch.FIBER_D, 1), 2: (dispatch.FIBER_D, 2), 4: _FIXED},
+        {"ksi": None, "alpha": 0.0, "beta": 2.0, "mu": 0.0, "lam0": 1.0, "band": JUMP},
+        lambda v: [v["ksi"], v["alpha"], v["beta"], v["mu"], v["lam0"], v["band"]],
+        {1: (dispatch.FIBER_D, 1), 2: (dispatch.FIBER_D, 2), 4: _FIXED, 5: _FIXED},
         fiber=True,
     ),
     "active_contraction": Law(dispatch.CONTRACTION, {"T0": None}, lambda v: [v["T0"]], fiber=True),

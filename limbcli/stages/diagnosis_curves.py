@@ -25,7 +25,7 @@ from limbcli.feb.settings import schedule
 from limbcli.files import atomic_file
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.swe_prediction import Window, predict_map
-from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord, Material
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit_curves import with_tissue
@@ -36,6 +36,7 @@ _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
+_BAND = 0.05  # of I4
 _FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
 
 
@@ -201,7 +202,7 @@ class CurveBook:
 
     def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
-        model = self.model_with(m, ingredients)
+        model = _softer_jumps(self.model_with(m, ingredients))
         if any(contact.friction for contact in model.contacts):
             model = _fewer_steps(model, _PATH_STEPS * self.n_depths)
         same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
@@ -325,6 +326,18 @@ class CurveBook:
 def _touches_loads(effect: Effect) -> bool:
     """Contact, supports and bodies are set up with a session; only materials may change in it."""
     return effect.name in ("friction", "contact", "crop", "support-motion")
+
+
+def _softer_jumps(model: LimbModel) -> LimbModel:
+    """Sheared fibres come in over a wider band of their stretch: a diagnosis need not resolve the jump."""
+
+    def soften(material: Material) -> Material:
+        parts = tuple(map(soften, material.parts))
+        if material.law == "fiber_exp_pow" and material.parameters.get("mu"):
+            material = material.with_parameters(band=_BAND)
+        return replace(material, parts=parts) if parts else material
+
+    return replace(model, materials={name: soften(each) for name, each in model.materials.items()})
 
 
 def _fewer_steps(model: LimbModel, n: int) -> LimbModel:

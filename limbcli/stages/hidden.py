@@ -103,7 +103,7 @@ def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
     """Mildly exponential fibres (alpha 1.5) with the same stiffness at small stretch."""
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
-        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0,
+        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0, "band": 0.02,
         "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model),
     }  # fmt: skip
     return with_part(model, Material("fiber_exp_pow", fibre))
