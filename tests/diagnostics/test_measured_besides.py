@@ -1,0 +1,47 @@
+"""Numbers measured besides, and sites that share a place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.errors import CaseError
+from limbcli.stages.diagnosis_menu import items, known
+
+DEPTH = np.linspace(0, 10, 11)
+CURVES = Curves(DEPTH, 0.2 * DEPTH**1.5, np.zeros((11, 0)), np.zeros(0), 30.0)
+PROTOCOL = Protocol(np.arange(5.0), np.linspace(0, 8, 5), np.full(5, 20.0))
+
+
+def test_each_number_is_what_a_reading_says_of_it():
+    found = {e.name: e for e in known({"tare_n": 0.4, "force_gain": 1.02, "first_depth_mm": 0.5})}
+    assert set(found) == {"tare", "known weight", "lift-off"}
+    reading = Reading(force_zero=0.4, force_gain=1.02, depth_zero=0.5)
+    for each in found.values():
+        assert each.see(CURVES, reading, PROTOCOL) == pytest.approx(each.y, abs=1e-9)
+        assert each.see(CURVES, Reading(), PROTOCOL) != pytest.approx(each.y, abs=1e-3)
+
+
+def test_rate_ratio_is_one_for_an_elastic_tissue_and_more_for_a_relaxing_one():
+    (extra,) = known({"rate_ratio": 1.2})
+    assert extra.see(CURVES, Reading(), PROTOCOL)[0] == pytest.approx(0.0)
+    assert extra.see(CURVES, Reading(prony=((0.5, 3.0),)), PROTOCOL)[0] > 0.1
+    assert extra.y[0] == pytest.approx(np.log(1.2))
+
+
+def test_unloading_of_a_relaxing_tissue_lies_below_its_loading():
+    unload = next(item for item in items() if item.name == "unload")
+    back = unload.see(CURVES, Reading(prony=((0.5, 20.0),)), PROTOCOL)
+    elastic = unload.see(CURVES, Reading(), PROTOCOL)
+    assert len(back) == len(PROTOCOL) - 1
+    assert elastic == pytest.approx(0.2 * PROTOCOL.depth[-2::-1] ** 1.5, abs=2e-3)
+    assert np.all(back[:3] < elastic[:3])
+
+
+@pytest.mark.parametrize(("key", "value"), [("tare", 0.4), ("rate_ratio", -1.0), ("tare_n", float("nan"))])
+def test_what_cannot_be_is_refused_with_what_can(key, value):
+    with pytest.raises(CaseError) as caught:
+        known({key: value})
+    assert caught.value.where == "--measured"
+    assert caught.value.fix
