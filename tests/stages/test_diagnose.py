@@ -80,7 +80,7 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     content = json.loads(found.path("diagnosis").read_text())
     assert ["force-zero"] in content["confidence_set"]
     assert {"poroelasticity", "support-motion"} <= set(content["not_evaluated"])
-    assert {each["name"] for each in content["numerical"]} == {"crop", "contact"}
+    assert {each["name"] for each in content["numerical"]} == {"crop", "contact", "f-kappa"}
     assert content["numerical"][0]["largest_change_in_deviations"] < 0.05  # a block without a cut
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
     assert read_feb(found.path("feb")).materials["tissue"].law == "ogden"

@@ -17,9 +17,17 @@ def _true() -> TrueLevels:
     return TrueLevels(np.array([0.0, 2.0, 4.0]), np.array([0.0, 3.0, 5.0]), (swe,) * 3, 30.0)
 
 
+def _trace() -> np.ndarray:
+    """Three holds of 6 s with ramps of 1 s between, at 10 Hz: time, force, depth, accelerations."""
+    at = np.array([0.0, 6.0, 7.0, 13.0, 14.0, 20.0])
+    time = np.arange(0.0, 20.0, 0.1)
+    force, depth = (np.interp(time, at, np.repeat(levels, 2)) for levels in (_true().force, _true().depth))
+    return np.column_stack([time, force, depth, np.zeros((len(time), 3))])
+
+
 def _readings() -> Readings:
     true = _true()
-    return Readings(true.force, true.depth, true.maps, 30.0 - true.depth, 6.0, np.zeros((0, 5)))
+    return Readings(true.force, true.depth, true.maps, 30.0 - true.depth, 6.0, _trace())
 
 
 def shown(text: str) -> Readings:
@@ -52,6 +60,18 @@ def test_relaxation_leaves_more_force_and_faster_waves():
     assert found.force[0] == 0.0
     assert np.all(found.force[1:] > _true().force[1:])
     assert found.maps[0].speed_m_per_s == pytest.approx([2 * np.sqrt(1.3)] * 3)
+    time, force = found.trace[:, 0], found.trace[:, 1]
+    early, late = force[np.abs(time - 7.5).argmin()], force[np.abs(time - 12.9).argmin()]
+    assert early > late > 2.0  # it falls while the depth is held
+    assert found.trace[:, 2] == pytest.approx(_trace()[:, 2])
+    assert late == pytest.approx(found.force[1], rel=0.02)  # as the level's own reading
+
+
+def test_the_record_is_misread_as_the_levels_are():
+    assert shown("force-zero=1.5").trace[:, 1] == pytest.approx(_trace()[:, 1] + 1.5)
+    assert shown("depth-zero=1.2").trace[:, 2] == pytest.approx(_trace()[:, 2] - 1.2)
+    assert shown("depth-gain=1.05").trace[:, 2] == pytest.approx(_trace()[:, 2] / 1.05)
+    assert shown("preload=2").trace[:, 1] == pytest.approx(_trace()[:, 1] - 2.0)
 
 
 @pytest.mark.parametrize(
