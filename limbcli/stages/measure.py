@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_
 from limbcli.measurement.indentation import (
     Levels,
     Trace,
+    check_levels,
     check_values,
     doubts_about_levels,
     read_levels,
@@ -98,7 +100,9 @@ def _measure_site(site: Site, out: Path, writer: StageWriter, progress: Progress
     path = writer.file("levels", "levels.csv")
     path.write_text(text, encoding="utf-8")
     if {"force_n", "depth_mm"} <= set(columns):
-        read_levels(path)  # what a later stage would refuse is refused here
+        # What a later stage would refuse is refused here.
+        found = [replace(each, where=f"the levels of site {site.name}") for each in check_levels(path)[1]]
+        raise_errors(found, MeasurementError)
         writer.warnings.extend(doubts_about_levels(path))
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
@@ -264,6 +268,14 @@ def _write_maps(site: Site, result: StageResult) -> None:
 
 
 def _write_levels(site: Site, text: str) -> None:
+    lacking = [each for each in ("force_n", "depth_mm") if each not in text.splitlines()[0].split(",")]
+    if lacking:
+        raise MeasurementError(
+            f"no levels.csv was written: the instruments gave no {' and no '.join(lacking)}",
+            where=f"site {site.name}",
+            fix="add [site.load_cell] and [site.b_mode], or write these columns by hand; what was "
+            "read is in the output folder",
+        )
     if site.levels.exists():
         raise CaseError(
             "levels.csv is there already and is not overwritten",

@@ -227,3 +227,14 @@ def test_level_0_may_follow_the_air_without_a_gap(folder: Path, tmp_path: Path, 
     later = record(rng, levels=(*FORCES[1:], 8.0))
     late = measure(cell_only(folder, tmp_path, later.time, later.force), out=tmp_path / "late")[0]
     assert any("depths count from there" in text for text in late.warnings)
+
+
+def test_half_a_table_is_not_written_into_the_case(folder: Path, tmp_path: Path):
+    text = (folder / "case.toml").read_text()
+    case = without(folder, tmp_path / "case", "-")
+    (case.folder / "case.toml").write_text(
+        text[: text.index("[site.load_cell]")] + text[text.index("[site.swe") :]
+    )
+    with pytest.raises(MeasurementError, match="no force_n and no depth_mm"):
+        measure(Case.open(case.folder), out=tmp_path / "a", write=True)
+    assert not (case.folder / "p1.csv").exists()
