@@ -19,6 +19,7 @@ _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _MAX_KRYLOV = 40
 _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _LARGE = 6_000  # equations, from which on single precision pays
+_TIGHTEST = (1e-4, 1e-2)  # to which the linear system of a step is solved: near equilibrium, far from it
 _FRESH = 3.0  # Krylov iterations a decade takes with a fresh factor
 
 
@@ -238,12 +239,18 @@ class Newton:
         raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
-        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
+        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow.
+
+        While the set of touching points changes, a step gains a decade or so, however well it is
+        solved for.
+        """
         if self.inverse is None or self.debt > 1.0:
             self.refresh(state, forces)
         elif renew or self.tangent is None:
             self.tangent = assemble(self.system, state, forces.nodal)
-        forcing = float(np.clip(0.3 * target / forces.error, 1e-4, min(0.1, forces.error**0.5)))
+        least = float(np.clip(forces.error, *_TIGHTEST))
+        most = max(least, min(0.1, forces.error**0.5))
+        forcing = float(np.clip(0.3 * target / forces.error, least, most))
         step = self.solve_linear(state, -forces.residual, forcing)
         if self.stuck:  # the factor is too old to be of use
             self.refresh(state, forces)
