@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +38,7 @@ _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
+_LEAST_ALLOWED, _TIMES_MOST = 400, 5.0  # iterations of a candidate's solve; those of the model without it
 _BAND = 0.05  # of I4
 _FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
 
@@ -142,7 +145,8 @@ class CurveBook:
         record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
         self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.keep, self.progress = keep, progress
+        self.keep, self.progress = keep, progress.also(self._watch)
+        self._iterations, self._most, self._allowed = 0, 0, math.inf
         self.tolerance, self.threads = tolerance, threads
         self.n_solves, self.n_depths = 0, len(depths)
         self._session: ReferenceSession | None = None
@@ -205,12 +209,15 @@ class CurveBook:
         model = _softer_jumps(self.model_with(m, ingredients))
         if any(contact.friction for contact in model.contacts):
             model = _fewer_steps(model, _PATH_STEPS * self.n_depths)
+        self._iterations = 0
+        self._allowed = max(_LEAST_ALLOWED, _TIMES_MOST * self._most) if ingredients else math.inf
         same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
             try:
                 result = session.solve(model, records=True)
             finally:
+                self._allowed = math.inf
                 if not same_mesh:
                     session.close()
         except ArithmeticError as error:
@@ -233,10 +240,20 @@ class CurveBook:
             table.values[found],
         )
         if not ingredients:
+            self._most = max(self._most, self._iterations)
             self._kinematics[key] = self._deformation(model, curves.depth, table.values[found])
             self._store_deformation(key, table.values[found])
         self._store(key, curves)
         return curves
+
+    def _watch(self, kind: str, facts: dict[str, Any]) -> None:
+        """A candidate that takes many times the iterations of the model without it is given up."""
+        self._iterations += kind == "newton"
+        if self._iterations > self._allowed:
+            raise SolveError(
+                f"it takes more than {self._allowed:.0f} iterations", where="diagnose",
+                fix="run the written model by itself",
+            )  # fmt: skip
 
     def _deformation(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
         n = len(self.cells)
