@@ -103,13 +103,13 @@ def confusion(rows: list[dict], path: Path) -> None:
         table[truths.index(" + ".join(r["truth"]) or r["arm"]), answers.index(answer)] += 1
     figure = Figure(figsize=(2.5 + 0.45 * len(answers), 1.5 + 0.35 * len(truths)), layout="constrained")
     ax = figure.subplots()
-    ax.imshow(
-        table / np.maximum(table.sum(axis=1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1, aspect="auto"
-    )
+    share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
+    ax.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     ax.set_xticks(range(len(answers)), answers, rotation=60, ha="right", fontsize=8)
     ax.set_yticks(range(len(truths)), truths, fontsize=8)
     for i, j in zip(*np.nonzero(table), strict=True):
-        ax.text(j, i, f"{table[i, j]:.0f}", ha="center", va="center", fontsize=8)
+        color = "white" if share[i, j] > 0.6 else "black"
+        ax.text(j, i, f"{table[i, j]:.0f}", ha="center", va="center", fontsize=8, color=color)
     ax.set_xlabel("answer")
     ax.set_ylabel("hidden")
     figure.savefig(path, dpi=150)
