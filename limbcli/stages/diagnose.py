@@ -30,7 +30,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
-from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS
+from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS, Intervention
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.indentation_model import indentation_model, starting_depth
@@ -201,7 +201,10 @@ class _Diagnosed:
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
         lines = sentences(found)
-        moved = [i.name for i in mine.interventions if i.deviations > MATTERS]
+        moved = [i.name for i in mine.interventions if i.deviations > MATTERS and i.name != "locking"]
+        lines[1:1] = [
+            _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > MATTERS
+        ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
         content["sentences"] = lines
@@ -228,3 +231,11 @@ class _Diagnosed:
             each = bench.effects[name]
             model = each.apply(model, {**each.null, **theta, **point})
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
+
+
+def _locked(found: Intervention) -> str:
+    times = float(np.exp(-np.min(found.log_force)))
+    return (
+        f"LOCKING: with the linear elements of the site's own run the force is up to {times:.2f} times too high; "
+        "that is the mesh, not tissue. Diagnosed with quadratic ones."
+    )

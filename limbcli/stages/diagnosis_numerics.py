@@ -172,9 +172,7 @@ class Numerics:
                 found.append(self._intervene(numerical))
             except LimbError as error:
                 self.notes.data.setdefault("numerical_not_evaluated", {})[numerical.name] = error.what
-        if self.case.model.element == "tet4":
-            found += self._locking()
-        return found
+        return found + self._locking()
 
     def _intervene(self, numerical: Effect) -> Intervention:
         plain_curves = self.book.curves(2.0)
@@ -182,11 +180,12 @@ class Numerics:
         return self._judged(numerical.name, plain_curves, changed, numerical.sentence)
 
     def _locking(self) -> list[Intervention]:
-        """The case asks for linear elements: what the site's own tet4 run gives against the working tet10."""
+        """Where the site's own run is of linear elements: what it gives against the working tet10."""
         try:
             element, depth, force = self._start_run()
         except LimbError as error:
-            self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
+            if self.case.model.element == "tet4":
+                self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
             return []
         if element != "tet4":
             return []
