@@ -236,6 +236,6 @@ class _Diagnosed:
 def _locked(found: Intervention) -> str:
     times = float(np.exp(-np.min(found.log_force)))
     return (
-        f"LOCKING: with the linear elements of the site's own run the force is up to {times:.2f} times too high; "
-        "that is the mesh, not tissue. Diagnosed with quadratic ones."
+        f"LOCKING: with the linear elements of the site's own run the force is up to {times:.2f} times too "
+        "high; that is the mesh, not tissue. Diagnosed with quadratic ones."
     )
