@@ -22,7 +22,7 @@ from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.reading import true_depth
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model_io import load_model
@@ -33,6 +33,7 @@ from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS, Intervention
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
@@ -158,9 +159,7 @@ class _Diagnosed:
                 )  # fmt: skip
             bench = SiteBench.joint([each.curves for each in prepared])
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
-                bench.turned = lambda: turned_by_90(
-                    self.case, prepared[0], out=self.out, mesh=self.options.mesh, progress=self.progress
-                )
+                bench.turned = lambda: self._turned(prepared[0])
             found = diagnose_bench(
                 bench, max_effects=self.options.max_effects, seed=self.options.seed, progress=self.progress
             )
@@ -168,6 +167,17 @@ class _Diagnosed:
         finally:
             for each in prepared:
                 each.close()
+
+    def _turned(self, prepared: Prepared) -> SiteCurves:
+        """The probe turned by 90 degrees; why not is told where it cannot be simulated."""
+        try:
+            return turned_by_90(
+                self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
+            )
+        except LimbError as error:
+            text = f"the probe turned by 90 degrees is not on the menu of measurements: {error.what}"
+            prepared.notes.warnings.append(text)
+            raise
 
     def _leave(self, found: Diagnosis, bench: SiteBench, all_: list[Prepared], k: int) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,14 @@ from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.reading import Curves
 from limbcli.effects.tissue import thickness
 from limbcli.effects.waves import log_speed
-from limbcli.errors import LimbError, MeasurementError, SolveError
+from limbcli.errors import MeasurementError, SolveError
 from limbcli.feb.settings import schedule
 from limbcli.files import atomic_file
-from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.swe_prediction import Window, predict_map
+from limbcli.measurement.swe_prediction import predict_map
 from limbcli.model import Array, IntArray, LimbModel, LogRecord, Material
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
 
@@ -40,72 +40,6 @@ _FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
 _LEAST_ALLOWED, _TIMES_MOST = 400, 5.0  # iterations of a candidate's solve; those of the model without it
 _BAND = 0.05  # of I4
-_FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
-
-
-@dataclass(frozen=True)
-class Windows:
-    """The scanner's region cut into parts: the whole of it first, then `across` x `down` cells."""
-
-    window: Window = field(default_factory=Window)
-    across: int = 3
-    down: int = 3
-
-    @property
-    def depths(self) -> Array:
-        """Middle of each part below the face (mm), the whole first."""
-        w = self.window
-        edges = np.linspace(w.depth_from, w.depth_to, self.down + 1)
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        return np.concatenate([[0.5 * (w.depth_from + w.depth_to)], np.repeat(middles, self.across)])
-
-    def names(self) -> list[str]:
-        sides = ["left", "middle", "right"] if self.across == 3 else [str(k) for k in range(self.across)]
-        levels = ["shallow", "mid-depth", "deep"] if self.down == 3 else [str(k) for k in range(self.down)]
-        return ["whole", *(f"{depth} {side}" for depth in levels for side in sides)]
-
-    def members(self, places: Array, face: float) -> list[IntArray]:
-        """The cells, at `places` (n_cells, 3) mm, in every part of the window below a face at this height.
-
-        A part in which there are few cells (they are larger than the part) takes those nearest to its
-        middle; none where the tissue ends above it.
-        """
-        w, depth = self.window, face - places[:, 2]
-        near = (np.abs(places[:, 0]) <= w.half_width) & (np.abs(places[:, 1]) <= 2 * w.elevation)
-        near &= (depth >= w.depth_from) & (depth <= w.depth_to)
-        part = self._part(places[:, 0], depth)
-        found = [np.flatnonzero(near)]
-        for k, (x, z) in enumerate(self._middles()):
-            inside = np.flatnonzero(near & (part == k))
-            if len(inside) < _FEWEST_CELLS:
-                away = np.hypot(np.hypot(places[:, 0] - x, places[:, 1]), depth - z)
-                nearest = np.argsort(away)[:_FEWEST_CELLS]
-                inside = nearest[away[nearest] < _FARTHEST]
-            found.append(inside)
-        return found
-
-    def _middles(self) -> list[tuple[float, float]]:
-        """Lateral place and depth of each part's middle (mm), row by row downwards."""
-        w = self.window
-        x = w.half_width * (2 * np.arange(self.across) + 1 - self.across) / self.across
-        z = w.depth_from + (w.depth_to - w.depth_from) * (np.arange(self.down) + 0.5) / self.down
-        return [(float(a), float(b)) for b in z for a in x]
-
-    def _part(self, lateral: Array, depth: Array) -> IntArray:
-        w = self.window
-        column = np.floor((lateral + w.half_width) / (2 * w.half_width + 1e-9) * self.across)
-        row = np.floor((depth - w.depth_from) / (w.depth_to - w.depth_from + 1e-9) * self.down)
-        return np.asarray(row * self.across + column).astype(np.int64)
-
-    def log_means(self, swe: SweMap) -> tuple[Array, Array]:
-        """ln of the mean speed and the pixel count of every part: (1 + across * down,) each."""
-        part = self._part(swe.lateral, swe.depth)
-        means, counts = [np.log(swe.speed_m_per_s.mean())], [len(swe)]
-        for k in range(self.across * self.down):
-            inside = part == k
-            counts.append(int(inside.sum()))
-            means.append(np.log(swe.speed_m_per_s[inside].mean()) if inside.sum() >= 4 else np.nan)
-        return np.array(means), np.array(counts)
 
 
 def _volumes(model: LimbModel) -> Array:
@@ -386,6 +320,3 @@ def _fingerprint(
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(json.dumps([[round(float(d), 6) for d in depths], c, f_kappa, repr(windows)]).encode())
     return digest.hexdigest()[:16]
-
-
-__all__ = ["CurveBook", "Ingredients", "LimbError", "Windows"]

@@ -19,8 +19,8 @@ from limbcli.effects.reading import Curves, Protocol, Reading, read
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis_curves import Windows
 from limbcli.stages.diagnosis_holds import HeldForces
+from limbcli.stages.diagnosis_windows import Windows
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)

@@ -22,7 +22,8 @@ from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
-from limbcli.stages.diagnosis_curves import Windows, _volumes
+from limbcli.stages.diagnosis_curves import _volumes
+from limbcli.stages.diagnosis_windows import Windows
 
 HEIGHT = 25.0
 _SHIFTS: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}

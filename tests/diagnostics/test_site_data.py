@@ -11,9 +11,9 @@ from limbcli.case import Noise
 from limbcli.effects.reading import Curves, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_curves import Windows
 from limbcli.stages.diagnosis_data import ModelError, depth_slopes, site_data
 from limbcli.stages.diagnosis_holds import HeldForces
+from limbcli.stages.diagnosis_windows import Windows
 
 N = 6
 
