@@ -119,6 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/hidden"))
     parser.add_argument("--repeats", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0, help="first thousand of the seeds: fresh data")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -130,7 +131,8 @@ def main() -> None:
     done = {(r["arm"], r["seed"]) for r in rows}
     jobs = [
         (arm, truth, 1000 * repeat + k)
-        for repeat in range(options.repeats) for k, (arm, truth) in enumerate(arms(sizes))
+        for repeat in range(options.first, options.first + options.repeats)
+        for k, (arm, truth) in enumerate(arms(sizes))
         if (arm, 1000 * repeat + k) not in done
     ]  # fmt: skip
     with ProcessPoolExecutor(options.jobs) as pool:

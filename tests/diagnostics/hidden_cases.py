@@ -208,6 +208,7 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "held_out_fell": fell(first.held_out, last.held_out),
         "error": [_error(each) for each in (found.base, found.final)],
+        "values": [dict(each.values) for each in (found.base, found.final)],
         "recommended": None,
         "set_after": None,
     }
