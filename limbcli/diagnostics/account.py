@@ -48,13 +48,11 @@ class Account:
         data = self.ground.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        covariance = np.linalg.pinv(state.jacobian.T @ state.jacobian)
-        names = [*fitted.base_names, *fitted.effect_names]
-        deviations = {name: float(np.sqrt(max(covariance[k, k], 0.0))) for k, name in enumerate(names)}
+        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.ground.relative else 1.0
+        told = self.ground.bench.reported(fitted, scale=scale)
         return Shrink(
-            fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), fitted.values,
-            deviations, percentile,
-        )  # fmt: skip
+            fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), told, percentile
+        )
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
         """Every candidate at a plausible size, the least visible first."""

@@ -74,12 +74,12 @@ def reported(
     scale : of the deviance, chi2/nu where the level of the noise is not known, else 1
     """
     profile = _walked(walk, start, bounds, far=_FAR * scale)
-    places = sorted(profile)
-    penalised = {m: profile[m].deviance / scale + _penalty(m) for m in places}
+    penalised = {m: profile[m].deviance / scale + _penalty(m) for m in profile}
     chosen = _refined(walk, profile, penalised, scale)
     best = min(profile, key=lambda m: profile[m].deviance)
     limit = profile[best].deviance / scale + WITHIN
-    low, high = _edges(places, np.array([profile[m].deviance / scale for m in places]), limit)
+    places = sorted(profile)
+    low, high = _edges(places, np.array([profile[m].deviance / scale for m in places]))
     runs = [
         side for side, at, end in (("m below", low, bounds[0]), ("m above", high, bounds[1])) if at == end
     ]
@@ -129,19 +129,23 @@ def _refined(
     return profile[best].values
 
 
-def _edges(places: list[float], deviance: Array, limit: float) -> tuple[float, float]:
-    """Outermost m at which the deviance crosses the limit, ln m between places by a line.
+def _edges(places: list[float], deviance: Array) -> tuple[float, float]:
+    """Outermost m within `WITHIN` of the least deviance.
 
-    >>> [round(m, 3) for m in _edges([1.0, 2.0, 4.0], np.array([9.0, 0.0, 1.0]), 3.0)]
-    [1.587, 4.0]
+    Between places by the root of the excess, a straight line where the deviance is a parabola in ln m.
+
+    >>> x = np.array([-1.0, 0.0, 0.5])
+    >>> [round(float(np.log(m)), 3) for m in _edges(np.exp(x).tolist(), 16.0 * x**2)]
+    [-0.49, 0.49]
     """
-    inside = np.flatnonzero(deviance <= limit)
+    root, limit = np.sqrt(deviance - deviance.min()), WITHIN**0.5
+    inside = np.flatnonzero(root <= limit)
     x = np.log(places)
 
     def edge(k: int, neighbour: int) -> float:
         if not 0 <= neighbour < len(places):
             return places[k]
-        share = (limit - deviance[k]) / (deviance[neighbour] - deviance[k])
+        share = (limit - root[k]) / (root[neighbour] - root[k])
         return float(np.exp(x[k] + share * (x[neighbour] - x[k])))
 
     first, last = int(inside[0]), int(inside[-1])
