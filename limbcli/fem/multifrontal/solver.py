@@ -150,7 +150,8 @@ class Multifrontal:
     def update_root(self, addition: Array | None) -> None:
         """Factor `schur + addition` (None: `schur`), in the order of `root`; it need not be symmetric."""
         started = time.perf_counter()
-        self._made_up_in_root = self._root.update(addition, self._blas_threads)
+        with self._blas_threads.limit(limits=1):
+            self._made_up_in_root = self._root.update(addition)
         self.seconds += time.perf_counter() - started
 
     def forward(self, rhs: Array) -> Array:
