@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
+from limbcli.effects.monotone import Monotone
 from limbcli.model import Array
 
 
@@ -33,8 +33,8 @@ class Curves:
     thickness: float = float("nan")
 
     @cached_property
-    def force_curve(self) -> PchipInterpolator:
-        return PchipInterpolator(self.depth, self.force)
+    def force_curve(self) -> Monotone:
+        return Monotone.through(self.depth, self.force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ def force_at(curves: Curves, depth: Array) -> Array:
     curve = curves.force_curve
     end = curves.depth[-1]
     inside = curve(np.clip(depth, 0.0, end))
-    return np.asarray(inside + np.maximum(depth - end, 0.0) * curve(end, 1))
+    return np.asarray(inside + np.maximum(depth - end, 0.0) * curve.slope(end))
 
 
 def depth_of_force(curves: Curves, force: float) -> float:
@@ -144,7 +144,7 @@ def depth_of_force(curves: Curves, force: float) -> float:
     """
     curve, end = curves.force_curve, float(curves.depth[-1])
     if force >= curves.force[-1]:
-        return min(end + (force - float(curves.force[-1])) / max(float(curve(end, 1)), 1e-9), 2.0 * end)
+        return min(end + (force - float(curves.force[-1])) / max(float(curve.slope(end)), 1e-9), 2.0 * end)
     k = int(np.argmax(curves.force > force)) if force > 0 else 1
     low, high = float(curves.depth[k - 1]), float(curves.depth[k])
     if force <= 0:
@@ -186,10 +186,10 @@ def _at_depths(curves: Curves, depth: Array) -> Array:
 
 def _one_curve(knots: Array, values: Array, depth: Array) -> Array:
     """PCHIP within the knots, level before them, the last slope beyond."""
-    curve = PchipInterpolator(knots, values)
+    curve = Monotone.through(knots, values)
     inside = np.clip(depth, knots[0], knots[-1])
     beyond = np.maximum(depth - knots[-1], 0.0)
-    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve(knots[-1], 1)))
+    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve.slope(knots[-1])))
 
 
 def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
