@@ -10,12 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.fem.multifrontal.blas import gemm_nn, gemm_nt, syrk
+from limbcli.fem.multifrontal.blas import WIDE, gemm_nt, product, syrk
 from limbcli.fem.multifrontal.vectors import add_scaled
 
 NOT_FINITE = -1
 TILE = 32  # columns that are factored by plain loops
 STRIP = 512  # rows that are solved for at once
+ALIGNED = 16  # leading dimensions, and the first rows and columns of parts of a front, are multiples
 
 
 @njit(cache=True, nogil=True)
@@ -33,12 +34,22 @@ def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
-    """Take from rows r0..r1 of columns j0..j1 what the columns before j0 contribute."""
+    """Take from rows r0..r1 of columns j0..j1 what the columns before j0 contribute.
+
+    r0 is j0 or a multiple of ALIGNED, like j0; what lies above the diagonal is left to chance.
+    """
     one = a.dtype.type(1)
     if j0 == 0 or r1 <= r0:
         return
     n = j1 - j0
     target = o + r0 + j0 * ld
+    if blas[WIDE]:
+        high = (r1 + ALIGNED - 1) // ALIGNED * ALIGNED - r0
+        product(
+            blas, r1 - r0, n, j0, a, o + r0, ld, a, o + j0, ld, sign, first, -one, True, r0 == j0,
+            a, target, ld, 0, high, work, TILE * TILE,
+        )  # fmt: skip
+        return
     if signed_copy(a, o + j0, ld, n, j0, sign, first, work):
         gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, work, 0, n, one, a, target, ld)
     else:
@@ -49,7 +60,7 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
 def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Factor the diagonal block of columns j0..j1; pivots made up for, or NOT_FINITE.
 
-    inverse : gets S L^-1 of the TILE x TILE blocks on its diagonal, row after row
+    inverse : gets S L^-1 of the TILE x TILE blocks on its diagonal, column after column
     """
     made_up = 0
     for k0 in range(j0, j1, TILE):
@@ -72,6 +83,12 @@ def _reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type
         return
     n, k = k1 - k0, k0 - j0
     target, left = o + r0 + k0 * ld, o + r0 + j0 * ld
+    if blas[WIDE]:
+        product(
+            blas, r1 - r0, n, k, a, left, ld, a, o + k0 + j0 * ld, ld, sign, first + j0, -one, True, r0 == k0,
+            a, target, ld, 0, r1 - r0, work, TILE * TILE,
+        )  # fmt: skip
+        return
     if signed_copy(a, o + k0 + j0 * ld, ld, n, k, sign, first + j0, work):
         gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, work, 0, n, one, a, target, ld)
     else:
@@ -80,7 +97,7 @@ def _reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type
 
 @njit(cache=True, nogil=True)
 def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """L S L^T of n <= TILE columns, in loops of one length; S L^-1 row after row."""
+    """L S L^T of n <= TILE columns, in loops of one length; S L^-1 column after column."""
     one, none = a.dtype.type(1), a.dtype.type(0)
     made_up = 0
     for j in range(n):
@@ -115,9 +132,10 @@ def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore
         for i in range(TILE):
             inverse[j * TILE + i] *= factor
     for j in range(n):
-        if sign[first + j] < 0:
-            for i in range(TILE):
-                inverse[j * TILE + i] = -inverse[j * TILE + i]
+        for i in range(TILE):
+            work[i * TILE + j] = inverse[j * TILE + i] * sign[first + j]
+    for i in range(TILE * TILE):
+        inverse[i] = work[i]
     return made_up
 
 
@@ -128,10 +146,18 @@ def _solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[
     n, m = k1 - k0, r1 - r0
     if m <= 0:
         return
+    if blas[WIDE]:
+        target = o + r0 + k0 * ld
+        work[:n] = one
+        product(
+            blas, m, n, n, a, target, ld, inverse, 0, TILE, work, 0, one, False, False,
+            a, target, ld, 0, m, work, TILE * TILE,
+        )  # fmt: skip
+        return
     for j in range(n):
         source = o + r0 + (k0 + j) * ld
         work[j * m : (j + 1) * m] = a[source : source + m]
-    gemm_nn(blas, m, n, n, one, work, 0, m, inverse, 0, TILE, none, a, o + r0 + k0 * ld, ld)
+    gemm_nt(blas, m, n, n, one, work, 0, m, inverse, 0, TILE, none, a, o + r0 + k0 * ld, ld)
 
 
 @njit(cache=True, nogil=True)
@@ -170,6 +196,12 @@ def form_update(blas, a, o, ld, p, m, u, ou, ldu, c0, c1, block, sign, first, wo
     for j in range(first, first + p):
         negative |= sign[j] < 0
     low = o + p
+    if blas[WIDE]:
+        product(
+            blas, r - c0, c1 - c0, p, a, low + c0, ld, a, low + c0, ld, sign, first, -one, False, True,
+            u, ou + c0 * (ldu + 1), ldu, 0, ldu - c0, work, TILE * TILE,
+        )  # fmt: skip
+        return
     if not negative:
         n = c1 - c0
         syrk(blas, n, p, -one, a, low + c0, ld, none, u, ou + c0 * (ldu + 1), ldu)

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from limbcli.fem.multifrontal.dense import ALIGNED
 from limbcli.fem.multifrontal.memory import place_updates
 from limbcli.fem.multifrontal.ordering import Graph, positions
 from limbcli.fem.multifrontal.sharing import Shares, share
 from limbcli.fem.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
 
-_ALIGNED = 16  # leading dimensions are multiples of this
 _GRAIN = 0.12  # of the work: the most that one thread does by itself in one go
 
 
@@ -102,7 +102,7 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
 
 
 def _round_up(n: IntArray) -> IntArray:
-    return (n + _ALIGNED - 1) // _ALIGNED * _ALIGNED
+    return (n + ALIGNED - 1) // ALIGNED * ALIGNED
 
 
 def _expand(graph: Graph, order: IntArray) -> tuple[IntArray, IntArray]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem.multifrontal.dense import (
+    ALIGNED,
     NOT_FINITE,
     factor_diagonal,
     form_update,
@@ -49,12 +50,11 @@ class Top:
         blas, sign, work, inverse = self.blas, self.sign, self.work, self.inverse
         for j0 in range(0, p, BLOCK):
             j1 = min(j0 + BLOCK, p)
-            cut = max(j1, min((j0 + m) // 2, m))
+            cut = min(max(_aligned((j0 + m) // 2), _aligned(j1)), m)
 
             def head(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
-                reduce_block(blas, panels, o, ld, j0, j1, j0, j1, sign, first, work[0])
+                reduce_block(blas, panels, o, ld, j0, j1, j0, cut, sign, first, work[0])
                 found = factor_diagonal(blas, panels, o, ld, j0, j1, sign, first, self.tiny, inverse, work[0])
-                reduce_block(blas, panels, o, ld, j0, j1, j1, cut, sign, first, work[0])
                 return int(found)
 
             def tail(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
@@ -65,7 +65,7 @@ class Top:
             if found < 0:
                 return NOT_FINITE
             made_up += found
-            cut = (j1 + m) // 2
+            cut = min(_aligned((j1 + m) // 2), m)
             self.crew.run(
                 [
                     partial(solve_block, blas, panels, o, ld, j0, j1, a, b, sign, first, inverse, w)
@@ -96,5 +96,9 @@ def _even_area(p: int, m: int) -> list[tuple[int, int]]:
     """Two runs of the first p columns of a lower triangle of m rows, of the same area."""
     area = (p * m - p * p / 2) / 2
     cut = int(m - np.sqrt(max(m * m - 2 * area, 0.0)) + 0.5)
-    cut = min(max(cut, 0), p)
+    cut = min(max(_aligned(cut), 0), p)
     return [(a, b) for a, b in ((0, cut), (cut, p)) if b > a]
+
+
+def _aligned(row: int) -> int:
+    return (row + ALIGNED - 1) // ALIGNED * ALIGNED

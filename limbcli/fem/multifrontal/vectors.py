@@ -15,6 +15,8 @@ _WIDE = 16
 
 
 def _start(context, builder, array_type, array, offset):  # type: ignore[no-untyped-def]
+    if isinstance(array_type, types.CPointer):
+        return builder.gep(array, [offset])
     return builder.gep(context.make_array(array_type)(context, builder, array).data, [offset])
 
 
