@@ -42,9 +42,6 @@ class Patch:
     pairs: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
 
-Carried = Sequence[Array]
-
-
 @dataclass(eq=False)
 class Pair:
     """One contact of the model: soft patches against the facets of a body."""
@@ -71,28 +68,13 @@ class Pair:
         for p in self.patches:
             kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
 
-    def times(
-        self, x: Array, center: Array, v: Array, motion: Array, carried: Carried, out: Array, body: Array
-    ) -> None:
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, center, v, motion, out, body)
+    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body)
 
-    def stiffness(self, x: Array, carried: Carried, slots: IntArray, values: Array) -> None:
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, p.pairs, slots, values)
-
-    def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
-        """Tractions (n_facets, n_gauss) of each patch, changed linearly along v and the body's motion."""
-        out = []
-        for p, t in zip(self.patches, carried, strict=True):
-            out.append(np.empty(p.state.shape[:2]))
-            kernels.linear_tractions(x, p.facets, p.N, p.dN, p.eps, p.state, t, v, motion, out[-1])
-        return out
-
-    def shifted_force(self, carried: Carried, out: Array) -> None:
-        """Add what tractions `carried` instead of the contact's own change in the nodal forces."""
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.shifted_force(p.facets, p.N, p.weights, p.state, t, out)
+    def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
+        for p in self.patches:
+            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, p.pairs, slots, values)
 
     def remember(self, x: Array, at: BodyState) -> None:
         """Take a converged step over; without friction nothing is remembered."""

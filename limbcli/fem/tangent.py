@@ -41,14 +41,17 @@ class Tangent:
 
     def times(self, state: State, step: Array) -> Array:
         """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
+        return self.tissue_times(step) + self.system.contact_change(state, step)
+
+    def tissue_times(self, step: Array) -> Array:
+        """The same of the tissue alone, without contact."""
         system = self.system
         n = system.n_tissue
         x = step[:n]
         out = np.zeros_like(step)
-        motions = system.motions(step)
-        v = np.zeros_like(state.u)
-        v[system.free] = x
         if self.jumps:
+            v = np.zeros_like(self.state.u)
+            v[system.free] = x
             elastic = system.tangent_times(self.state, v)
             out[:n] = elastic[system.free]
         else:
@@ -62,12 +65,6 @@ class Tangent:
             else:
                 out[n + k] += column[system.free] @ x
         out[n:] += self.corner @ step[n:]
-        if system.pairs:
-            v += system.follow(state, motions)
-            nodal, bodies = system.contact_times(state, v, motions)
-            out[:n] += nodal[system.free]
-            for k, (b, dof) in enumerate(system.rigid):
-                out[n + k] += bodies[b, dof]
         return out
 
 
@@ -125,6 +122,9 @@ class Inverse:
         if n_rigid:
             check_rigid_modes(system, schur, self.border[self.n :])
         self.schur = schur
+
+    def follow(self, state: State) -> None:
+        """Take the contact at `state`, as it was searched last, into the factor, where that is cheap."""
 
     def __call__(self, rhs: Array) -> Array:
         out = np.empty_like(rhs)
