@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.diagnostics.estimates import Reported
 from limbcli.diagnostics.noise import Noise
 from limbcli.diagnostics.score import Direction
 from limbcli.model import Array
@@ -113,6 +114,10 @@ class Bench(Protocol):
 
     def verified(self, fitted: Fitted) -> Fitted:
         """The same fit, its numbers out of a simulation of the model as fitted."""
+        ...
+
+    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
+        """What is told of its parameters; `scale`: of the deviance, where the noise's level is not known."""
         ...
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.estimates import Reported
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.verdict import Diagnosis
 
@@ -36,7 +37,7 @@ def _fit(found: Diagnosis) -> str:
     base = found.shrink[0] if found.shrink else None
     if base is None:
         return ""
-    values = found.base.values
+    values = base.told.values
     level = "of unknown level" if found.relative else "as stated"
     text = (
         f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
@@ -70,12 +71,32 @@ def _set(found: Diagnosis) -> str:
         return ""
     listed = "; ".join(" + ".join(each) for each in found.confidence_set)
     if found.verdict == "named":
-        values = found.final.values
-        sizes = ", ".join(f"{name} {values[name]:.3g}" for name in found.final.effect_names)
-        return f"Added to the model: {listed} ({sizes})."
+        told = found.told
+        sizes = ", ".join(f"{name} {told.values[name]:.3g}" for name in found.final.effect_names)
+        return f"Added to the model: {listed} ({sizes}){_tissue(told)}."
     if found.verdict == "ambiguous":
         return f"It may be: {listed}."
     return f"Fits, but is not believed: {listed}."
+
+
+def _tissue(told: Reported) -> str:
+    """c and m with it, and what the data do not tell of them.
+
+    >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
+    '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: the data do not tell it from below)'
+    """
+    if "c_kpa" not in told.intervals or "m" not in told.intervals:
+        return ""
+    (c_low, c_high), (low, high) = told.intervals["c_kpa"], told.intervals["m"]
+    reach = f"{low:.2f} to {high:.2f}"
+    if len(told.open) == 2:
+        reach = "the data do not tell it"
+    elif "m below" in told.open:
+        reach = f"up to {high:.2f}: the data do not tell it from below"
+    elif "m above" in told.open:
+        reach = f"from {low:.2f}: the data do not tell it from above"
+    values = told.values
+    return f"; then c {values['c_kpa']:.2f} kPa ({c_low:.2f} to {c_high:.2f}), m {values['m']:.2f} ({reach})"
 
 
 def _shrunk(found: Diagnosis) -> str:

@@ -9,6 +9,7 @@ from typing import Literal
 from limbcli.diagnostics.bench import Explanation, Facts, Fitted
 from limbcli.diagnostics.blindspots import BlindSpot
 from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.estimates import Reported
 from limbcli.diagnostics.explain import Refit
 from limbcli.diagnostics.nextstep import NextStep
 from limbcli.diagnostics.roughness import Roughness
@@ -22,6 +23,7 @@ class Shrink:
 
     chi2_per_nu; rms : by channel, of residual / deviation; held_out : by block and "all";
     placebo_percentile : of what the last addition explains
+    told : its parameters with their intervals; chi2, rms and held_out are of the best fit
     """
 
     explanation: Explanation
@@ -29,8 +31,7 @@ class Shrink:
     nu: int
     rms: Mapping[str, float]
     held_out: Mapping[str, float]
-    values: Mapping[str, float]
-    deviations: Mapping[str, float]
+    told: Reported
     placebo_percentile: float | None = None
 
     @property
@@ -71,6 +72,11 @@ class Diagnosis:
     facts: Mapping[str, Facts] = field(default_factory=dict)
     seed: int = 0
     held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def told(self) -> Reported:
+        """The parameters of the model as it stands in the end: with what was added, if anything was."""
+        return next((s.told for s in self.shrink if s.explanation == self.chosen), self.shrink[0].told)
 
     @property
     def final(self) -> Fitted:

@@ -45,7 +45,7 @@ class SingularMatrix(SolveError):
     """The matrix has no usable factor."""
 
 
-def _singular(detail: str) -> SingularMatrix:
+def singular(detail: str) -> SingularMatrix:
     return SingularMatrix(
         f"the stiffness matrix is singular ({detail})",
         where="sparse factorisation",
@@ -56,7 +56,7 @@ def _singular(detail: str) -> SingularMatrix:
 def check_supported(solver: LinearSolver) -> None:
     """Raise where the last factor, of tissue at rest, was only had by making up for pivots that are zero."""
     if solver.n_perturbed:
-        raise _singular(f"{solver.n_perturbed} pivots of nothing before any load")
+        raise singular(f"{solver.n_perturbed} pivots of nothing before any load")
 
 
 class Pardiso:
@@ -159,9 +159,9 @@ class Pardiso:
                 fix="use a coarser mesh, or tet4",
             )
         if error.value != 0 and phase > 0:
-            raise _singular(f"Pardiso error {error.value}")
+            raise singular(f"Pardiso error {error.value}")
         if phase == 33 and not np.isfinite(x).all():
-            raise _singular("the solution is not finite")
+            raise singular("the solution is not finite")
         return x
 
 
@@ -186,7 +186,7 @@ class SuperLU:
                 full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
         except RuntimeError as error:
-            raise _singular(str(error)) from error
+            raise singular(str(error)) from error
         self.n_factorisations += 1
         self.seconds += time.perf_counter() - started
 
@@ -194,7 +194,7 @@ class SuperLU:
         self.n_solves += 1
         x = np.asarray(self._lu.solve(rhs))
         if not np.isfinite(x).all():
-            raise _singular("the solution is not finite")
+            raise singular("the solution is not finite")
         return x
 
     @property
@@ -234,9 +234,22 @@ def has_pardiso() -> bool:
 
 
 def make(
-    indptr: IntArray, indices: IntArray, *, kind: str = "auto", threads: int = 2, single: bool = False
+    indptr: IntArray,
+    indices: IntArray,
+    *,
+    kind: str = "auto",
+    threads: int = 2,
+    single: bool = False,
+    last: IntArray | None = None,
 ) -> LinearSolver:
-    """The solver named ("pardiso", "superlu") or the best one there is ("auto")."""
+    """The solver named ("pardiso", "superlu", "multifrontal") or the best one there is ("auto").
+
+    last : equations to be eliminated last, for the multifrontal solver's root
+    """
+    if kind == "multifrontal":
+        from limbcli.fem.multifrontal import Multifrontal
+
+        return Multifrontal(indptr, indices, threads=threads, single=single, last=last)
     if kind == "auto":
         kind = "pardiso" if has_pardiso() else "superlu"
     if kind == "pardiso" and not has_pardiso():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -228,7 +228,7 @@ class _Diagnosed:
         if not path.is_file():
             writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
             return
-        fitted = found.final
+        fitted = replace(found.final, values={**found.final.values, **found.told.values})
         curves, reading = bench.curves_of(fitted, k)
         depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
         depths = [float(d) for d in depth if d > 2 * least_level()]

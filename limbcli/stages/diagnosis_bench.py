@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.estimates import Conditional, Reported, reported
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
@@ -130,6 +131,20 @@ class SiteBench:
             quick = self._each(explanation, combinations, start, thorough=False)
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
         return self._each(explanation, combinations, start, thorough=True)[0][2]
+
+    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
+        """Values with their intervals, from the profile over m."""
+
+        def walk(m: float, start: Mapping[str, float]) -> Conditional:
+            return self._at(fitted, m, start)
+
+        found = reported(walk, fitted.values, M_BOUNDS, scale=scale)
+        limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
+        inside = {
+            name: (max(low, limits[name][0]), min(high, limits[name][1])) if name in limits else (low, high)
+            for name, (low, high) in found.intervals.items()
+        }
+        return replace(found, intervals=inside)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.effects[name]
@@ -251,6 +266,29 @@ class SiteBench:
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def _at(self, fitted: Fitted, m: float, start: Mapping[str, float]) -> Conditional:
+        """The best fit of the same explanation, at the same points of its grids, with m held."""
+        explanation, points = fitted.explanation, self.points(fitted)
+        slots = self.slots(explanation)
+        free = [0, *range(2, 2 + len(slots))]
+        low, high = (each[free] for each in self._bounds(explanation))
+        x0 = np.array([np.log(start["c_kpa"] / 1e3), *(start[s.name] for s in slots)])
+
+        def full(z: Array) -> Array:
+            return np.array([z[0], np.log(m), *z[1:]])
+
+        found = least_squares(
+            lambda z: self.whiten(self.data.y - self.predict(full(z), explanation, points)),
+            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=30,
+            x_scale=np.array([0.1, *(abs(s.parameter.start - s.parameter.null) for s in slots)]),
+        )  # fmt: skip
+        names = ["c_kpa", *(s.name for s in slots)]
+        J = self.whiten(self._jacobian(full(found.x), explanation, points))[:, free]
+        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
+        values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
+        values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
+        return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
 
     def _bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.score import Direction
-from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.diagnostics.verdict import Diagnosis, Shrink
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_joint import slices
@@ -54,7 +54,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
         "look_alike_cosines": dict(found.angles),
         "added": list(found.chosen),
         "gap_closed": found.closed,
-        "shrink": [{**vars(stage), "chi2_per_nu": stage.chi2_per_nu} for stage in found.shrink],
+        "shrink": [_stage(stage) for stage in found.shrink],
         "blind_spots": [
             {**vars(spot), "undetectable_at_typical_size": spot.is_undetectable, "matters": spot.matters}
             for spot in found.blind_spots
@@ -68,6 +68,18 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
         "left_out": dict(found.left_out),
         "seed": found.seed,
     }
+
+
+def _stage(stage: Shrink) -> dict[str, Any]:
+    told = stage.told
+    return {
+        "explanation": list(stage.explanation), "chi2": stage.chi2, "nu": stage.nu,
+        "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
+        "placebo_percentile": stage.placebo_percentile, "values": dict(told.values),
+        "intervals_95": {name: list(ends) for name, ends in told.intervals.items()},
+        "not_told_by_the_data": list(told.open), "values_without_prior": dict(told.best),
+        "prior": told.prior,
+    }  # fmt: skip
 
 
 def _estimate(direction: Direction, eta: np.ndarray, null: dict[str, float]) -> dict[str, float]:

@@ -27,7 +27,8 @@ from limbcli.stages.diagnosis_data import Extra, ModelError, site_data
 from limbcli.stages.diagnosis_menu import ROTATE, items
 from limbcli.stages.diagnosis_site import SiteCurves
 
-TRUE_C_KPA, TRUE_M = 6.5, 4.0
+USUAL = (6.5, 4.0)  # c in kPa, m
+C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own
 LARGEST = 2.0  # times the plausible size: skin is not steel
 # Patient from model, the limb's axis along the model's y, and along its x: the probe turned by 90 degrees.
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -103,9 +104,15 @@ class Case:
     seed: int
     grid: Grid = FINE
     n_draws: int = 4000
+    own_tissue: bool = False
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng([self.seed, zlib.crc32(self.arm.encode())])
+        self.c_kpa, self.m = USUAL
+        if self.own_tissue:
+            self.c_kpa, self.m = (
+                float(np.exp(self.rng.uniform(*np.log(each)))) for each in (C_KPA_BETWEEN, M_BETWEEN)
+            )
         reading, ingredients = Reading(), []
         for name, theta in self.truth.items():
             known = effect(name)
@@ -120,7 +127,11 @@ class Case:
 
     def _true(self, axes: np.ndarray) -> dict:
         true = book(self.grid.true_cells, self.grid.true_depths, 12.0, axes, spread=1.03)
-        return {"c": TRUE_C_KPA / 1e3, "m": TRUE_M, "book": true}
+        return {"c": self.c_kpa / 1e3, "m": self.m, "book": true}
+
+    def error(self, values: Mapping[str, float]) -> float:
+        """|ln c error| + |ln m error|."""
+        return float(abs(np.log(values["c_kpa"] / self.c_kpa)) + abs(np.log(values["m"] / self.m)))
 
     def _measured(self, axes: np.ndarray):
         plain = self.reading == Reading() and not self.truth
@@ -207,8 +218,11 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "set": [sorted(each) for each in found.confidence_set],
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "held_out_fell": fell(first.held_out, last.held_out),
-        "error": [_error(each) for each in (found.base, found.final)],
-        "values": [dict(each.values) for each in (found.base, found.final)],
+        "error": [case.error(each.values) for each in (found.shrink[0].told, found.told)],
+        "error_without_prior": [case.error(each.best) for each in (found.shrink[0].told, found.told)],
+        "values": [dict(each.values) for each in (found.shrink[0].told, found.told)],
+        "intervals": [dict(each.intervals) for each in (found.shrink[0].told, found.told)],
+        "true": {"c_kpa": case.c_kpa, "m": case.m},
         "recommended": None,
         "set_after": None,
     }
@@ -219,8 +233,3 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
             row["set_after"] = [sorted(each) for each in after.confidence_set]
             row["power"] = best_step(found.next_steps)[1]
     return row
-
-
-def _error(fitted) -> float:
-    """|ln c error| + |ln m error|."""
-    return float(abs(np.log(fitted.values["c_kpa"] / TRUE_C_KPA)) + abs(np.log(fitted.values["m"] / TRUE_M)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnostics.bench import Data, Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.estimates import Reported
 from limbcli.diagnostics.noise import Noise, common, independent
 from limbcli.diagnostics.score import Direction
 from limbcli.errors import SolveError
@@ -103,6 +104,9 @@ class Toy:
 
     def verified(self, fitted: Fitted) -> Fitted:
         return fitted
+
+    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
+        return Reported(fitted.values, fitted.values)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         sign = (1,) if name in ONE_SIDED else (0,)

@@ -70,10 +70,22 @@ def _shrunk(data: Mapping[str, Any]) -> Table:
             f"{stage['chi2_per_nu']:.2f}",
             DASH if held is None else f"{held:.2f}",
             _number(stage["placebo_percentile"]),
+            _interval(stage, "c_kpa"),
+            _interval(stage, "m"),
         )
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("model", "chi2/nu", "held-out error (deviations)", "placebo percentile")
+    titles = head(
+        "model", "chi2/nu", "held-out error (deviations)", "placebo percentile", "c (kPa), 95 %", "m, 95 %"
+    )
     return Table("How the gap shrank", (titles,), tuple(rows))
+
+
+def _interval(stage: Mapping[str, Any], name: str) -> str:
+    """Value and interval; nothing where an older result has none."""
+    ends = stage.get("intervals_95", {}).get(name)
+    if ends is None:
+        return DASH
+    return f"{stage['values'][name]:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
 
 
 def _blind(data: Mapping[str, Any]) -> Table:

@@ -1,0 +1,85 @@
+"""Which candidates are worth a refit, alone and together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from limbcli.diagnostics.bench import Bench, Explanation, Facts, Fitted
+from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.explain import Refit, best_pairs
+from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.score import Direction, Trial, cosine, score
+from limbcli.errors import LimbError
+from limbcli.progress import Progress
+
+REFIT_BELOW = 0.2
+ALIKE = 0.8
+MAX_REFITS = 16
+_GROWN = 3  # candidates tried beside the best smaller explanation
+
+
+def whitened_trials(
+    bench: Bench, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
+    not_evaluated: dict[str, str], progress: Progress,
+) -> list[Trial]:  # fmt: skip
+    """A trial of each candidate that is not in the fit; why not, in `not_evaluated`."""
+    trials = []
+    for k, name in enumerate(facts):
+        if name in fitted.explanation:
+            continue
+        try:
+            raw = bench.directions(fitted, name)
+        except LimbError as error:
+            not_evaluated[name] = error.what
+        else:
+            whitened = [Direction(whiten(d.columns), d.signs, d.point, d.names) for d in raw]
+            if whitened:
+                trials.append(Trial(name, tuple(whitened)))
+        progress.event("task", name="candidate " + name, done=k + 1, total=len(facts))
+    return trials
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The trials of all candidates at the fit without effects, and their tests."""
+
+    state: Linearised
+    trials: Mapping[str, Trial]
+    family: Family
+
+    def promising(self, left_out: dict[str, str]) -> list[str]:
+        """Those near significance, and those that look like one of them; the rest goes into `left_out`."""
+        near = [t.name for t in self.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
+        alike = [name for name in self.trials if name not in near and any(self._alike(name, k) for k in near)]
+        ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
+        for name in ranked[MAX_REFITS:]:
+            left_out[name] = f"not refitted: {MAX_REFITS} better candidates were"
+        return ranked[:MAX_REFITS]
+
+    def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
+        """Explanations by so many effects that are worth a refit."""
+        if size == 1:
+            return [(name,) for name in names]
+        usable = list(self.trials.values())
+        if size == 2:
+            return [tuple(pair) for pair in best_pairs(self.state, usable)] if len(usable) > 1 else []
+        return self._grown(size, refits)
+
+    def _grown(self, size: int, refits: Iterable[Refit]) -> list[Explanation]:
+        """The best explanation one smaller, with each of the candidates it leaves most for."""
+        smaller = [r for r in refits if len(r.explanation) == size - 1 and not r.fitted.at_bound]
+        if not smaller:
+            return []
+        best = min(smaller, key=lambda refit: refit.state.chi2)
+        others = [t for name, t in self.trials.items() if name not in best.explanation]
+        order = sorted(others, key=lambda trial: -score(best.state, trial).statistic)
+        return [(*best.explanation, trial.name) for trial in order[:_GROWN]]
+
+    def _statistic(self, name: str) -> float:
+        found = self.family.of(name)
+        return found.score.statistic if found else 0.0
+
+    def _alike(self, first: str, second: str) -> bool:
+        a, b = self.family.of(first), self.family.of(second)
+        return bool(a and b and abs(cosine(self.state, a.score.direction, b.score.direction)) > ALIKE)

@@ -1,0 +1,59 @@
+"""Is the gap closed: better than any smooth curve would close it, and does the model predict?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.ground import Ground
+from limbcli.diagnostics.heldout import fell, held_out_error
+from limbcli.diagnostics.placebo import library_percentile, placebo_percentile
+
+CLOSED_PERCENTILE = 95.0
+_SEVERAL_PERCENTILE, _MOST_NAMED = 99.0, 2
+_MOST_TRIED = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """n_candidates : how many an explanation by several effects was picked from."""
+
+    ground: Ground
+    n_candidates: int
+
+    def is_closed(self, refit: Refit) -> bool:
+        data = self.ground.data
+        before, after = held_out_error(data, self.ground.base), held_out_error(data, refit.fitted)
+        if not fell(before, after) or self.percentile(refit) <= CLOSED_PERCENTILE:
+            return False
+        if len(refit.explanation) == 1:
+            return True
+        if len(refit.explanation) > _MOST_NAMED:  # three effects bend to almost any smooth gap
+            return False
+        return self._library_percentile(refit) > _SEVERAL_PERCENTILE
+
+    def percentile(self, refit: Refit) -> float:
+        """Percent of arbitrary smooth directions, as many as were added, that explain less."""
+        ground = self.ground
+        return placebo_percentile(
+            ground.state, ground.whiten, self._explained(refit), n_parameters=max(self._added(refit), 1),
+            channels=ground.data.channels(), order=ground.data.order, deviation=ground.data.deviation,
+            rng=ground.rng(3),
+        )  # fmt: skip
+
+    def _library_percentile(self, refit: Refit) -> float:
+        """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
+        ground = self.ground
+        n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), _MOST_TRIED)
+        return library_percentile(
+            ground.state, ground.whiten, self._explained(refit), n_parameters=self._added(refit),
+            n_tried=n_tried, channels=ground.data.channels(), order=ground.data.order,
+            deviation=ground.data.deviation, rng=ground.rng(4),
+        )  # fmt: skip
+
+    def _explained(self, refit: Refit) -> float:
+        return self.ground.state.chi2 - refit.state.chi2
+
+    def _added(self, refit: Refit) -> int:
+        return refit.fitted.jacobian.shape[1] - self.ground.base.jacobian.shape[1]

@@ -1,0 +1,79 @@
+"""What every step of a diagnosis stands on: the data, the fit without effects, and how tests are made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from limbcli.diagnostics.bench import Bench, Data, Fitted
+from limbcli.diagnostics.calibrate import Family, score_family
+from limbcli.diagnostics.groups import group_trials
+from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.roughness import Roughness, roughness
+from limbcli.diagnostics.score import Trial
+from limbcli.progress import SILENT, Progress
+
+ALPHA = 0.05
+_ROUGH_P = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The fit without effects, and what is left by it. `seed` fixes every draw."""
+
+    bench: Bench
+    base: Fitted
+    seed: int
+    n_draws: int
+    progress: Progress = SILENT
+
+    @property
+    def data(self) -> Data:
+        return self.bench.data
+
+    @cached_property
+    def whiten(self) -> Whitener:
+        return Whitener.of(self.data.noise.covariance)
+
+    @cached_property
+    def state(self) -> Linearised:
+        return self.linearised(self.base)
+
+    @cached_property
+    def rough(self) -> Roughness | None:
+        """The data's own scatter, from neighbours; None where it cannot be told."""
+        if self.state.nu < 1:
+            return None
+        return roughness(self.state, self.whiten, channels=self.data.channels(), order=self.data.order)
+
+    @property
+    def is_contradicted(self) -> bool:
+        """The data scatter more than their stated noise."""
+        return self.rough is not None and self.rough.p < _ROUGH_P
+
+    @cached_property
+    def relative(self) -> bool:
+        """The noise's level is not known: assumed, or contradicted."""
+        if self.state.nu < 1:
+            return False
+        return self.data.noise.is_assumed or self.is_contradicted
+
+    def rng(self, stream: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, stream])
+
+    def linearised(self, fitted: Fitted) -> Linearised:
+        return Linearised.of(self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian))
+
+    def family(self, state: Linearised, trials: Sequence[Trial], *, n_draws: int = 0) -> Family:
+        """All these tests with one false-alarm rate."""
+        return score_family(
+            state, trials, rng=self.rng(1), relative=self.relative, n_draws=n_draws or self.n_draws,
+            alpha=ALPHA,
+        )  # fmt: skip
+
+    def parts(self, whiten: Whitener) -> list[Trial]:
+        """One trial for each part of the data."""
+        return group_trials(whiten, self.data.groups)

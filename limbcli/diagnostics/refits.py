@@ -1,0 +1,124 @@
+"""Refits of explanations: first on the bench's stand-in, then, near the best, simulated as they stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from limbcli.diagnostics.bench import Explanation, Fitted
+from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.explain import Refit, compare, joint_trial
+from limbcli.diagnostics.ground import Ground
+from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.noise import correlated
+from limbcli.diagnostics.score import Direction, Trial, score
+from limbcli.errors import LimbError
+from limbcli.model import Array
+
+_FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
+_HOPELESS = 30.0  # deviance behind the best stand-in: not worth a simulation
+_DRAWS = 4000  # enough for a test at 1 %
+
+
+@dataclass(eq=False)
+class Refits:
+    """All refits of a diagnosis so far. What has no answer goes into `not_evaluated`, what is dropped into
+    `left_out`, each with its reason."""
+
+    ground: Ground
+    trials: Mapping[str, Trial]
+    not_evaluated: dict[str, str]
+    left_out: dict[str, str]
+    known: dict[Explanation, Refit] = field(default_factory=dict)
+
+    def compared(self, several: Sequence[Explanation]) -> list[Refit]:
+        """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
+        ground = self.ground
+        joint = {each: joint_trial([self.trials[name] for name in each]) for each in several}
+        refits = compare(
+            self._refitted(several), ground.base, ground.state, joint, ground.whiten, rng=ground.rng(2),
+            relative=ground.relative,
+        )  # fmt: skip
+        self.known.update({each.explanation: each for each in refits})
+        return refits
+
+    def of(self, explanation: Explanation) -> Refit | None:
+        """One refit, made now if it was not; None where it has no answer."""
+        if explanation not in self.known:
+            fitted = self._draft(explanation)
+            if fitted is not None:
+                self._settle(explanation, fitted)
+        return self.known.get(explanation)
+
+    def best(self) -> Refit | None:
+        """The one that leaves least, none of its parameters on a bound."""
+        usable = [refit for refit in self.known.values() if not refit.fitted.at_bound]
+        return min(usable, key=lambda refit: refit.state.chi2) if usable else None
+
+    # ------------------------------------------------------------
+
+    def _refitted(self, several: Sequence[Explanation]) -> list[Refit]:
+        drafts = [(each, self._draft(each)) for each in several if each not in self.known]
+        found = [(each, fitted) for each, fitted in drafts if fitted is not None]
+        chi2 = {each: self.ground.linearised(fitted).chi2 for each, fitted in found}
+        usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
+        limit = min(usable, default=math.inf) + _HOPELESS
+        for each, fitted in found:
+            if chi2[each] <= limit:
+                self._settle(each, fitted)
+            else:
+                why = "; ".join(fitted.at_bound) or "explains far less than others"
+                self.left_out[" + ".join(each)] = why
+        return [self.known[each] for each in several if each in self.known]
+
+    def _draft(self, explanation: Explanation) -> Fitted | None:
+        """The refit on the stand-in; None (and why) where it has no answer."""
+        found = score(self.ground.state, joint_trial([self.trials[name] for name in explanation]))
+        start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
+        try:
+            return self.ground.bench.fit(explanation, start)
+        except LimbError as error:
+            self.not_evaluated[" + ".join(explanation)] = error.what
+            return None
+
+    def _settle(self, explanation: Explanation, draft: Fitted) -> None:
+        """Simulate the model as fitted, and judge what it leaves."""
+        label = " + ".join(explanation)
+        self.ground.progress.event("note", text=f"refit with {label}")
+        try:
+            fitted = self.ground.bench.verified(draft)
+        except LimbError as error:
+            self.not_evaluated[label] = error.what
+            return
+        if fitted.at_bound:
+            self.left_out[label] = "; ".join(fitted.at_bound)
+        self.known[explanation] = Refit(fitted, self.ground.linearised(fitted), self._left_by(fitted))
+
+    def _left_by(self, fitted: Fitted) -> Family:
+        """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
+        ground = self.ground
+        whiten = Whitener.of(ground.data.noise.covariance + self._form_error(fitted))
+
+        def anew(direction: Direction) -> Direction:
+            return replace(direction, columns=whiten(ground.whiten.undo(direction.columns)))
+
+        others = [
+            Trial(name, tuple(map(anew, trial.directions)))
+            for name, trial in self.trials.items() if name not in fitted.explanation
+        ]  # fmt: skip
+        state = Linearised.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian))
+        return ground.family(state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS))
+
+    def _form_error(self, fitted: Fitted) -> Array:
+        """Covariance (n, n) of an error that is a share of what the effects change, alike at neighbours."""
+        data = self.ground.data
+        change = _FORM_ERROR * np.abs(fitted.prediction - self.ground.base.prediction)
+        total = np.zeros((len(change), len(change)))
+        for mask in data.channels().values():
+            part = correlated("form", np.where(mask, change, 0.0), data.order, correlation=_FORM_ALIKE,
+                              source="computed")  # fmt: skip
+            total += part.covariance
+        return total

@@ -1,0 +1,183 @@
+"""Calls of scipy's BLAS and LAPACK from compiled loops that hold no lock.
+
+The addresses are those that scipy offers to compiled code (`scipy.linalg.cython_blas`),
+given to the loops as numbers, so that compiled loops can be cached. Matrices are flat
+arrays with an offset and a leading dimension, column after column.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import get_cython_function_address, intrinsic
+
+from limbcli.model import IntArray
+
+_ROUTINES = (
+    ("scipy.linalg.cython_blas", "gemm"),
+    ("scipy.linalg.cython_blas", "syrk"),
+    ("scipy.linalg.cython_blas", "trsm"),
+    ("scipy.linalg.cython_lapack", "potrf"),
+)
+GEMM, SYRK, TRSM, POTRF = range(len(_ROUTINES))
+
+
+def addresses(single: bool) -> IntArray:
+    """Where the routines are, in the order GEMM, SYRK, TRSM, POTRF."""
+    letter = "s" if single else "d"
+    return np.array([get_cython_function_address(room, letter + name) for room, name in _ROUTINES])
+
+
+_BYTE, _INT = ir.IntType(8), ir.IntType(32)
+
+
+def _pointer(context, builder, array_type, array, offset):  # type: ignore[no-untyped-def]
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(data, [offset])
+
+
+def _by_address(builder, value):  # type: ignore[no-untyped-def]
+    slot = cgutils.alloca_once(builder, value.type)
+    builder.store(value, slot)
+    return slot
+
+
+def _letter(builder, letter):  # type: ignore[no-untyped-def]
+    return _by_address(builder, ir.Constant(_BYTE, ord(letter)))
+
+
+def _int(builder, value):  # type: ignore[no-untyped-def]
+    return _by_address(builder, builder.trunc(value, _INT))
+
+
+def _call(builder, table, routine, arguments):  # type: ignore[no-untyped-def]
+    kind = ir.FunctionType(ir.VoidType(), [each.type for each in arguments])
+    at = builder.gep(table, [ir.Constant(ir.IntType(64), routine)])
+    builder.call(builder.inttoptr(builder.load(at), kind.as_pointer()), arguments)
+
+
+def _table(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    return context.make_array(signature.args[0])(context, builder, args[0]).data
+
+
+def _gemm(transposed_a, transposed_b):  # type: ignore[no-untyped-def]
+    @intrinsic
+    def gemm(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
+        i = types.intp
+        real = a.dtype
+        signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            t = signature.args
+            _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
+            arguments = [
+                _letter(builder, transposed_a),
+                _letter(builder, transposed_b),
+                _int(builder, m),
+                _int(builder, n),
+                _int(builder, k),
+                _by_address(builder, alpha),
+                _pointer(context, builder, t[5], a, oa),
+                _int(builder, lda),
+                _pointer(context, builder, t[8], b, ob),
+                _int(builder, ldb),
+                _by_address(builder, beta),
+                _pointer(context, builder, t[12], c, oc),
+                _int(builder, ldc),
+            ]
+            _call(builder, _table(context, builder, signature, args), GEMM, arguments)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    return gemm
+
+
+gemm_nt = _gemm("N", "T")  # C = alpha A B^T + beta C
+gemm_nn = _gemm("N", "N")
+gemm_tn = _gemm("T", "N")
+
+
+@intrinsic
+def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
+    """Lower triangle of C = alpha A A^T + beta C, A (n, k)."""
+    i = types.intp
+    signature = types.void(table, i, i, a.dtype, a, i, i, a.dtype, c, i, i)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        t = signature.args
+        _, n, k, alpha, a, oa, lda, beta, c, oc, ldc = args
+        arguments = [
+            _letter(builder, "L"),
+            _letter(builder, "N"),
+            _int(builder, n),
+            _int(builder, k),
+            _by_address(builder, alpha),
+            _pointer(context, builder, t[4], a, oa),
+            _int(builder, lda),
+            _by_address(builder, beta),
+            _pointer(context, builder, t[8], c, oc),
+            _int(builder, ldc),
+        ]
+        _call(builder, _table(context, builder, signature, args), SYRK, arguments)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+def _trsm(side, transposed):  # type: ignore[no-untyped-def]
+    @intrinsic
+    def trsm(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
+        i = types.intp
+        signature = types.void(table, i, i, a, i, i, b, i, i)
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            t = signature.args
+            _, m, n, a, oa, lda, b, ob, ldb = args
+            one = context.get_constant(t[3].dtype, 1.0)
+            arguments = [
+                *(_letter(builder, each) for each in (side, "L", transposed, "N")),
+                _int(builder, m),
+                _int(builder, n),
+                _by_address(builder, one),
+                _pointer(context, builder, t[3], a, oa),
+                _int(builder, lda),
+                _pointer(context, builder, t[6], b, ob),
+                _int(builder, ldb),
+            ]
+            _call(builder, _table(context, builder, signature, args), TRSM, arguments)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    return trsm
+
+
+trsm_right = _trsm("R", "T")  # B (m, n) = B L^-T
+trsm_left = _trsm("L", "N")  # B = L^-1 B
+trsm_left_t = _trsm("L", "T")  # B = L^-T B
+
+
+@intrinsic
+def potrf(typingctx, table, n, a, oa, lda):  # type: ignore[no-untyped-def]
+    """Cholesky factor, in place, of the lower triangle; LAPACK's info."""
+    i = types.intp
+    signature = i(table, i, a, i, i)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        t = signature.args
+        _, n, a, oa, lda = args
+        info = _by_address(builder, ir.Constant(_INT, 0))
+        arguments = [
+            _letter(builder, "L"),
+            _int(builder, n),
+            _pointer(context, builder, t[2], a, oa),
+            _int(builder, lda),
+            info,
+        ]
+        _call(builder, _table(context, builder, signature, args), POTRF, arguments)
+        return builder.sext(builder.load(info), ir.IntType(64))
+
+    return signature, codegen

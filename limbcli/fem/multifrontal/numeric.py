@@ -1,0 +1,107 @@
+"""From values to factor: fronts gathered, factored, and their update matrices passed up."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.fem.multifrontal.dense import NOT_FINITE, factor_panel, form_update
+
+BLOCK = 96  # columns of a block where one thread is at work
+
+
+@njit(cache=True)
+def scales(indptr, indices, values):  # type: ignore[no-untyped-def]
+    """1/sqrt of the diagonal's size; where there is none, of the row's largest entry."""
+    n = len(indptr) - 1
+    diagonal, largest = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            size = abs(values[k])
+            if i == j:
+                diagonal[i] += values[k]
+            largest[i] = max(largest[i], size)
+            largest[j] = max(largest[j], size)
+    out = np.ones(n)
+    for i in range(n):
+        size = abs(diagonal[i])
+        if not size > 1e-30 * largest[i]:
+            size = largest[i]
+        if size > 0.0:
+            out[i] = 1.0 / np.sqrt(size)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[no-untyped-def]
+    """Rows first..stop of the matrix, scaled, in the factor's precision."""
+    for i in range(first, stop):
+        for k in range(indptr[i], indptr[i + 1]):
+            out[k] = values[k] * (scaling[i] * scaling[indices[k]])
+
+
+@njit(cache=True, nogil=True)
+def gather_panel(plan, s, c0, c1, values, panels, updates):  # type: ignore[no-untyped-def]
+    """Columns c0..c1 of front s, before any arithmetic: the matrix and the children's updates."""
+    o, ld = plan.panel_at[s], plan.ld[s]
+    panels[o + c0 * ld : o + c1 * ld] = 0
+    first = plan.pivot_at[s]
+    for k in range(plan.column_at[first + c0], plan.column_at[first + c1]):
+        panels[o + plan.entry_to[k]] += values[plan.entry_from[k]]
+    for c in range(plan.child_at[s], plan.child_at[s + 1]):
+        _extend(plan, plan.children[c], c0, c1, o, ld, updates, panels)
+
+
+@njit(cache=True, nogil=True)
+def gather_update(plan, s, c0, c1, updates):  # type: ignore[no-untyped-def]
+    """Add the children's updates to columns c0..c1 of the update matrix of front s."""
+    p = plan.pivot_at[s + 1] - plan.pivot_at[s]
+    o = plan.update_at[s] - p * (plan.ldu[s] + 1)  # so that the front's places can be used
+    for c in range(plan.child_at[s], plan.child_at[s + 1]):
+        _extend(plan, plan.children[c], p + c0, p + c1, o, plan.ldu[s], updates, updates)
+
+
+@njit(cache=True, nogil=True)
+def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped-def]
+    """Add columns of the update matrix of front c that belong to columns c0..c1 of its parent."""
+    at = plan.rows_at[c]
+    n = plan.rows_at[c + 1] - at
+    into = plan.into[at : at + n]
+    u, ldu = plan.update_at[c], plan.ldu[c]
+    low, high = plan.run_at[c], plan.run_at[c + 1]
+    run = low
+    for j in range(np.searchsorted(into, c0), np.searchsorted(into, c1)):
+        column = o + into[j] * ld
+        while run + 1 < high and plan.runs[run + 1] <= j:
+            run += 1
+        begin = j
+        for k in range(run, high):
+            end = plan.runs[k + 1] if k + 1 < high else n
+            source = u + j * ldu + begin
+            to = column + into[begin]
+            given, got = updates[source : source + end - begin], target[to : to + end - begin]
+            for i in range(len(got)):
+                got[i] += given[i]
+            begin = end
+
+
+@njit(cache=True, nogil=True)
+def factor_subtree(blas, plan, start, stop, values, panels, updates, sign, tiny, work):  # type: ignore[no-untyped-def]
+    """Fronts start..stop, one after the other; pivots made up for, or NOT_FINITE."""
+    made_up = 0
+    for s in range(start, stop):
+        first = plan.pivot_at[s]
+        p = plan.pivot_at[s + 1] - first
+        r = plan.rows_at[s + 1] - plan.rows_at[s]
+        o, ld = plan.panel_at[s], plan.ld[s]
+        gather_panel(plan, s, 0, p, values, panels, updates)
+        found = factor_panel(blas, panels, o, ld, p, p + r, BLOCK, sign, first, tiny, work)
+        if found < 0:
+            return NOT_FINITE
+        made_up += found
+        if r > 0:
+            u, ldu = plan.update_at[s], plan.ldu[s]
+            form_update(blas, panels, o, ld, p, p + r, updates, u, ldu, 0, r, BLOCK, sign, first, work)
+            gather_update(plan, s, 0, r, updates)
+    return made_up

@@ -1,0 +1,154 @@
+"""The last front by itself: its Schur complement, changed and factored again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy.linalg import lapack
+
+from limbcli.fem.linear import singular
+from limbcli.fem.multifrontal import solve
+from limbcli.fem.multifrontal.store import Store
+from limbcli.fem.multifrontal.top import Top
+from limbcli.model import Array, IntArray
+
+_SYMMETRIC = 1e-10  # of the largest entry
+
+
+class Root:
+    """equations : numbers of the root's equations in the front's order"""
+
+    def __init__(self, store: Store, top: Top, order: IntArray, *, kept: bool):
+        plan = store.plan
+        self.store, self.top = store, top
+        self.front = len(plan.pivot_at) - 2
+        self.first = int(plan.pivot_at[self.front])
+        self.equations = order[self.first :].copy()
+        self.at, self.ld = int(plan.panel_at[self.front]), int(plan.ld[self.front])
+        self._kept = np.empty(self.n * self.ld if kept else 0, dtype=store.kind)
+        self._lu: tuple[Any, Any] | None = None
+        self._room = np.empty(self.n, dtype=store.kind)
+
+    @property
+    def n(self) -> int:
+        return len(self.equations)
+
+    @property
+    def _panel(self) -> Any:
+        return self.store.panels[self.at : self.at + self.n * self.ld]
+
+    def factor(self) -> int:
+        """Factor the gathered front; pivots made up for."""
+        self._lu = None
+        if len(self._kept):
+            self._kept[:] = self._panel
+        return self._factor()
+
+    def _factor(self) -> int:
+        made_up = self.top.factor(self.front)
+        if made_up < 0:
+            raise singular("an entry is not finite")
+        return made_up
+
+    def schur(self) -> Array:
+        """What the elimination of all others leaves of the matrix, (n, n), unscaled."""
+        self._need_kept()
+        return _unscaled(self._kept, self.ld, self.store.scaling[self.equations])
+
+    def update(self, addition: Array | None, blas_threads: Any) -> int:
+        """Factor the Schur complement with something added; pivots made up for."""
+        self._need_kept()
+        scaling = self.store.scaling[self.equations]
+        self._lu = None
+        self._panel[:] = self._kept
+        if addition is None:
+            with blas_threads.limit(limits=1):
+                return self._factor()
+        if addition.shape != (self.n, self.n):
+            raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
+        largest, uneven = _unevenness(addition)
+        if uneven <= _SYMMETRIC * largest:
+            _add_lower(self._panel, self.ld, addition, scaling)
+            with blas_threads.limit(limits=1):
+                return self._factor()
+        full = np.empty((self.n, self.n), dtype=self.store.kind, order="F")
+        _sum(self._kept, self.ld, addition, scaling, full)
+        factor = lapack.sgetrf if self.store.kind is np.float32 else lapack.dgetrf
+        lu, pivots, info = factor(full, overwrite_a=1)
+        if info != 0 or not np.isfinite(np.diagonal(lu)).all():
+            raise singular("the root has no factor")
+        self._lu = (lu, pivots)
+        return 0
+
+    def _need_kept(self) -> None:
+        if not len(self._kept):
+            raise ValueError("no Schur complement is kept unless `last` is given")
+
+    def solve(self, w: Any) -> None:
+        """Solve for the root's part of w (n,) or (n, k), scaled and in the order of elimination."""
+        store, s = self.store, self.front
+        part = w[self.first :]
+        if self._lu is not None:
+            substitute = lapack.sgetrs if store.kind is np.float32 else lapack.dgetrs
+            part[...] = substitute(*self._lu, part)[0]
+        elif w.ndim == 1:
+            solve.forward(store.plan, s, s + 1, store.panels, store.sign, w, self._room)
+            solve.backward(store.plan, s, s + 1, store.panels, w, self._room)
+        else:
+            room = np.empty(self.n * w.shape[1], dtype=store.kind)
+            solve.forward_many(store.blas, store.plan, s, s + 1, store.panels, store.sign, w, room)
+            solve.backward_many(store.blas, store.plan, s, s + 1, store.panels, w, room)
+
+
+_TILE = 32
+
+
+@njit(cache=True)
+def _unscaled(lower, ld, scaling):  # type: ignore[no-untyped-def]
+    n = len(scaling)
+    out = np.empty((n, n))
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    value = lower[i + j * ld] / (scaling[i] * scaling[j])
+                    out[i, j] = value
+                    out[j, i] = value
+    return out
+
+
+@njit(cache=True)
+def _unevenness(a):  # type: ignore[no-untyped-def]
+    """Largest entry, and largest difference between an entry and its mirror image."""
+    n = len(a)
+    largest, uneven = 0.0, 0.0
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    largest = max(largest, abs(a[i, j]), abs(a[j, i]))
+                    uneven = max(uneven, abs(a[i, j] - a[j, i]))
+    return largest, uneven
+
+
+@njit(cache=True)
+def _add_lower(panel, ld, addition, scaling):  # type: ignore[no-untyped-def]
+    n = len(scaling)
+    for j in range(n):
+        for i in range(j, n):
+            panel[i + j * ld] += addition[j, i] * scaling[i] * scaling[j]
+
+
+@njit(cache=True)
+def _sum(lower, ld, addition, scaling, out):  # type: ignore[no-untyped-def]
+    n = len(scaling)
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    value = lower[i + j * ld]
+                    size = scaling[i] * scaling[j]
+                    out[i, j] = value + addition[i, j] * size
+                    out[j, i] = value + addition[j, i] * size

@@ -1,0 +1,101 @@
+"""Which subtrees of the assembly tree are done side by side, and which fronts above them together."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from limbcli.model import Array, IntArray
+
+_UNEVEN = 0.05  # what one thread may have more to do than the mean
+_MANY = 48  # subtrees
+
+
+class Shares(NamedTuple):
+    """subtrees : (first, stop) ranges of fronts, costliest first; owner : thread of each; top : the rest"""
+
+    subtrees: list[tuple[int, int]]
+    owner: list[int]
+    top: IntArray
+
+
+def share(parent: IntArray, cost: Array) -> Shares:
+    """Cut the tree (in postorder) as little as gives every thread the same cost below the cut.
+
+    The last front is always above it.
+
+    For two threads, even where there is only one: so the sums are the same.
+    """
+    n = len(parent)
+    total, size = cost.copy(), np.ones(n, dtype=np.int64)
+    children: list[list[int]] = [[] for _ in range(n)]
+    for s in range(n):
+        if parent[s] >= 0:
+            total[parent[s]] += total[s]
+            size[parent[s]] += size[s]
+            children[parent[s]].append(s)
+    top = [n - 1]
+    heap = [(-total[s], s) for s in range(n - 1) if parent[s] < 0 or parent[s] == n - 1]
+    heapq.heapify(heap)
+    while heap and len(heap) < _MANY:
+        pieces = sorted(heap)
+        load, _ = _loads([-c for c, _ in pieces])
+        biggest = pieces[0][1]
+        if max(load) <= (1 + _UNEVEN) * sum(load) / 2 or not children[biggest]:
+            break
+        heapq.heappop(heap)
+        top.append(biggest)
+        for c in children[biggest]:
+            heapq.heappush(heap, (-total[c], c))
+    pieces = sorted(heap)
+    _, owner = _loads([-c for c, _ in pieces])
+    ranges = [(int(s - size[s] + 1), int(s + 1)) for _, s in pieces]
+    return Shares(ranges, owner, np.array(sorted(top), dtype=np.int64))
+
+
+def _loads(costs: Sequence[float]) -> tuple[list[float], list[int]]:
+    load: list[float] = [0.0, 0.0]
+    owner: list[int] = []
+    for each in costs:
+        k = int(np.argmin(load))
+        load[k] += each
+        owner.append(k)
+    return load, owner
+
+
+class Crew:
+    """Threads that take tasks from a list until it is empty; the caller is one of them."""
+
+    def __init__(self, threads: int):
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._helpers = max(threads - 1, 0)
+
+    def run(self, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
+        """What each task returns; they are begun in order."""
+        results: list[Any] = [None] * len(tasks)
+        if self._pool is None or len(tasks) < 2:
+            return [task() for task in tasks]
+        waiting = deque(enumerate(tasks))
+
+        def work() -> None:
+            while True:
+                try:
+                    k, task = waiting.popleft()
+                except IndexError:
+                    return
+                results[k] = task()
+
+        helpers = [self._pool.submit(work) for _ in range(min(self._helpers, len(tasks) - 1))]
+        work()
+        for each in helpers:
+            each.result()
+        return results
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)

@@ -1,0 +1,222 @@
+"""`Multifrontal`: factors of the matrices of one pattern, and solutions with them."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from limbcli.fem.linear import singular
+from limbcli.fem.multifrontal import numeric
+from limbcli.fem.multifrontal.ordering import compress, order
+from limbcli.fem.multifrontal.plan import Layout, make_plan
+from limbcli.fem.multifrontal.root import Root
+from limbcli.fem.multifrontal.sharing import Crew
+from limbcli.fem.multifrontal.store import Store
+from limbcli.fem.multifrontal.substitution import Substitution
+from limbcli.fem.multifrontal.symbolic import analyse
+from limbcli.fem.multifrontal.top import Top
+from limbcli.model import Array, IntArray
+
+
+class Multifrontal:
+    """L S L^T of a symmetric matrix (upper triangle, CSR), S = diag(+-1), analysed once.
+
+    Pivots keep their order; those that come out as next to nothing are made up for and
+    counted. The matrix is scaled to a diagonal of +-1.
+
+    single : the factor in single precision
+    last : equation numbers to be eliminated last, as the root front, whose part of the
+        matrix can be changed afterwards (`update_root`)
+    metis : nested dissection by METIS if it is there; otherwise minimum degree
+    """
+
+    def __init__(
+        self,
+        indptr: IntArray,
+        indices: IntArray,
+        *,
+        threads: int = 2,
+        single: bool = False,
+        last: IntArray | None = None,
+        metis: bool = True,
+    ):
+        started = time.perf_counter()
+        self.name = "multifrontal LDL" + (" (single precision)" if single else "")
+        self.n = len(indptr) - 1
+        self._indptr, self._indices = np.asarray(indptr), np.asarray(indices)
+        self.layout = _layout(self._indptr, self._indices, last, metis)
+        self._store = Store(self.layout, self.n, len(indices), single)
+        self._crew = Crew(min(threads, 2))
+        self._blas_threads = ThreadpoolController().select(user_api="blas")
+        self._top = Top(self._store, self._crew)
+        self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)
+        self._substitution = Substitution(self.layout, self._store, self._crew)
+        self._made_up = self._made_up_in_root = 0
+        self.n_factorisations = self.n_solves = 0
+        self.seconds = time.perf_counter() - started
+
+    # ------------------------------------------------------------ factor
+
+    def factor(self, values: Array) -> None:
+        """Factor the matrix with these values, in the places of `indices`."""
+        started = time.perf_counter()
+        with self._blas_threads.limit(limits=1):
+            self._scale(np.asarray(values, dtype=float))
+            self._made_up = self._factor_subtrees() + self._factor_top()
+            self._top.gather(self._root.front)
+            self._made_up_in_root = self._root.factor()
+        self.n_factorisations += 1
+        self.seconds += time.perf_counter() - started
+
+    def _scale(self, values: Array) -> None:
+        indptr, indices, store = self._indptr, self._indices, self._store
+        store.scaling = numeric.scales(indptr, indices, values)
+        edges = [0, int(np.searchsorted(indptr, len(indices) // 2)), self.n]
+        self._crew.run(
+            [
+                partial(numeric.scale, indptr, indices, values, store.scaling, a, b, store.values)
+                for a, b in pairwise(edges)
+            ]
+        )
+
+    def _factor_subtrees(self) -> int:
+        store = self._store
+        rooms = deque(store.work)
+
+        def run(start: int, stop: int) -> int:
+            room = rooms.pop()
+            made_up = numeric.factor_subtree(
+                store.blas, store.plan, start, stop, store.values,
+                store.panels, store.updates, store.sign, store.tiny, room,
+            )  # fmt: skip
+            rooms.append(room)
+            return int(made_up)
+
+        found = self._crew.run([partial(run, a, b) for a, b in self.layout.factoring.subtrees])
+        if min(found, default=0) < 0:
+            raise singular("an entry is not finite")
+        return sum(found)
+
+    def _factor_top(self) -> int:
+        made_up = 0
+        for s in map(int, self.layout.factoring.top[:-1]):
+            self._top.gather(s)
+            found = self._top.factor(s)
+            if found < 0:
+                raise singular("an entry is not finite")
+            made_up += found
+            self._top.update(s)
+        return made_up
+
+    # ------------------------------------------------------------ solve
+
+    def solve(self, rhs: Array) -> Array:
+        """Solutions (n,) or (n, k) for right-hand sides of the same shape."""
+        started = time.perf_counter()
+        rhs = np.asarray(rhs, dtype=float)
+        w = self._substitution.enter(rhs)
+        with self._one_blas_thread(rhs):
+            self._substitution.forward(w)
+            self._root.solve(w)
+            self._substitution.backward(w)
+        x = self._substitution.leave(w)
+        self.n_solves += 1
+        self.seconds += time.perf_counter() - started
+        if not np.isfinite(x).all():
+            raise singular("the solution is not finite")
+        return x
+
+    def _one_blas_thread(self, rhs: Array) -> AbstractContextManager[object]:
+        return self._blas_threads.limit(limits=1) if rhs.ndim > 1 else nullcontext()
+
+    # ------------------------------------------------------------ root
+
+    @property
+    def root(self) -> IntArray:
+        """Equation numbers of the root front, in its order."""
+        return self._root.equations
+
+    @property
+    def schur(self) -> Array:
+        """What the elimination of all others left, (n_root, n_root), before any `update_root`."""
+        return self._root.schur()
+
+    def update_root(self, addition: Array | None) -> None:
+        """Factor `schur + addition` (None: `schur`), in the order of `root`; it need not be symmetric."""
+        started = time.perf_counter()
+        self._made_up_in_root = self._root.update(addition, self._blas_threads)
+        self.seconds += time.perf_counter() - started
+
+    def forward(self, rhs: Array) -> Array:
+        """All but the root eliminated: at `root` its right-hand side, elsewhere what `backward` needs."""
+        started = time.perf_counter()
+        rhs = np.asarray(rhs, dtype=float)
+        w = self._substitution.enter(rhs)
+        with self._one_blas_thread(rhs):
+            self._substitution.forward(w)
+        work = np.empty(rhs.shape)
+        work[self.layout.order] = w
+        scaling = self._store.scaling[self.root]
+        work[self.root] /= scaling if rhs.ndim == 1 else scaling[:, None]
+        self.seconds += time.perf_counter() - started
+        return work
+
+    def root_solve(self, rhs: Array) -> Array:
+        """Solve with the root's matrix as factored last: (n_root,) or (n_root, k)."""
+        scaling = self._store.scaling[self.root] if rhs.ndim == 1 else self._store.scaling[self.root, None]
+        w = np.empty((self.n, *rhs.shape[1:]), dtype=self._store.kind)
+        w[self._root.first :] = rhs * scaling
+        self._root.solve(w)
+        return w[self._root.first :] * scaling
+
+    def backward(self, work: Array, root_solution: Array) -> Array:
+        """The whole solution from `forward`'s result and the solution at `root`."""
+        started = time.perf_counter()
+        w = np.empty(work.shape, dtype=self._store.kind)
+        w[:] = work[self.layout.order]
+        scaling = self._store.scaling[self.root]
+        w[self._root.first :] = root_solution / (scaling if work.ndim == 1 else scaling[:, None])
+        with self._one_blas_thread(work):
+            self._substitution.backward(w)
+        self.n_solves += 1
+        self.seconds += time.perf_counter() - started
+        return self._substitution.leave(w)
+
+    # ------------------------------------------------------------ figures
+
+    @property
+    def n_perturbed(self) -> int:
+        """Pivots of the last factor that were too small to divide by."""
+        return self._made_up + self._made_up_in_root
+
+    @property
+    def solves_per_factor(self) -> float:
+        """What a factorisation costs, in solves: a rule of the operations, not a measured time."""
+        return 8.0 + self.layout.flops / (40.0 * self.layout.factor_size + 1e6)
+
+    @property
+    def memory_mb(self) -> float:
+        return self._store.memory_mb
+
+    @property
+    def factor_entries(self) -> int:
+        return self.layout.factor_size
+
+    def close(self) -> None:
+        self._crew.close()
+
+
+def _layout(indptr: IntArray, indices: IntArray, last: IntArray | None, metis: bool) -> Layout:
+    last = np.zeros(0, dtype=np.int64) if last is None else np.unique(np.asarray(last, dtype=np.int64))
+    graph = compress(indptr, indices, last)
+    is_last = np.zeros(len(indptr) - 1, dtype=bool)
+    is_last[last] = True
+    mask = is_last[graph.members[graph.members_at[:-1]]]
+    fronts = analyse(graph, order(graph, mask, metis=metis), int(mask.sum()))
+    return make_plan(graph, fronts, indptr, indices)

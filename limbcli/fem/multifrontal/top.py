@@ -1,0 +1,99 @@
+"""The fronts above the subtrees, each worked on by two threads at once."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from limbcli.fem.multifrontal.dense import (
+    NOT_FINITE,
+    factor_diagonal,
+    form_update,
+    reduce_block,
+    solve_block,
+)
+from limbcli.fem.multifrontal.numeric import gather_panel, gather_update
+from limbcli.fem.multifrontal.sharing import Crew
+from limbcli.fem.multifrontal.store import BLOCK, Store
+
+
+class Top:
+    """Factors single fronts. All is cut in two, whatever the number of threads, so that the sums agree."""
+
+    def __init__(self, store: Store, crew: Crew):
+        self.crew, self.store = crew, store
+        self.blas, self.sign, self.tiny, self.work = store.blas, store.sign, store.tiny, store.work
+
+    def gather(self, s: int) -> None:
+        """The panel of front s before any arithmetic."""
+        plan, store = self.store.plan, self.store
+        p = int(plan.pivot_at[s + 1] - plan.pivot_at[s])
+        r = int(plan.rows_at[s + 1] - plan.rows_at[s])
+        edges = _even_area(p, p + r)
+        self.crew.run(
+            [
+                partial(gather_panel, plan, s, a, b, store.values, store.panels, store.updates)
+                for a, b in edges
+            ]
+        )
+
+    def factor(self, s: int) -> int:
+        """The pivot columns of front s, once gathered; pivots made up for, or NOT_FINITE."""
+        plan, panels, made_up = self.store.plan, self.store.panels, 0
+        o, ld, first = int(plan.panel_at[s]), int(plan.ld[s]), int(plan.pivot_at[s])
+        p = int(plan.pivot_at[s + 1]) - first
+        m = p + int(plan.rows_at[s + 1] - plan.rows_at[s])
+        blas, sign, work = self.blas, self.sign, self.work
+        for j0 in range(0, p, BLOCK):
+            j1 = min(j0 + BLOCK, p)
+            cut = max(j1, min((j0 + m) // 2, m))
+
+            def head(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
+                reduce_block(blas, panels, o, ld, j0, j1, j0, j1, sign, first, work[0])
+                found = factor_diagonal(blas, panels, o, ld, j0, j1, sign, first, self.tiny, work[0])
+                reduce_block(blas, panels, o, ld, j0, j1, j1, cut, sign, first, work[0])
+                return int(found)
+
+            def tail(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
+                reduce_block(blas, panels, o, ld, j0, j1, cut, m, sign, first, work[1])
+                return 0
+
+            found = self.crew.run([head, tail])[0] if j0 else head()
+            if found < 0:
+                return NOT_FINITE
+            made_up += found
+            cut = (j1 + m) // 2
+            self.crew.run(
+                [
+                    partial(solve_block, blas, panels, o, ld, j0, j1, a, b, sign, first)
+                    for a, b in ((j1, cut), (cut, m))
+                ]
+            )
+        return made_up
+
+    def update(self, s: int) -> None:
+        """The update matrix of front s, with what its children pass on."""
+        plan, panels, updates = self.store.plan, self.store.panels, self.store.updates
+        first = int(plan.pivot_at[s])
+        p = int(plan.pivot_at[s + 1]) - first
+        r = int(plan.rows_at[s + 1] - plan.rows_at[s])
+        o, ld, u, ldu = (int(each[s]) for each in (plan.panel_at, plan.ld, plan.update_at, plan.ldu))
+
+        def columns(a: int, b: int, work: Any) -> None:
+            form_update(
+                self.blas, panels, o, ld, p, p + r, updates, u, ldu, a, b, BLOCK, self.sign, first, work
+            )
+            gather_update(plan, s, a, b, updates)
+
+        edges = _even_area(r, r)
+        self.crew.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
+
+
+def _even_area(p: int, m: int) -> list[tuple[int, int]]:
+    """Two runs of the first p columns of a lower triangle of m rows, of the same area."""
+    area = (p * m - p * p / 2) / 2
+    cut = int(m - np.sqrt(max(m * m - 2 * area, 0.0)) + 0.5)
+    cut = min(max(cut, 0), p)
+    return [(a, b) for a, b in ((0, cut), (cut, p)) if b > a]
