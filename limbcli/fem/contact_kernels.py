@@ -17,7 +17,6 @@ from limbcli.fem.contact_points import (
     OTHER,
     POINT,
     TRACTION,
-    add_symmetric,
     cross,
     normal_change,
     point_change,
@@ -65,10 +64,11 @@ def _gap_change(row, gap, nu, dr, dnu, slip):
 
 
 @njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
+def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
     motion: translation of the centre and small rotation vector about it.
+    turning: 1 for the derivative, 0 to leave out what the traction does as the normal turns.
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -78,7 +78,7 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
             row = state[f, k]
             if row[TRACTION] == 0.0:
                 continue
-            t, gap = row[TRACTION], row[GAP]
+            t, gap = turning * row[TRACTION], turning * row[GAP]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             length = normal_change(g1, g2, n, d1, d2, dn, dnu)
@@ -100,26 +100,27 @@ def times(x, facets, N, dN, weights, eps, state, center, v, motion, out, body):
 
 
 @njit(cache=True, nogil=True)
-def stiffness(x, facets, N, dN, weights, eps, state, pairs, slots, values):
-    """Symmetric part of the contact tangent of the soft facets, added to the upper triangle.
+def blocks(x, facets, N, dN, weights, eps, state, turning, out):
+    """Contact tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do.
 
-    The exact block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
-    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`; half of it and of its transpose are added.
+    The block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
+    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`, as is `turning`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    D, dg, K = np.empty((nodes, 3, 3)), np.empty((nodes, 3)), np.empty((nodes, 3, nodes, 3))
+    D, dg = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
+    touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
-        touching = False
+        K = out[f]
         K[:] = 0.0
         for k in range(N.shape[0]):
             if state[f, k, TRACTION] == 0.0:
                 continue
-            t = state[f, k, TRACTION]
-            touching = True
+            t = turning * state[f, k, TRACTION]
+            touched[f] = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            gap = state[f, k, GAP]
+            gap = turning * state[f, k, GAP]
             m = state[f, k, OTHER : OTHER + 3]
             mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
             for b in range(nodes):
@@ -141,6 +142,4 @@ def stiffness(x, facets, N, dN, weights, eps, state, pairs, slots, values):
                     for b in range(nodes):
                         for j in range(3):
                             K[a, i, b, j] += left * dg[b, j] + right * D[b, i, j]
-        if not touching:
-            continue
-        add_symmetric(K, pairs[f], slots, values)
+    return touched

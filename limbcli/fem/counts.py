@@ -22,7 +22,7 @@ class Settings:
     threads: int = 2
     single: bool | None = None
     mixed: bool = True
-    renew_ratio: float = 0.1
+    renew_ratio: float = 1e-3
 
 
 @dataclass

@@ -14,7 +14,7 @@ from limbcli.fem import friction_kernels
 from limbcli.fem.contact_points import FACET
 from limbcli.fem.pairs import Pair
 from limbcli.fem.rigid import AT_REST, Body, BodyState
-from limbcli.model import Array, IntArray
+from limbcli.model import Array
 
 
 @dataclass(eq=False)
@@ -80,10 +80,14 @@ class FrictionPair(Pair):
                 motion, out, body,
             )  # fmt: skip
 
-    def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
         center = self.rigid.center + self.now.shift
+        found = []
         for p, before in zip(self.patches, self.before, strict=True):
-            friction_kernels.stiffness(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center,
-                p.pairs, slots, values,
-            )  # fmt: skip
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = friction_kernels.blocks(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center, out
+            )
+            found.append((out, touched))
+        return found

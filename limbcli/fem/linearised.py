@@ -7,6 +7,7 @@ earlier state, in which the contact is kept up to date where the direct solver c
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from limbcli.model import Array
 
 _MAX_KRYLOV = 40
 _LARGE = 6_000  # equations, from which on single precision pays
-_FRESH = 3.0  # Krylov iterations a decade takes with a fresh factor
+_FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
+_PER_SOLVE = 0.6  # a Krylov iteration is a solve, and a product with the tangent
+_WORN = float(os.environ.get('WORN','1'))
 _ROUNDS = 8  # of contact in one step
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
@@ -50,6 +53,7 @@ class Linearised:
                 kind=settings.linear,
                 threads=settings.threads,
                 single=single,
+                last=system.within_reach(),
             )
             if system.n_tissue
             else None
@@ -58,12 +62,12 @@ class Linearised:
     @property
     def worn(self) -> bool:
         """Whether there is no factor, or one that has cost more than a new one."""
-        return self.inverse is None or self.debt > 1.0
+        return self.inverse is None or self.debt > _WORN
 
     @property
     def per_factor(self) -> float:
-        """What a factorisation costs, in solves."""
-        return float(self.linear.solves_per_factor) if self.linear is not None else 1.0
+        """What a factorisation costs, in Krylov iterations."""
+        return _PER_SOLVE * float(self.linear.solves_per_factor) if self.linear is not None else 1.0
 
     @property
     def patience(self) -> int:
@@ -112,12 +116,15 @@ class Linearised:
         self.debt += max(n - _FRESH * decades, 0.0) / self.per_factor
         return step
 
-    def settle(self, base: State, tissue: Array, goal: float, first: Array | None = None) -> Array:
+    def settle(
+        self, base: State, tissue: Array, goal: float, *, first: Array | None = None, far: bool = False
+    ) -> Array:
         """Step from `base` to equilibrium between the linearised tissue and the contact as it is there.
 
         tissue : the tissue's part of the residual at `base`, which changes linearly
         goal : size of the residual that will do
         first : step to begin with
+        far : the tractions are not yet near those of equilibrium (see `Pair.turning`)
 
         Contact is searched anew after each linear solve: a semismooth Newton iteration (Hintermueller,
         Ito and Kunisch 2002, SIAM J. Optim. 13, 865-888), which needs no loop over the cells.
@@ -129,14 +136,15 @@ class Linearised:
         if searched:
             at, tissue = system.moved(base, step), tissue + tangent.tissue_times(step)
         residual = tissue + system.contact_residual(at, search=searched)
-        best, touching = (norm(residual), step), system.touching()
+        best, touching = (np.inf, step), system.touching()
         rough = searched
         for k in range(_ROUNDS):
             size = norm(residual)
             if size <= goal:
                 return step
             relative = goal / size
-            change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
+            with system.turning(not far):
+                change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
             if self.stuck:
                 break
             moved = tangent.tissue_times(change)

@@ -20,6 +20,7 @@ _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
+_FAR = 0.1  # error from which on contact tractions are not yet what they will be
 _SHARE = 0.3  # of what Newton's method leaves by itself
 
 
@@ -63,7 +64,7 @@ class Newton:
         tissue[: system.n_tissue] += change[system.free]
         rhs = tissue + system.contact_residual(state) + system.contact_change(state, motions=motions)
         first = linearised.solve(state, -rhs, _ROUGH)
-        step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first)
+        step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
         return self.with_volumes(system.moved(aim, step), state)
 
     def with_volumes(self, guess: State, state: State) -> State:
@@ -132,11 +133,12 @@ class Newton:
         error = size / max(forces.scale, 1e-14)
         goal = size * float(np.clip(_SHARE * max(error, target / max(error, 1e-14)), *_FORCING))
         tissue = forces.residual - self.system.contact_residual(state)
-        step = linearised.settle(state, tissue, goal)
+        far = error > _FAR
+        step = linearised.settle(state, tissue, goal, far=far)
         if linearised.stuck:  # the factor is too old to be of use
             self.forces(state)
             linearised.refresh(state, forces.nodal)
-            step = linearised.settle(state, tissue, goal)
+            step = linearised.settle(state, tissue, goal, far=far)
         return step
 
     def search(

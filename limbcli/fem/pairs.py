@@ -44,12 +44,17 @@ class Patch:
 
 @dataclass(eq=False)
 class Pair:
-    """One contact of the model: soft patches against the facets of a body."""
+    """One contact of the model: soft patches against the facets of a body.
+
+    turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
+        equilibrium they are many times what they will be, and that part of the tangent leads astray
+    """
 
     contact: Contact
     body: int
     facets2: IntArray
     patches: list[Patch]
+    turning: float = field(default=1.0, kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
         """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
@@ -70,11 +75,19 @@ class Pair:
 
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p in self.patches:
-            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, center, v, motion, out, body)
+            kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, center, v, motion, out, body
+            )  # fmt: skip
 
-    def stiffness(self, x: Array, slots: IntArray, values: Array) -> None:
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
+        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch."""
+        found = []
         for p in self.patches:
-            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, p.pairs, slots, values)
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = kernels.blocks(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, out)
+            found.append((out, touched))
+        return found
 
     def remember(self, x: Array, at: BodyState) -> None:
         """Take a converged step over; without friction nothing is remembered."""

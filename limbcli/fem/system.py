@@ -7,18 +7,21 @@ equations; their part of the tangent enters as a few dense columns.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
-from limbcli.fem.contact_points import FACET, TRACTION
+from limbcli.fem.contact_points import FACET, TRACTION, add_dense, add_symmetric
+from limbcli.fem.contact_reach import near_nodes
 from limbcli.fem.element_loops import ElementLoops
 from limbcli.fem.groups import make_groups
 from limbcli.fem.rigid_loads import RigidLoads
 from limbcli.fem.state import Forces, State
-from limbcli.model import Array, Drive, LimbModel, Support
+from limbcli.model import Array, Drive, IntArray, LimbModel, Support
 
 _NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
 
@@ -147,6 +150,17 @@ class System(RigidLoads, ElementLoops):
 
     # ------------------------------------------------------------ tangent
 
+    @contextmanager
+    def turning(self, on: bool) -> Iterator[None]:
+        """Contact tangents with or without the turning of the normals."""
+        for pair in self.pairs:
+            pair.turning = float(on)
+        try:
+            yield
+        finally:
+            for pair in self.pairs:
+                pair.turning = 1.0
+
     def touching(self) -> tuple[Array, ...]:
         """Which points (n_facets, n_gauss) of each patch touch, as searched last."""
         return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
@@ -155,8 +169,27 @@ class System(RigidLoads, ElementLoops):
         """The matrix with the symmetric part of the contact (as searched last) added."""
         values = values.copy()
         for pair in self.pairs:
-            pair.stiffness(self.X + state.u, self.pattern.slots, values)
+            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+                add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
+
+    def dense_contact(self, state: State, places: IntArray, n: int) -> Array:
+        """Exact contact tangent (n, n), as searched last, of the unknowns that have places (n_points, 3)."""
+        out = np.zeros((n, n))
+        for pair in self.pairs:
+            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+                add_dense(blocks, touched, patch.facets, places, out)
+        return out
+
+    def within_reach(self) -> IntArray:
+        """Equations of the nodes that the rigid surfaces may come to touch in this step, sorted."""
+        nodes = [
+            near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
+            for pair in self.pairs
+            for patch in pair.patches
+        ]
+        found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
+        return np.unique(found[found >= 0])
 
     def contact_times(self, state: State, v: Array, motions: Array) -> tuple[Array, Array]:
         """Exact contact tangent times nodal and body motions: nodal (n_points, 3), bodies (n_bodies, 6)."""

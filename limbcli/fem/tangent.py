@@ -101,30 +101,63 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 
 
 class Inverse:
-    """Approximate inverse of a tangent: factor of its symmetric part, and the border's Schur complement."""
+    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the contact in its root
+    front, and the Schur complement of the rigid unknowns' border.
+
+    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
+    has a root.
+    """
 
     def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
-        self.linear = linear
+        self.linear, self.tangent = linear, tangent
         system = tangent.system
         self.n = system.n_tissue
+        root = getattr(linear, "root", None)
+        self.n_root = 0 if root is None or not system.pairs else len(root)
         if self.n:
             linear.factor(system.add_contact(state, tangent.upper.data))
+        if self.n_root:
+            places = np.full(self.n + 1, -1, dtype=np.int64)
+            places[root] = np.arange(self.n_root)
+            self.places = places[system.equations]
+            self.inside = self._contact(state)
+            self.touching: tuple[Array, ...] = ()
+            self.follow(state)
+        else:
+            self._set_border(state)
+
+    def follow(self, state: State) -> None:
+        """Take the contact at `state`, as it was searched last, into the root of the factor."""
+        system = self.tangent.system
+        if not self.n_root:
+            return
+        touching = (*system.touching(), np.array([pair.turning for pair in system.pairs]))
+        if self.touching and all((a == b).all() for a, b in zip(touching, self.touching, strict=True)):
+            return
+        self.touching = touching
+        self.linear.update_root(self._contact(state) - self.inside)
+        self._set_border(state)
+
+    def _contact(self, state: State) -> Array:
+        """Symmetric part of the contact tangent of the root."""
+        contact = self.tangent.system.dense_contact(state, self.places, self.n_root)
+        return 0.5 * (contact + contact.T)
+
+    def _set_border(self, state: State) -> None:
+        system = self.tangent.system
         n_rigid = len(system.rigid)
         self.border = np.zeros((system.n_unknowns, n_rigid))
         for k in range(n_rigid):
             unit = np.zeros(system.n_unknowns)
             unit[self.n + k] = 1.0
-            self.border[:, k] = tangent.times(state, unit)
+            self.border[:, k] = self.tangent.times(state, unit)
         self.solved = np.zeros((self.n, n_rigid))
         for k in range(n_rigid):
-            self.solved[:, k] = linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
+            self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
         schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
         if n_rigid:
             check_rigid_modes(system, schur, self.border[self.n :])
         self.schur = schur
-
-    def follow(self, state: State) -> None:
-        """Take the contact at `state`, as it was searched last, into the factor, where that is cheap."""
 
     def __call__(self, rhs: Array) -> Array:
         out = np.empty_like(rhs)
