@@ -76,6 +76,14 @@ class Candidates:
         order = sorted(others, key=lambda trial: -score(best.state, trial).statistic)
         return [(*best.explanation, trial.name) for trial in order[:_GROWN]]
 
+    def extended(self, refit: Refit, *, below: float) -> list[Explanation]:
+        """The same with one more effect, where what it leaves is significant: those it leaves most for."""
+        if refit.family.smallest >= below:
+            return []
+        left = [t for t in refit.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
+        left.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
+        return [(*refit.explanation, t.name) for t in left[:_GROWN]]
+
     def _statistic(self, name: str) -> float:
         found = self.family.of(name)
         return found.score.statistic if found else 0.0

@@ -16,7 +16,7 @@ from limbcli.diagnostics.bench import Bench, Facts
 from limbcli.diagnostics.calibrate import N_DRAWS, Family
 from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, whitened_trials
 from limbcli.diagnostics.closing import Closing
-from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.explain import ADEQUATE, Refit
 from limbcli.diagnostics.ground import ALPHA, Ground
 from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.refits import Refits
@@ -67,22 +67,41 @@ class _Run:
         return self._conclude(self._explanations(candidates, promising, self.refits), promising)
 
     def _explanations(self, candidates: Candidates, names: list[str], refits: Refits) -> list[Refit]:
-        """The confidence set of the smallest size that is not empty."""
+        """The confidence set of the smallest size that is not empty, and what it may still lack."""
         for size in range(1, self.max_effects + 1):
             compared = refits.compared(candidates.of_size(size, names, refits.known.values()))
             kept = [each for each in compared if each.in_set and self._each_is_needed(each, refits)]
             if kept:
-                return kept
+                return self._repeated(kept, candidates, refits) if size < self.max_effects else kept
         return []
 
-    def _each_is_needed(self, refit: Refit, refits: Refits) -> bool:
+    def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
+        """Where a member leaves something at the level of detection, one more effect is tried with it.
+
+        Members pass at a lower level, since the model's own error is known only roughly. So a
+        member may stay beside its own extension: then both are told.
+        """
+        found = [each for refit in kept for each in candidates.extended(refit, below=ALPHA)]
+        larger = list({frozenset(each): each for each in found}.values())
+        if not larger:
+            return kept
+        several = [*(refit.explanation for refit in kept), *larger]
+        compared = refits.compared(several)
+        return [
+            each for each in compared
+            if each.in_set and (each.explanation not in larger or self._each_is_needed(each, refits, ALPHA))
+        ]  # fmt: skip
+
+    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = ADEQUATE) -> bool:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
             return (found is not None and found.p_adjusted < REFIT_BELOW) or refit.gap == 0.0
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
-            if smaller is not None and not smaller.fitted.at_bound and smaller.is_adequate:
+            if smaller is None or smaller.fitted.at_bound:
+                continue
+            if smaller.family.smallest >= level:
                 return False
         return True
 

@@ -25,8 +25,8 @@ from limbcli.model import Array
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %); values only, no test"
 WITHIN = 3.84  # deviance: 95 % for one parameter
-_PLACES, _REFINED = 11, 4
-_FAR = 40.0  # deviances above the best: the walk ends there
+_PLACES, _REFINED = 10, 3
+_FAR = 20.0  # deviances above the best: the walk ends there
 
 
 @dataclass(frozen=True, eq=False)

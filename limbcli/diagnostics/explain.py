@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.linear import Linearised, Whitener
-from limbcli.diagnostics.score import Direction, Trial, cone_projection, score, statistics, visible_columns
+from limbcli.diagnostics.score import Direction, Trial, score, statistics
 from limbcli.model import Array
 
 LEVEL = 0.025  # of the test against the best of the set
@@ -52,12 +52,13 @@ class Refit:
 
 def compare(
     refits: Sequence[Refit], base: Fitted, state: Linearised, trials: Mapping[Explanation, Trial],
-    whiten: Whitener, *, rng: np.random.Generator, relative: bool,
+    whiten: Whitener, form_error: Callable[[Fitted], Array], *, rng: np.random.Generator, relative: bool,
 ) -> list[Refit]:  # fmt: skip
     """Give each refit its deviance gap and the quantile of that gap were it the truth.
 
-    Under explanation k the whitened data are P(mu_k + e), mu_k the finite change that k
-    makes to the prediction; the gap is (best score over all - score of k), to first order.
+    Under explanation k the whitened data are P(mu_k + f_k + e), mu_k the finite change that k
+    makes to the prediction, f_k the error of its form (covariance `form_error(fitted)`, the same that the
+    tests of what it leaves allow for); the gap is (best score over all - score of k), to first order.
     """
     eligible = [each for each in refits if not each.fitted.at_bound]
     if not eligible:
@@ -66,33 +67,46 @@ def compare(
     scale = best / max(min(each.state.nu for each in eligible), 1) if relative else 1.0
     done = []
     for each in refits:
-        allowed = _allowed(each, eligible, base, state, trials, whiten, rng, scale)
+        allowed = _allowed(each, eligible, base, state, trials, whiten, form_error(each.fitted), rng, scale)
         done.append(Refit(each.fitted, each.state, each.family, each.state.chi2 - best, allowed))
     return done
 
 
 def _allowed(
     truth: Refit, rivals: Sequence[Refit], base: Fitted, state: Linearised,
-    trials: Mapping[Explanation, Trial], whiten: Whitener, rng: np.random.Generator, scale: float,
+    trials: Mapping[Explanation, Trial], whiten: Whitener, form_error: Array, rng: np.random.Generator,
+    scale: float,
 ) -> float:  # fmt: skip
     shift = state.project(whiten(truth.fitted.prediction - base.prediction))
+    form = _root(whiten(whiten(form_error).T))
     draws = rng.standard_normal((_N_DRAWS, len(shift))) * np.sqrt(scale)
+    draws = draws + rng.standard_normal((_N_DRAWS, len(shift))) @ form
     draws = state.project((draws + shift).T).T
-    own = _own_score(truth, state, whiten, draws)
+    tangent = Trial("", (_tangent(truth, whiten),))
+    own = statistics(state, tangent, draws)
     top = own.copy()
     for rival in rivals:
-        if rival.explanation != truth.explanation and rival.explanation in trials:
-            top = np.maximum(top, statistics(state, trials[rival.explanation], draws))
+        if rival.explanation == truth.explanation:
+            continue
+        trial = trials.get(rival.explanation)
+        if set(truth.explanation) < set(rival.explanation):  # what it has more, beside its own tangent
+            more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
+            trial = joint_trial([tangent, *more])
+        if trial is not None:
+            top = np.maximum(top, statistics(state, trial, draws))
     return float(np.quantile(top - own, 1 - LEVEL))
 
 
-def _own_score(truth: Refit, state: Linearised, whiten: Whitener, draws: Array) -> Array:
-    """Score of an explanation along its own tangent at its fit (its size is not small there)."""
-    n_base = len(truth.fitted.base_names)
-    columns = whiten(truth.fitted.jacobian[:, n_base:])
-    change = whiten(truth.fitted.prediction)[:, None] * 0.0 if columns.shape[1] == 0 else columns
-    direction = Direction(change, (0,) * change.shape[1])
-    return cone_projection(visible_columns(state, direction), direction.signs, draws)[0]
+def _root(covariance: Array) -> Array:
+    """Symmetric square root of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _tangent(truth: Refit, whiten: Whitener) -> Direction:
+    """What an explanation's own parameters move at its fit (its size is not small there)."""
+    columns = whiten(truth.fitted.jacobian[:, len(truth.fitted.base_names) :])
+    return Direction(columns, (0,) * columns.shape[1])
 
 
 def joint_trial(trials: Sequence[Trial]) -> Trial:

@@ -37,10 +37,11 @@ class Refits:
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
         """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
         ground = self.ground
-        joint = {each: joint_trial([self.trials[name] for name in each]) for each in several}
+        joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
+        joint |= {each: joint_trial([self.trials[name] for name in each]) for each in several}
         refits = compare(
-            self._refitted(several), ground.base, ground.state, joint, ground.whiten, rng=ground.rng(2),
-            relative=ground.relative,
+            self._refitted(several), ground.base, ground.state, joint, ground.whiten, self._form_error,
+            rng=ground.rng(2), relative=ground.relative,
         )  # fmt: skip
         self.known.update({each.explanation: each for each in refits})
         return refits
@@ -50,7 +51,9 @@ class Refits:
         if explanation not in self.known:
             fitted = self._draft(explanation)
             if fitted is not None:
-                self._settle(explanation, fitted)
+                best = self.best()
+                limit = math.inf if best is None else best.state.chi2 + _HOPELESS
+                self._settle(explanation, fitted, simulated=self.ground.linearised(fitted).chi2 <= limit)
         return self.known.get(explanation)
 
     def best(self) -> Refit | None:
@@ -84,12 +87,12 @@ class Refits:
             self.not_evaluated[" + ".join(explanation)] = error.what
             return None
 
-    def _settle(self, explanation: Explanation, draft: Fitted) -> None:
-        """Simulate the model as fitted, and judge what it leaves."""
+    def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
+        """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
         label = " + ".join(explanation)
         self.ground.progress.event("note", text=f"refit with {label}")
         try:
-            fitted = self.ground.bench.verified(draft)
+            fitted = self.ground.bench.verified(draft) if simulated else draft
         except LimbError as error:
             self.not_evaluated[label] = error.what
             return

@@ -21,7 +21,7 @@ class Readings:
     """One measurement as it would be written down, a row a level.
 
     skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
-    three accelerations in g.
+    three accelerations in g; travel: of the probe (mm), where it is recorded.
     """
 
     force: Array
@@ -30,6 +30,7 @@ class Readings:
     skin_bone: Array | None
     hold: float
     trace: Array
+    travel: Array | None = None
 
 
 def measure(true: TrueLevels, law: NoiseLaw, *, protocol: Protocol, rng: np.random.Generator) -> Readings:
@@ -100,4 +101,8 @@ def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
         header.append("skin_bone_mm")
         for k, row in enumerate(rows):
             row.append(f"{readings.skin_bone[k]:.6g}")
+    if readings.travel is not None:
+        header.append("probe_travel_mm")
+        for k, row in enumerate(rows):
+            row.append(f"{readings.travel[k]:.6g}")
     return header, rows

@@ -280,7 +280,8 @@ class SiteBench:
 
         found = least_squares(
             lambda z: self.whiten(self.data.y - self.predict(full(z), explanation, points)),
-            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=30,
+            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
+            ftol=1e-5, xtol=1e-4,
             x_scale=np.array([0.1, *(abs(s.parameter.start - s.parameter.null) for s in slots)]),
         )  # fmt: skip
         names = ["c_kpa", *(s.name for s in slots)]

@@ -24,14 +24,13 @@ from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import ModelError
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA = 100.0
 MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
-USUAL_C = 0.006
+USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
 # h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
 _SAFETY = 1.5
@@ -159,7 +158,7 @@ class Numerics:
                 "the site's own run has fewer than two depths with a force", where=str(ran.folder),
                 fix="run `limbcli run` again",
             )  # fmt: skip
-        scale = reference_c(self.levels, self.site) / mpa_from_kpa(float(built.data["c_kpa"]))
+        scale = self.book.c / mpa_from_kpa(float(built.data["c_kpa"]))
         return str(built.data.get("element")), depth[rising], force[rising] * scale
 
     # ------------------------------------------------------------ interventions
@@ -271,11 +270,3 @@ def measured_slope(levels: Levels) -> Array:
     slope = np.gradient(levels.force, apart)
     rising = np.diff(np.maximum.accumulate(levels.depth), prepend=-1.0) > 1e-3
     return np.asarray(np.where(rising, np.nan_to_num(slope, posinf=0.0, neginf=0.0), 0.0))
-
-
-def reference_c(levels: Levels, site: Site) -> float:
-    """c = 2 mu (MPa) of level 0, or a usual one."""
-    try:
-        return tissue_stiffness(levels, site)[0]
-    except LimbError:
-        return USUAL_C

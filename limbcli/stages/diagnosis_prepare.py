@@ -27,7 +27,6 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import Extra, ModelError, SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
@@ -165,16 +164,15 @@ class _Preparation:
         return self._book(_BEYOND_MM[-1])
 
     def _book(self, more: float) -> CurveBook:
+        """At a usual stiffness and down to a whole millimetre where that is far beyond the readings: what
+        was solved then serves other measurements of the place too."""
         deepest = _BEYOND * float(np.nanmax(self.levels.depth)) + more
+        if more == _BEYOND_MM[0]:
+            deepest = float(np.ceil(deepest))
         depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
-        try:
-            c, source = tissue_stiffness(self.levels, self.site)
-        except LimbError:
-            c, source = USUAL_C, "a usual value (level 0 has no shear-wave speed)"
-        self.notes.data["c_reference_source"] = source
         return CurveBook(
-            self._working_mesh(), depths.tolist(), c=c, f_kappa=F_KAPPA, windows=self.windows, keep=self.work,
-            density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
+            self._working_mesh(), depths.tolist(), c=USUAL_C, f_kappa=F_KAPPA, windows=self.windows,
+            keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
         )  # fmt: skip
 
     def _working_mesh(self) -> LimbModel:

@@ -27,6 +27,7 @@ from limbcli.stages.diagnosis_numerics import Tie
 
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
+_SOLVED_AT = (2.0, 5.0, 10.0)  # m; a change hardly depends on it, and is kept for other measurements
 
 
 class Book(Typed):
@@ -175,8 +176,9 @@ class SiteCurves:
     def _by_solving(self, effect: Effect, point: Theta, name: str) -> tuple[None, Array, Array]:
         p = next(each for each in effect.parameters if each.name == name)
         theta = {**effect.null, **point, name: p.start}
-        moved = logs(self.book.curves(self.m_reference, ((effect, theta),)))
-        change = moved - logs(self.book.curves(self.m_reference))
+        m = min(_SOLVED_AT, key=lambda each: abs(np.log(each / self.m_reference)))
+        moved = logs(self.book.curves(m, ((effect, theta),)))
+        change = moved - logs(self.book.curves(m))
         return None, np.array([p.null, p.start - p.null]), np.nan_to_num(change)
 
     def _by_shifting(self, effect: Effect, point: Theta, name: str) -> tuple[CubicSpline, Array, Array]:

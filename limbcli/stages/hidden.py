@@ -156,6 +156,7 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
         depth=readings.depth[keep],
         maps=tuple(readings.maps[k] for k in keep),
         skin_bone=None if readings.skin_bone is None else readings.skin_bone[keep],
+        travel=None if readings.travel is None else readings.travel[keep],
     )
 
 
@@ -210,6 +211,16 @@ def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     return _speeds(readings, lambda v, z, k: v * (1 - theta["swe_loss_per_mm"] * (z - 13.5)))
 
 
+def _support(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """Bone on a spring: the probe travels further than it presses; its travel is recorded."""
+    noise = _TRAVEL_NOISE_MM * np.random.default_rng(len(true.force)).standard_normal(len(true.force))
+    travel = true.depth + theta["support_compliance_mm_per_n"] * true.force + noise
+    return replace(readings, travel=np.where(np.arange(len(travel)) == 0, 0.0, travel))
+
+
+_TRAVEL_NOISE_MM = 0.1
+
+
 def _guided(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Every pixel by its own speed, at the thickness left at its level."""
     thick = true.skin_bone if true.skin_bone else 40.0
@@ -235,5 +246,5 @@ _READINGS: dict[str, Callable[[Readings, TrueLevels, Theta], Readings]] = {
     "force-zero": _force_zero, "force-gain": _force_gain, "depth-zero": _depth_zero,
     "depth-gain": _depth_gain,
     "preload": _preload, "viscoelasticity": _relaxing, "swe-time-scale": _time_scale,
-    "swe-depth-bias": _depth_bias, "swe-guided-wave": _guided,
+    "swe-depth-bias": _depth_bias, "swe-guided-wave": _guided, "support-motion": _support,
 }  # fmt: skip

@@ -47,6 +47,13 @@ def test_force_and_depth_effects():
     assert pressed.depth == pytest.approx([0.0, 2.0])
 
 
+def test_a_support_that_gives_way_shows_in_the_travel_alone():
+    found = shown("support-motion=0.1")
+    assert found.travel == pytest.approx([0.0, 3.2, 5.4], abs=0.4)
+    assert found.depth == pytest.approx(_readings().depth)
+    assert found.force == pytest.approx(_readings().force)
+
+
 def test_speed_effects():
     assert shown("swe-time-scale=0.64").maps[0].speed_m_per_s == pytest.approx([2.5] * 3)
     biased = shown("swe-depth-bias=0.02").maps[0].speed_m_per_s
@@ -81,7 +88,7 @@ def test_the_record_is_misread_as_the_levels_are():
         ("force-zero=9", "must be a number from -4 to 4"),
         ("force-zero=much", "must be a number"),
         ("poroelasticity", "cannot be hidden"),
-        ("support-motion", "cannot be hidden"),
+        ("poroelasticity", "cannot be hidden"),
     ],
 )
 def test_what_cannot_be_hidden_is_said(text, message):

@@ -1,4 +1,4 @@
-"""Calls of scipy's BLAS and LAPACK from compiled loops that hold no lock.
+"""Calls of scipy's BLAS from compiled loops that hold no lock.
 
 The addresses are those that scipy offers to compiled code (`scipy.linalg.cython_blas`),
 given to the loops as numbers, so that compiled loops can be cached. Matrices are flat
@@ -15,19 +15,14 @@ from numba.extending import get_cython_function_address, intrinsic
 
 from limbcli.model import IntArray
 
-_ROUTINES = (
-    ("scipy.linalg.cython_blas", "gemm"),
-    ("scipy.linalg.cython_blas", "syrk"),
-    ("scipy.linalg.cython_blas", "trsm"),
-    ("scipy.linalg.cython_lapack", "potrf"),
-)
-GEMM, SYRK, TRSM, POTRF = range(len(_ROUTINES))
+_ROUTINES = ("gemm", "syrk", "trsm")
+GEMM, SYRK, TRSM = range(len(_ROUTINES))
 
 
 def addresses(single: bool) -> IntArray:
-    """Where the routines are, in the order GEMM, SYRK, TRSM, POTRF."""
+    """Where the routines are, in the order GEMM, SYRK, TRSM."""
     letter = "s" if single else "d"
-    return np.array([get_cython_function_address(room, letter + name) for room, name in _ROUTINES])
+    return np.array([get_cython_function_address("scipy.linalg.cython_blas", letter + r) for r in _ROUTINES])
 
 
 _BYTE, _INT = ir.IntType(8), ir.IntType(32)
@@ -127,7 +122,7 @@ def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: 
     return signature, codegen
 
 
-def _trsm(side, transposed):  # type: ignore[no-untyped-def]
+def _trsm(transposed):  # type: ignore[no-untyped-def]
     @intrinsic
     def trsm(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
         i = types.intp
@@ -138,7 +133,7 @@ def _trsm(side, transposed):  # type: ignore[no-untyped-def]
             _, m, n, a, oa, lda, b, ob, ldb = args
             one = context.get_constant(t[3].dtype, 1.0)
             arguments = [
-                *(_letter(builder, each) for each in (side, "L", transposed, "N")),
+                *(_letter(builder, each) for each in ("L", "L", transposed, "N")),
                 _int(builder, m),
                 _int(builder, n),
                 _by_address(builder, one),
@@ -155,29 +150,5 @@ def _trsm(side, transposed):  # type: ignore[no-untyped-def]
     return trsm
 
 
-trsm_right = _trsm("R", "T")  # B (m, n) = B L^-T
-trsm_left = _trsm("L", "N")  # B = L^-1 B
-trsm_left_t = _trsm("L", "T")  # B = L^-T B
-
-
-@intrinsic
-def potrf(typingctx, table, n, a, oa, lda):  # type: ignore[no-untyped-def]
-    """Cholesky factor, in place, of the lower triangle; LAPACK's info."""
-    i = types.intp
-    signature = i(table, i, a, i, i)
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        _, n, a, oa, lda = args
-        info = _by_address(builder, ir.Constant(_INT, 0))
-        arguments = [
-            _letter(builder, "L"),
-            _int(builder, n),
-            _pointer(context, builder, t[2], a, oa),
-            _int(builder, lda),
-            info,
-        ]
-        _call(builder, _table(context, builder, signature, args), POTRF, arguments)
-        return builder.sext(builder.load(info), ir.IntType(64))
-
-    return signature, codegen
+trsm_left = _trsm("N")  # B (m, n) = L^-1 B
+trsm_left_t = _trsm("T")  # B = L^-T B

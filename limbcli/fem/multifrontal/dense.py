@@ -1,8 +1,8 @@
 """A front's dense arithmetic: A = L S L^T with S = diag(+-1), pivots in their given order.
 
 Columns are finished block by block (left-looking): one product with all that lies to the
-left, Cholesky's factor of the diagonal block (or our own loop where a pivot is negative or
-next to nothing), one triangular solve below it.
+left, then the block itself in narrow tiles, whose inverses turn the triangular solves below
+them into products.
 """
 
 from __future__ import annotations
@@ -10,9 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.fem.multifrontal.blas import gemm_nt, potrf, syrk, trsm_right
+from limbcli.fem.multifrontal.blas import gemm_nn, gemm_nt, syrk
+from limbcli.fem.multifrontal.vectors import add_scaled
 
 NOT_FINITE = -1
+TILE = 32  # columns that are factored by plain loops
+STRIP = 512  # rows that are solved for at once
 
 
 @njit(cache=True, nogil=True)
@@ -43,74 +46,118 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, work):  # type: ignore[no-untyped-def]
-    """Factor the diagonal block of columns j0..j1; pivots made up for, or NOT_FINITE."""
-    n = j1 - j0
-    d = o + j0 + j0 * ld
-    for j in range(n):
-        for i in range(j, n):
-            work[j * n + i] = a[d + i + j * ld]
-    if potrf(blas, n, a, d, ld) == 0:
-        good = True
-        for j in range(n):
-            root = a[d + j + j * ld]
-            good &= root * root > tiny
-            sign[first + j0 + j] = 1
-        if good:
-            return 0 if np.isfinite(a[d + (n - 1) * (ld + 1)]) else NOT_FINITE
-    for j in range(n):
-        for i in range(j, n):
-            a[d + i + j * ld] = work[j * n + i]
-    return _factor_signed(a, d, ld, n, sign, first + j0, tiny)
+def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
+    """Factor the diagonal block of columns j0..j1; pivots made up for, or NOT_FINITE.
+
+    inverse : gets S L^-1 of the TILE x TILE blocks on its diagonal, row after row
+    """
+    made_up = 0
+    for k0 in range(j0, j1, TILE):
+        k1 = min(k0 + TILE, j1)
+        _reduce_tile(blas, a, o, ld, j0, k0, k1, k0, j1, sign, first, work)
+        inverted = inverse[(k0 - j0) * TILE : (k0 - j0 + TILE) * TILE]
+        found = _factor_tile(a, o + k0 * (ld + 1), ld, k1 - k0, sign, first + k0, tiny, inverted, work)
+        if found < 0:
+            return NOT_FINITE
+        made_up += found
+        _solve_tile(blas, a, o, ld, k0, k1, k1, j1, inverted, work)
+    return made_up
 
 
 @njit(cache=True, nogil=True)
-def _factor_signed(a, d, ld, n, sign, first, tiny):  # type: ignore[no-untyped-def]
+def _reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
+    """Take from rows r0..r1 of columns k0..k1 what columns j0..k0 contribute."""
+    one = a.dtype.type(1)
+    if k0 == j0 or r1 <= r0:
+        return
+    n, k = k1 - k0, k0 - j0
+    target, left = o + r0 + k0 * ld, o + r0 + j0 * ld
+    if signed_copy(a, o + k0 + j0 * ld, ld, n, k, sign, first + j0, work):
+        gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, work, 0, n, one, a, target, ld)
+    else:
+        gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, a, o + k0 + j0 * ld, ld, one, a, target, ld)
+
+
+@njit(cache=True, nogil=True)
+def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
+    """L S L^T of n <= TILE columns, in loops of one length; S L^-1 row after row."""
+    one, none = a.dtype.type(1), a.dtype.type(0)
     made_up = 0
     for j in range(n):
-        pivot = a[d + j + j * ld]
+        for i in range(TILE):
+            work[j * TILE + i] = a[d + i + j * ld] if j <= i < n else none
+    for j in range(n):
+        pivot = work[j * TILE + j]
         if not np.isfinite(pivot):
             return NOT_FINITE
-        s = a.dtype.type(1) if pivot >= 0 else a.dtype.type(-1)
+        s = one if pivot >= 0 else -one
         if abs(pivot) <= tiny:
             pivot = s * tiny
             made_up += 1
         root = np.sqrt(abs(pivot))
         sign[first + j] = s
-        a[d + j + j * ld] = root
-        for i in range(j + 1, n):
-            a[d + i + j * ld] /= s * root
+        factor = s / root
+        for i in range(TILE):
+            work[j * TILE + i] *= factor
+        work[j * TILE + j] = root
         for k in range(j + 1, n):
-            factor = s * a[d + k + j * ld]
-            for i in range(k, n):
-                a[d + i + k * ld] -= factor * a[d + i + j * ld]
+            add_scaled(work, k * TILE, work, j * TILE, -s * work[j * TILE + k], TILE)
+    for j in range(n):
+        for i in range(j, n):
+            a[d + i + j * ld] = work[j * TILE + i]
+    for j in range(n):
+        for i in range(TILE):
+            inverse[j * TILE + i] = none
+        inverse[j * TILE + j] = one
+        for k in range(j):
+            add_scaled(inverse, j * TILE, inverse, k * TILE, -work[k * TILE + j], TILE)
+        factor = one / work[j * TILE + j]
+        for i in range(TILE):
+            inverse[j * TILE + i] *= factor
+    for j in range(n):
+        if sign[first + j] < 0:
+            for i in range(TILE):
+                inverse[j * TILE + i] = -inverse[j * TILE + i]
     return made_up
 
 
 @njit(cache=True, nogil=True)
-def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first):  # type: ignore[no-untyped-def]
-    """Rows r0..r1 of columns j0..j1, once their diagonal block is factored."""
-    if r1 <= r0:
+def _solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[no-untyped-def]
+    """Rows r0..r1 of columns k0..k1 times L^-T S of the tile."""
+    one, none = a.dtype.type(1), a.dtype.type(0)
+    n, m = k1 - k0, r1 - r0
+    if m <= 0:
         return
-    trsm_right(blas, r1 - r0, j1 - j0, a, o + j0 + j0 * ld, ld, a, o + r0 + j0 * ld, ld)
-    for j in range(j0, j1):
-        if sign[first + j] < 0:
-            for i in range(r0, r1):
-                a[o + i + j * ld] = -a[o + i + j * ld]
+    for j in range(n):
+        source = o + r0 + (k0 + j) * ld
+        work[j * m : (j + 1) * m] = a[source : source + m]
+    gemm_nn(blas, m, n, n, one, work, 0, m, inverse, 0, TILE, none, a, o + r0 + k0 * ld, ld)
 
 
 @njit(cache=True, nogil=True)
-def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, work):  # type: ignore[no-untyped-def]
+def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # type: ignore[no-untyped-def]
+    """Rows r0..r1 of columns j0..j1, once their diagonal block is factored."""
+    for b0 in range(r0, r1, STRIP):
+        b1 = min(b0 + STRIP, r1)
+        for k0 in range(j0, j1, TILE):
+            k1 = min(k0 + TILE, j1)
+            _reduce_tile(blas, a, o, ld, j0, k0, k1, b0, b1, sign, first, work)
+            inverted = inverse[(k0 - j0) * TILE : (k0 - j0 + TILE) * TILE]
+            _solve_tile(blas, a, o, ld, k0, k1, b0, b1, inverted, work)
+
+
+@njit(cache=True, nogil=True)
+def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """The first p columns of a front of m rows; pivots made up for, or NOT_FINITE."""
     made_up = 0
     for j0 in range(0, p, block):
         j1 = min(j0 + block, p)
         reduce_block(blas, a, o, ld, j0, j1, j0, m, sign, first, work)
-        found = factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, work)
+        found = factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work)
         if found < 0:
             return NOT_FINITE
         made_up += found
-        solve_block(blas, a, o, ld, j0, j1, j1, m, sign, first)
+        solve_block(blas, a, o, ld, j0, j1, j1, m, sign, first, inverse, work)
     return made_up
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.fem.multifrontal.dense import NOT_FINITE, factor_panel, form_update
+from limbcli.fem.multifrontal.vectors import add
 
 BLOCK = 96  # columns of a block where one thread is at work
 
@@ -80,14 +81,12 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
             end = plan.runs[k + 1] if k + 1 < high else n
             source = u + j * ldu + begin
             to = column + into[begin]
-            given, got = updates[source : source + end - begin], target[to : to + end - begin]
-            for i in range(len(got)):
-                got[i] += given[i]
+            add(target, to, updates, source, end - begin)
             begin = end
 
 
 @njit(cache=True, nogil=True)
-def factor_subtree(blas, plan, start, stop, values, panels, updates, sign, tiny, work):  # type: ignore[no-untyped-def]
+def factor_subtree(blas, plan, start, stop, values, panels, updates, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Fronts start..stop, one after the other; pivots made up for, or NOT_FINITE."""
     made_up = 0
     for s in range(start, stop):
@@ -96,7 +95,7 @@ def factor_subtree(blas, plan, start, stop, values, panels, updates, sign, tiny,
         r = plan.rows_at[s + 1] - plan.rows_at[s]
         o, ld = plan.panel_at[s], plan.ld[s]
         gather_panel(plan, s, 0, p, values, panels, updates)
-        found = factor_panel(blas, panels, o, ld, p, p + r, BLOCK, sign, first, tiny, work)
+        found = factor_panel(blas, panels, o, ld, p, p + r, BLOCK, sign, first, tiny, inverse, work)
         if found < 0:
             return NOT_FINITE
         made_up += found

@@ -87,13 +87,13 @@ class Multifrontal:
 
     def _factor_subtrees(self) -> int:
         store = self._store
-        rooms = deque(store.work)
+        rooms = deque(zip(store.inverses, store.work, strict=True))
 
         def run(start: int, stop: int) -> int:
             room = rooms.pop()
             made_up = numeric.factor_subtree(
                 store.blas, store.plan, start, stop, store.values,
-                store.panels, store.updates, store.sign, store.tiny, room,
+                store.panels, store.updates, store.sign, store.tiny, *room,
             )  # fmt: skip
             rooms.append(room)
             return int(made_up)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem.multifrontal import blas
+from limbcli.fem.multifrontal.dense import STRIP, TILE
 from limbcli.fem.multifrontal.plan import Layout
 
 BLOCK = 192  # columns of a block where two threads are at work on one front
@@ -18,7 +19,7 @@ class Store:
 
     panels, updates : pivot columns and update matrices of the fronts (see `Plan`)
     values : the matrix, scaled; scaling (n,) : by equation number; sign (n,) : of the pivots, in order
-    work : room for each of two threads
+    work, inverses : room for each of two threads
     """
 
     def __init__(self, layout: Layout, n: int, n_values: int, single: bool):
@@ -31,8 +32,9 @@ class Store:
         self.values = np.empty(n_values, dtype=self.kind)
         self.sign = np.ones(n, dtype=self.kind)
         self.scaling = np.ones(n)
-        room = BLOCK * max(layout.largest_panel, BLOCK)
+        room = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * (STRIP + TILE))
         self.work = [np.empty(room, dtype=self.kind) for _ in range(2)]
+        self.inverses = [np.empty((BLOCK + TILE) * TILE, dtype=self.kind) for _ in range(2)]
 
     @property
     def memory_mb(self) -> float:

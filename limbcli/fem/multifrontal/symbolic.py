@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.fem.multifrontal.ordering import Graph, positions
+from limbcli.fem.multifrontal.runs import longer_runs
 from limbcli.model import IntArray
 
 
@@ -195,13 +196,18 @@ def _renumber(
     fresh = np.argsort(front_of, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(front_of, minlength=len(heads)))])
     up = np.where(parent < 0, -1, rank[np.where(parent < 0, 0, number[parent])])[post]
-    place = positions(fresh)
     tops = heads[post]
     rows_at = np.concatenate([[0], np.cumsum(at[tops + 1] - at[tops])])
-    out = np.empty(rows_at[-1], dtype=np.int64)
-    for s, j in enumerate(tops):
-        out[rows_at[s] : rows_at[s + 1]] = np.sort(place[rows[at[j] : at[j + 1]]])
-    return Fronts(order[fresh], start, up, rows_at, out)
+    below = np.concatenate([rows[at[j] : at[j + 1]] for j in tops])
+    fresh = fresh[longer_runs(start, rows_at, _sorted(rows_at, positions(fresh)[below]))]
+    return Fronts(order[fresh], start, up, rows_at, _sorted(rows_at, positions(fresh)[below]))
+
+
+@njit(cache=True)
+def _sorted(at, rows):  # type: ignore[no-untyped-def]
+    for s in range(len(at) - 1):
+        rows[at[s] : at[s + 1]].sort()
+    return rows
 
 
 @njit(cache=True)

@@ -25,6 +25,7 @@ class Top:
     def __init__(self, store: Store, crew: Crew):
         self.crew, self.store = crew, store
         self.blas, self.sign, self.tiny, self.work = store.blas, store.sign, store.tiny, store.work
+        self.inverse = store.inverses[0]
 
     def gather(self, s: int) -> None:
         """The panel of front s before any arithmetic."""
@@ -45,14 +46,14 @@ class Top:
         o, ld, first = int(plan.panel_at[s]), int(plan.ld[s]), int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
         m = p + int(plan.rows_at[s + 1] - plan.rows_at[s])
-        blas, sign, work = self.blas, self.sign, self.work
+        blas, sign, work, inverse = self.blas, self.sign, self.work, self.inverse
         for j0 in range(0, p, BLOCK):
             j1 = min(j0 + BLOCK, p)
             cut = max(j1, min((j0 + m) // 2, m))
 
             def head(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
                 reduce_block(blas, panels, o, ld, j0, j1, j0, j1, sign, first, work[0])
-                found = factor_diagonal(blas, panels, o, ld, j0, j1, sign, first, self.tiny, work[0])
+                found = factor_diagonal(blas, panels, o, ld, j0, j1, sign, first, self.tiny, inverse, work[0])
                 reduce_block(blas, panels, o, ld, j0, j1, j1, cut, sign, first, work[0])
                 return int(found)
 
@@ -67,8 +68,8 @@ class Top:
             cut = (j1 + m) // 2
             self.crew.run(
                 [
-                    partial(solve_block, blas, panels, o, ld, j0, j1, a, b, sign, first)
-                    for a, b in ((j1, cut), (cut, m))
+                    partial(solve_block, blas, panels, o, ld, j0, j1, a, b, sign, first, inverse, w)
+                    for a, b, w in ((j1, cut, work[0]), (cut, m, work[1]))
                 ]
             )
         return made_up
