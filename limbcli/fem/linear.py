@@ -251,7 +251,7 @@ def make(
 
         return Multifrontal(indptr, indices, threads=threads, single=single, last=last)
     if kind == "auto":
-        kind = "pardiso" if has_pardiso() else "superlu"
+        kind = "multifrontal" if len(indptr) > 6000 else "pardiso" if has_pardiso() else "superlu"
     if kind == "pardiso" and not has_pardiso():
         raise ToolError(
             "MKL Pardiso is not installed", where="linear solver", fix="pip install pypardiso, or use superlu"

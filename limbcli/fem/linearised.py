@@ -7,7 +7,6 @@ earlier state, in which the contact is kept up to date where the direct solver c
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ _MAX_KRYLOV = 40
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.6  # a Krylov iteration is a solve, and a product with the tangent
-_WORN = float(os.environ.get('WORN','1'))
+_WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
