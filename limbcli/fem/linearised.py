@@ -24,6 +24,7 @@ _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.6  # a Krylov iteration is a solve, and a product with the tangent
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
+_EXACT = 1e-2  # to which it is solved where contact does not settle
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
 
@@ -130,6 +131,8 @@ class Linearised:
         """
         system, tangent = self.system, self.tangent
         assert tangent is not None
+        if system.rubs:
+            return first if first is not None else self._once(base, tissue, goal)
         step = np.zeros_like(tissue) if first is None else first
         at, searched = base, first is not None
         if searched:
@@ -161,6 +164,11 @@ class Linearised:
             before, touching = touching, system.touching()
             rough = any((a != b).any() for a, b in zip(before, touching, strict=True))
         return best[1]
+
+    def _once(self, base: State, tissue: Array, goal: float) -> Array:
+        """One linear solve, the contact as searched last: points that stick or slip by turns do not settle."""
+        residual = tissue + self.system.contact_residual(base)
+        return self.solve(base, -residual, min(goal / max(norm(residual), 1e-300), _EXACT))
 
     def close(self) -> None:
         if self.linear is not None:

@@ -63,7 +63,7 @@ class Newton:
         tissue = forces.residual - system.contact_residual(state)
         tissue[: system.n_tissue] += change[system.free]
         rhs = tissue + system.contact_residual(state) + system.contact_change(state, motions=motions)
-        first = linearised.solve(state, -rhs, _ROUGH)
+        first = linearised.solve(state, -rhs, _ROUGH**2 if system.rubs else _ROUGH)
         step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
         return self.with_volumes(system.moved(aim, step), state)
 
