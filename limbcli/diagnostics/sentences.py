@@ -17,13 +17,11 @@ _WORDS = {
 
 
 def sentences(found: Diagnosis) -> list[str]:
-    """At most ten, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
+    """At most eight, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
     lines = [
-        _WORDS[found.verdict],
-        f"Why: {found.reason}.",
+        f"{_WORDS[found.verdict]} Why: {found.reason}.",
         _fit(found),
-        _where(found),
-        _what(found),
+        f"{_where(found)} {_what(found)}".rstrip(),
         _set(found),
         _shrunk(found),
         _blind(found),

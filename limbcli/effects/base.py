@@ -60,6 +60,7 @@ class Effect:
         (where both differ from the identity and `solves` is false, `apply` is what FEBio is given)
     febio_only : the reference solver refuses the model
     new_mesh : `apply` moves nodes or elements
+    onset : the grid's value that is a share of the levels: on those before it the effect is not there yet
     each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
         measurements of one place share it
     """
@@ -77,6 +78,7 @@ class Effect:
     solves: bool = False
     febio_only: bool = False
     new_mesh: bool = False
+    onset: str = ""
     each_time: bool = False
     tell_tale: str = ""
 
@@ -91,6 +93,10 @@ class Effect:
     @property
     def typical(self) -> dict[str, float]:
         return {**self.grid[0], **{each.name: each.typical for each in self.parameters}}
+
+    def without_onset(self, point: Theta) -> dict[str, float]:
+        """A point of the grid as the model takes it: when the effect sets in is no matter of the model."""
+        return {name: value for name, value in point.items() if name != self.onset}
 
     def is_null(self, theta: Theta) -> bool:
         return all(theta.get(each.name, each.null) == each.null for each in self.parameters)

@@ -1,7 +1,8 @@
 """Muscle that tenses: an active stress along the fibres.
 
 sigma += (T0/J) (F a0)(F a0)', T0 0 to 30 kPa (0 to 10 % of the maximal stress); along the fibre
-rho v^2 grows by T0 l^2, across it at first not at all.
+rho v^2 grows by T0 l^2, across it at first not at all. From the start, or from a level on: guarding, when
+it begins to hurt. In a model file it is there from the start.
 FEBio: `prescribed fiber active contraction` in a `solid mixture`.
 Tell-tale: the force jumps or fluctuates within a hold, and repeats differ; rotated speeds jump more.
 Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physiol 108:1389.
@@ -15,6 +16,9 @@ from limbcli.model import LimbModel, Material, Value
 
 TENSION = Parameter("active_stress_per_c", null=0.0, start=0.3, low=0.0, high=4.0, typical=0.6,
                     prior="0 to 30 kPa; guarding, a few kPa")  # fmt: skip
+
+
+ONSET = "tensed_after_share_of_levels"
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
@@ -32,6 +36,8 @@ EFFECT = Effect(
     source="Zajac 1989, Crit Rev Biomed Eng 17:359",
     parameters=(TENSION,),
     apply=apply,
+    grid=tuple({ONSET: k / 16} for k in (0, *range(4, 13))),  # every level, where there are up to 16
+    onset=ONSET,
     solves=True,
     tell_tale="erratic levels; force fluctuates in holds",
 )

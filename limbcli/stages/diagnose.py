@@ -239,7 +239,12 @@ class _Diagnosed:
         theta = bench.theta(fitted.values, fitted.explanation, k)
         for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
             each = bench.effects[name]
-            model = each.apply(model, {**each.null, **theta, **point})
+            model = each.apply(model, {**each.null, **theta, **each.without_onset(point)})
+            if point.get(each.onset, 0.0) > 0.0:
+                writer.warnings.append(
+                    f"diagnosed.feb has {name} from the start; in the data it sets in after "
+                    f"{100 * point[each.onset]:.0f} % of the levels"
+                )
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol as Typed
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from limbcli.diagnostics.bench import Explanation
@@ -27,6 +28,7 @@ from limbcli.stages.diagnosis_numerics import Tie
 
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
+_OF_LEVELS = ("force", "swe", "map", "travel")
 _SOLVED_AT = (2.0, 5.0, 10.0)  # m; a change hardly depends on it, and is kept for other measurements
 
 
@@ -88,7 +90,19 @@ class SiteCurves:
     ) -> Array:
         """What this site's data should be (n,)."""
         curves = self.curves(c, m, explanation, theta, points)
-        return self.site.predict(curves, self.reading(explanation, theta, points))
+        found = self.site.predict(curves, self.reading(explanation, theta, points))
+        for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
+            share = point.get(self.effects[name].onset, 0.0)
+            if share > 0.0:
+                rest = [each for n, each in enumerate(points) if n != k]
+                without = self.predict(c, m, (*explanation[:k], *explanation[k + 1 :]), theta, rest)
+                found = np.where(self._before(share), without, found)
+        return found
+
+    def _before(self, share: float) -> NDArray[np.bool_]:
+        """Data (n,) of the levels before that share of them."""
+        first = share * len(self.site.protocol)
+        return np.array([row.channel in _OF_LEVELS and row.level < first for row in self.site.rows])
 
     def curves(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
@@ -121,7 +135,9 @@ class SiteCurves:
         """
         effects = [self.effects[name] for name in explanation]
         solving = tuple(
-            (e, {**e.null, **theta, **q}) for e, q in zip(effects, points, strict=True) if e.solves
+            (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})
+            for e, q in zip(effects, points, strict=True)
+            if e.solves
         )
         true = logs(self.book.curves(m, solving)) + self._tied()
         missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
@@ -156,6 +172,7 @@ class SiteCurves:
         return first.depth, out + self._tied(), first
 
     def _change(self, effect: Effect, point: Theta) -> Change:
+        point = effect.without_onset(point)
         key = (effect.name, point_name(point))
         if key not in self._changes:
             self._changes[key] = self._solved_change(effect, point)

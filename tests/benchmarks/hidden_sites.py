@@ -46,7 +46,7 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
         source, out=work / "truth-out", out_case=made, sites=[options.site],
         options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0),
     )  # fmt: skip
-    simulated = time.perf_counter()
+    simulated, processor = time.perf_counter(), time.process_time()
     trial = work / "case"
     shutil.rmtree(trial, ignore_errors=True)
     shutil.copytree(options.case, trial)
@@ -71,8 +71,12 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
         "best": [(c["name"], round(c["p_adjusted"], 4)) for c in ranked[:4]],
         "chi2_per_nu": [first["chi2_per_nu"], last["chi2_per_nu"]],
         "error": [_error(each["values"]) for each in (first, last)],
-        "not_evaluated": sorted(found["not_evaluated"]),
+        "not_evaluated": found["not_evaluated"],
         "seconds": [round(simulated - begun, 1), round(time.perf_counter() - simulated, 1)],
+        "processor_seconds": round(time.process_time() - processor, 1),
+        "values": [each["values"] for each in (first, last)],
+        "intervals": [each["intervals_95"] for each in (first, last)],
+        "left_out": found["left_out"],
     }
 
 

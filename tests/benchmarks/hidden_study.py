@@ -39,6 +39,7 @@ def arms(sizes: dict[str, dict[str, float]]) -> list[tuple[str, dict[str, dict[s
     for times in TIMES:
         for name in TOLD.split():
             every.append((f"{name} x{times:g}", {name: theta_of(name, sizes, times)}))
+        every.append((f"late contraction x{times:g}", {"contraction": theta_of("contraction", sizes, times)}))
     every += [(" + ".join(pair), {n: theta_of(n, sizes, 2.0) for n in pair}) for pair in PAIRS]
     masked = ("masked: force-gain", {"force-gain": {"force_gain": 1.05}})
     return [*every, *[("outside", {})] * 4, *[("noise understated", {})] * 2, masked]

@@ -29,6 +29,7 @@ from limbcli.stages.diagnosis_site import SiteCurves
 
 USUAL = (6.5, 4.0)  # c in kPa, m
 C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own
+LATE = 8 / 14  # of the levels, where an effect sets in late
 LARGEST = 2.0  # times the plausible size: skin is not steel
 # Patient from model, the limb's axis along the model's y, and along its x: the probe turned by 90 degrees.
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -138,7 +139,7 @@ class Case:
         understated = 2.5 if self.arm == "noise understated" else 1.0
         return reduced.measured(
             self.rng, self.ingredients, None if plain else self.reading, understated=understated,
-            **self._true(axes),
+            onset=LATE if self.arm.startswith("late ") else 0.0, **self._true(axes),
         )  # fmt: skip
 
     def curves(self, levels, axes: np.ndarray = ACROSS, name: str = "p1", extras=()) -> SiteCurves:
@@ -226,7 +227,8 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "recommended": None,
         "set_after": None,
     }
-    if follow and found.verdict == "ambiguous" and case.truth:
+    late = case.arm.startswith("late ")  # the recommended measurement is not synthesised for those
+    if follow and found.verdict == "ambiguous" and case.truth and not late:
         more = case.with_recommended(found)
         if more is not None:
             row["recommended"], after = more[0], more[1]

@@ -137,13 +137,24 @@ def measured(
     rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
     m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
     understated: float = 1.0,
-    hold: float = 20.0,
+    hold: float = 20.0, onset: float = 0.0,
 ) -> Levels:  # fmt: skip
-    """Levels as an instrument would write them: a finer block, another spread, noise of another law."""
+    """Levels as an instrument would write them: a finer block, another spread, noise of another law.
+
+    onset : share of the levels before which the ingredients are not there
+    """
     curves, true_reading, protocol = truth(
         ingredients, reading, c=c, m=m, book=book, n_levels=n_levels, hold=hold
     )
     shown, so = protocol.depth, read(curves, protocol, true_reading)
+    if onset:
+        plain = read(truth((), reading, c=c, m=m, book=book, n_levels=n_levels, hold=hold)[0], protocol,
+                     true_reading)  # fmt: skip
+        early = np.arange(n_levels) < onset * n_levels
+        so = replace(
+            so, force=np.where(early, plain.force, so.force),
+            log_speed=np.where(early[:, None], plain.log_speed, so.log_speed),
+        )  # fmt: skip
     k = understated
 
     def laplace(sd):

@@ -86,6 +86,29 @@ def test_one_factor_on_all_speeds_stays_ambiguous_and_a_hold_would_tell(rng):
     assert found.next_steps[0].power > 0.8
 
 
+def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
+    the_bench = bench(levels(rng), names=("contraction",))
+    x = np.array([*np.log([0.0065, 4.0]), 0.5])
+    for m in (2.0, 5.0):
+        the_bench.sites[0].solve_node(m)
+    onset = "tensed_after_share_of_levels"
+    plain = the_bench.predict(x[:2], (), ())
+    whole, late = (the_bench.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5))
+    level = np.array([row.level for row in the_bench.site.rows])
+    early = level < 0.5 * len(the_bench.site.protocol)
+    assert late[early] == pytest.approx(plain[early], rel=1e-12)
+    assert late[~early] == pytest.approx(whole[~early], rel=1e-12)
+    assert np.abs(whole[early] / plain[early] - 1).max() > 0.01
+
+
+@pytest.mark.slow
+def test_muscle_that_tenses_from_a_level_on_is_found_there(rng):
+    tensed = ((effect("contraction"), {"active_stress_per_c": 1.0}),)
+    found = run(levels(rng, tensed, onset=8 / 14), names=("contraction", "depth-zero", "force-zero"))
+    assert found.chosen == ("contraction",)
+    assert found.final.values["tensed_after_share_of_levels"] == pytest.approx(8 / 14, abs=0.04)
+
+
 def test_what_cannot_be_run_is_said(rng):
     found = run(levels(rng))
     assert "FEBio" in found.not_evaluated["poroelasticity"]

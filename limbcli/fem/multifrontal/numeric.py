@@ -11,27 +11,32 @@ from limbcli.fem.multifrontal.vectors import add
 BLOCK = 96  # columns of a block where one thread is at work
 
 
+@njit(cache=True, nogil=True)
+def scales(indptr, indices, values, first, stop, out):  # type: ignore[no-untyped-def]
+    """1/sqrt of the diagonal's size, for rows first..stop; 0 where there is nothing on it."""
+    for i in range(first, stop):
+        diagonal = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            if indices[k] == i:
+                diagonal += values[k]
+        out[i] = 1.0 / np.sqrt(abs(diagonal)) if abs(diagonal) > 1e-300 else 0.0
+
+
 @njit(cache=True)
-def scales(indptr, indices, values):  # type: ignore[no-untyped-def]
-    """1/sqrt of the diagonal's size; where there is none, of the row's largest entry."""
+def scales_of_others(indptr, indices, values, out):  # type: ignore[no-untyped-def]
+    """Where there is nothing on the diagonal: by the largest entry, next to the others' scales."""
     n = len(indptr) - 1
-    diagonal, largest = np.zeros(n), np.zeros(n)
+    largest = np.zeros(n)
     for i in range(n):
         for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            size = abs(values[k])
-            if i == j:
-                diagonal[i] += values[k]
-            largest[i] = max(largest[i], size)
-            largest[j] = max(largest[j], size)
-    out = np.ones(n)
+            j, size = indices[k], abs(values[k])
+            if out[i] == 0.0:
+                largest[i] = max(largest[i], size * (out[j] if out[j] > 0.0 else 1.0))
+            if out[j] == 0.0:
+                largest[j] = max(largest[j], size * (out[i] if out[i] > 0.0 else 1.0))
     for i in range(n):
-        size = abs(diagonal[i])
-        if not size > 1e-30 * largest[i]:
-            size = largest[i]
-        if size > 0.0:
-            out[i] = 1.0 / np.sqrt(size)
-    return out
+        if out[i] == 0.0:
+            out[i] = 1.0 / largest[i] if largest[i] > 0.0 else 1.0
 
 
 @njit(cache=True, nogil=True)

@@ -17,6 +17,7 @@ from limbcli.fem.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
 
 _ALIGNED = 16  # leading dimensions are multiples of this
+_GRAIN = 0.12  # of the work: the most that one thread does by itself in one go
 
 
 class Plan(NamedTuple):
@@ -84,7 +85,7 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
         indptr, indices, positions(equations), pivot_at, rows_at, rows, ld
     )
     seconds = cost(p.astype(float), (p + r).astype(float))
-    factoring = share(fronts.parent, seconds)
+    factoring = share(fronts.parent, seconds, largest=_GRAIN)
     solving = share(fronts.parent, (ld * p).astype(float) + 300.0)
     update_at, update_size = place_updates(fronts.parent, ldu * r, factoring)
     plan = Plan(

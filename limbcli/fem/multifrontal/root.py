@@ -57,22 +57,20 @@ class Root:
         self._need_kept()
         return _unscaled(self._kept, self.ld, self.store.scaling[self.equations])
 
-    def update(self, addition: Array | None, blas_threads: Any) -> int:
+    def update(self, addition: Array | None) -> int:
         """Factor the Schur complement with something added; pivots made up for."""
         self._need_kept()
         scaling = self.store.scaling[self.equations]
         self._lu = None
         self._panel[:] = self._kept
         if addition is None:
-            with blas_threads.limit(limits=1):
-                return self._factor()
+            return self._factor()
         if addition.shape != (self.n, self.n):
             raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
         largest, uneven = _unevenness(addition)
         if uneven <= _SYMMETRIC * largest:
             _add_lower(self._panel, self.ld, addition, scaling)
-            with blas_threads.limit(limits=1):
-                return self._factor()
+            return self._factor()
         full = np.empty((self.n, self.n), dtype=self.store.kind, order="F")
         _sum(self._kept, self.ld, addition, scaling, full)
         factor = lapack.sgetrf if self.store.kind is np.float32 else lapack.dgetrf

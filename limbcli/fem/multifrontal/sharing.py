@@ -24,12 +24,13 @@ class Shares(NamedTuple):
     top: IntArray
 
 
-def share(parent: IntArray, cost: Array) -> Shares:
+def share(parent: IntArray, cost: Array, *, largest: float = 1.0) -> Shares:
     """Cut the tree (in postorder) as little as gives every thread the same cost below the cut.
 
-    The last front is always above it.
+    For two threads, even where there is only one: so the sums are the same. The last front is
+    always above the cut.
 
-    For two threads, even where there is only one: so the sums are the same.
+    largest : part of the whole cost that one subtree may have
     """
     n = len(parent)
     total, size = cost.copy(), np.ones(n, dtype=np.int64)
@@ -46,7 +47,8 @@ def share(parent: IntArray, cost: Array) -> Shares:
         pieces = sorted(heap)
         load, _ = _loads([-c for c, _ in pieces])
         biggest = pieces[0][1]
-        if max(load) <= (1 + _UNEVEN) * sum(load) / 2 or not children[biggest]:
+        even = max(load) <= (1 + _UNEVEN) * sum(load) / 2 and total[biggest] <= largest * cost.sum()
+        if even or not children[biggest]:
             break
         heapq.heappop(heap)
         top.append(biggest)

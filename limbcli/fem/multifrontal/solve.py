@@ -5,6 +5,9 @@ from __future__ import annotations
 from numba import njit
 
 from limbcli.fem.multifrontal.blas import gemm_nn, gemm_tn, trsm_left, trsm_left_t
+from limbcli.fem.multifrontal.vectors import add_columns, add_scaled, dot_columns
+
+TILE = 16  # columns of a triangle that is solved number by number
 
 
 @njit(cache=True, nogil=True)
@@ -22,75 +25,45 @@ def leave(order, scaling, x, out):  # type: ignore[no-untyped-def]
         out[e] = x[i] * scaling[e]
 
 
-@njit(cache=True, nogil=True, fastmath=True, boundscheck=False)
+@njit(cache=True, nogil=True)
 def _down(a, o, ld, p, m, y):  # type: ignore[no-untyped-def]
     """y -> L^-1 y for the first p, less L2 times that for the others."""
-    j = 0
-    while j + 4 <= p:
-        c0 = o + j * ld
-        c1, c2, c3 = c0 + ld, c0 + 2 * ld, c0 + 3 * ld
-        y0 = y[j] / a[c0 + j]
-        y1 = (y[j + 1] - a[c0 + j + 1] * y0) / a[c1 + j + 1]
-        y2 = (y[j + 2] - a[c0 + j + 2] * y0 - a[c1 + j + 2] * y1) / a[c2 + j + 2]
-        y3 = (y[j + 3] - a[c0 + j + 3] * y0 - a[c1 + j + 3] * y1 - a[c2 + j + 3] * y2) / a[c3 + j + 3]
-        y[j], y[j + 1], y[j + 2], y[j + 3] = y0, y1, y2, y3
-        a0, a1, a2, a3 = (
-            a[c0 + j + 4 : c0 + m],
-            a[c1 + j + 4 : c1 + m],
-            a[c2 + j + 4 : c2 + m],
-            a[c3 + j + 4 : c3 + m],
-        )
-        rest = y[j + 4 : m]
-        for i in range(len(rest)):
-            rest[i] -= a0[i] * y0 + a1[i] * y1 + a2[i] * y2 + a3[i] * y3
-        j += 4
-    while j < p:
-        c0 = o + j * ld
-        y0 = y[j] / a[c0 + j]
-        y[j] = y0
-        a0 = a[c0 + j + 1 : c0 + m]
-        rest = y[j + 1 : m]
-        for i in range(len(rest)):
-            rest[i] -= a0[i] * y0
-        j += 1
+    for j0 in range(0, p, TILE):
+        j1 = min(j0 + TILE, p)
+        for j in range(j0, j1):
+            y[j] /= a[o + j * (ld + 1)]
+            for i in range(j + 1, j1):
+                y[i] -= a[o + i + j * ld] * y[j]
+        j = j0
+        while j + 4 <= j1:
+            add_columns(y, j1, a, o + j1 + j * ld, ld, -y[j], -y[j + 1], -y[j + 2], -y[j + 3], m - j1)
+            j += 4
+        while j < j1:
+            add_scaled(y, j1, a, o + j1 + j * ld, -y[j], m - j1)
+            j += 1
 
 
-@njit(cache=True, nogil=True, fastmath=True, boundscheck=False)
+@njit(cache=True, nogil=True)
 def _up(a, o, ld, p, m, y):  # type: ignore[no-untyped-def]
     """The first p of y -> L^-T (y - L2^T of the others)."""
-    zero = a.dtype.type(0)
-    j = p
-    while j - 4 >= 0:
-        j -= 4
-        c0 = o + j * ld
-        c1, c2, c3 = c0 + ld, c0 + 2 * ld, c0 + 3 * ld
-        s0, s1, s2, s3 = zero, zero, zero, zero
-        a0, a1, a2, a3 = (
-            a[c0 + j + 4 : c0 + m],
-            a[c1 + j + 4 : c1 + m],
-            a[c2 + j + 4 : c2 + m],
-            a[c3 + j + 4 : c3 + m],
-        )
-        rest = y[j + 4 : m]
-        for i in range(len(rest)):
-            s0 += a0[i] * rest[i]
-            s1 += a1[i] * rest[i]
-            s2 += a2[i] * rest[i]
-            s3 += a3[i] * rest[i]
-        y3 = (y[j + 3] - s3) / a[c3 + j + 3]
-        y2 = (y[j + 2] - s2 - a[c2 + j + 3] * y3) / a[c2 + j + 2]
-        y1 = (y[j + 1] - s1 - a[c1 + j + 2] * y2 - a[c1 + j + 3] * y3) / a[c1 + j + 1]
-        y0 = (y[j] - s0 - a[c0 + j + 1] * y1 - a[c0 + j + 2] * y2 - a[c0 + j + 3] * y3) / a[c0 + j]
-        y[j], y[j + 1], y[j + 2], y[j + 3] = y0, y1, y2, y3
-    while j > 0:
-        j -= 1
-        c0 = o + j * ld
-        s0 = zero
-        a0 = a[c0 + j + 1 : c0 + m]
-        rest = y[j + 1 : m]
-        for i in range(len(rest)):
-            s0 += a0[i] * rest[i]
-        y[j] = (y[j] - s0) / a[c0 + j]
+    for j0 in range((p - 1) // TILE * TILE, -1, -TILE):
+        j1 = min(j0 + TILE, p)
+        j = j1
+        while j - 4 >= j0:
+            j -= 4
+            s0, s1, s2, s3 = dot_columns(y, j1, a, o + j1 + j * ld, ld, m - j1)
+            y[j] -= s0
+            y[j + 1] -= s1
+            y[j + 2] -= s2
+            y[j + 3] -= s3
+        while j > j0:
+            j -= 1
+            for i in range(j1, m):
+                y[j] -= a[o + i + j * ld] * y[i]
+        for j in range(j1 - 1, j0 - 1, -1):
+            for i in range(j + 1, j1):
+                y[j] -= a[o + i + j * ld] * y[i]
+            y[j] /= a[o + j * (ld + 1)]
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,6 @@ import time
 from collections import deque
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -75,15 +74,16 @@ class Multifrontal:
         self.seconds += time.perf_counter() - started
 
     def _scale(self, values: Array) -> None:
-        indptr, indices, store = self._indptr, self._indices, self._store
-        store.scaling = numeric.scales(indptr, indices, values)
-        edges = [0, int(np.searchsorted(indptr, len(indices) // 2)), self.n]
-        self._crew.run(
-            [
-                partial(numeric.scale, indptr, indices, values, store.scaling, a, b, store.values)
-                for a, b in pairwise(edges)
-            ]
-        )
+        """The matrix scaled to a diagonal of +-1, in the factor's precision."""
+        store, matrix = self._store, (self._indptr, self._indices, values)
+        middle = int(np.searchsorted(self._indptr, len(self._indices) // 2))
+        halves = [(a, b) for a, b in ((0, middle), (middle, self.n)) if b > a]
+        scaling = np.empty(self.n)
+        self._crew.run([partial(numeric.scales, *matrix, a, b, scaling) for a, b in halves])
+        if not scaling.all():
+            numeric.scales_of_others(*matrix, scaling)
+        store.scaling = scaling
+        self._crew.run([partial(numeric.scale, *matrix, scaling, a, b, store.values) for a, b in halves])
 
     def _factor_subtrees(self) -> int:
         store = self._store
@@ -150,7 +150,8 @@ class Multifrontal:
     def update_root(self, addition: Array | None) -> None:
         """Factor `schur + addition` (None: `schur`), in the order of `root`; it need not be symmetric."""
         started = time.perf_counter()
-        self._made_up_in_root = self._root.update(addition, self._blas_threads)
+        with self._blas_threads.limit(limits=1):
+            self._made_up_in_root = self._root.update(addition)
         self.seconds += time.perf_counter() - started
 
     def forward(self, rhs: Array) -> Array:
