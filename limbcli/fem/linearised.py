@@ -147,8 +147,6 @@ class Linearised:
             relative = goal / size
             with system.turning(not far):
                 change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
-            if self.stuck:
-                break
             moved = tangent.tissue_times(change)
             for length in (1.0, 0.5, 0.25):
                 trial = step + length * change
@@ -161,12 +159,14 @@ class Linearised:
                 best = (norm(residual), step)
             elif k > 1:
                 break
+            if self.stuck:
+                break
             before, touching = touching, system.touching()
             rough = any((a != b).any() for a, b in zip(before, touching, strict=True))
         return best[1]
 
     def _once(self, base: State, tissue: Array, goal: float) -> Array:
-        """One linear solve, the contact as searched last: points that stick or slip by turns do not settle."""
+        """One linear solve, contact as searched last: points that stick or slip by turns do not settle."""
         residual = tissue + self.system.contact_residual(base)
         return self.solve(base, -residual, min(goal / max(norm(residual), 1e-300), _EXACT))
 

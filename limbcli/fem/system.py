@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
@@ -166,7 +167,7 @@ class System(RigidLoads, ElementLoops):
             for pair in self.pairs:
                 pair.turning = 1.0
 
-    def touching(self) -> tuple[Array, ...]:
+    def touching(self) -> tuple[NDArray[np.bool_], ...]:
         """Which points (n_facets, n_gauss) of each patch touch, as searched last."""
         return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -110,6 +111,7 @@ class Inverse:
 
     def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
         self.linear, self.tangent = linear, tangent
+        self.rooted: Any = linear  # used as such where it has a root
         system = tangent.system
         self.n = system.n_tissue
         root = getattr(linear, "root", None)
@@ -121,22 +123,23 @@ class Inverse:
             places[root] = np.arange(self.n_root)
             self.places = places[system.equations]
             self.inside = self._contact(state)
-            self.touching: tuple[Array, ...] = ()
-            self.follow(state)
-        else:
-            self._set_border(state)
+            self.met = self._meeting()
+        self._set_border(state)
 
     def follow(self, state: State) -> None:
         """Take the contact at `state`, as it was searched last, into the root of the factor."""
-        system = self.tangent.system
         if not self.n_root:
             return
-        touching = (*system.touching(), np.array([pair.turning for pair in system.pairs]))
-        if self.touching and all((a == b).all() for a, b in zip(touching, self.touching, strict=True)):
-            return
-        self.touching = touching
-        self.linear.update_root(self._contact(state) - self.inside)
-        self._set_border(state)
+        meeting = self._meeting()
+        if meeting != self.met:
+            self.met = meeting
+            self.rooted.update_root(self._contact(state) - self.inside)
+            self._set_border(state)
+
+    def _meeting(self) -> tuple[bytes | float, ...]:
+        """What the contact's tangent was made of: points that touch, and whether normals turn."""
+        system = self.tangent.system
+        return (*(each.tobytes() for each in system.touching()), *(pair.turning for pair in system.pairs))
 
     def _contact(self, state: State) -> Array:
         """Symmetric part of the contact tangent of the root."""
