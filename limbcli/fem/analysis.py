@@ -31,7 +31,7 @@ _FIRST = 4.0  # of the model's step: the first stride, where the response does n
 _FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _WARY = 5  # strides after a cut before they may grow again
-_EASY = 3  # iterations up to which the next stride may be longer
+_EASY = 4  # iterations up to which the next stride may be longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ class Analysis:
             easy = _EASY + (2 if aim == target else 0)
             self._wary = max(self._wary - 1, 0)
             if aim - begin >= 0.6 * self._stride and used <= easy and not self._wary:
-                self._stride *= 1.5
+                self._stride *= 2.0
             reached.append(state)
             if self._histories is not None:
                 self._histories.accept(aim - begin, state)

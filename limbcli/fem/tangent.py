@@ -56,7 +56,7 @@ class Tangent:
             elastic = system.tangent_times(self.state, v)
             out[:n] = elastic[system.free]
         else:
-            upper_times(self.upper.indptr, self.upper.indices, self.upper.data, x, out)
+            out[:n] = self._times_tissue(x)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
             if self.jumps:
@@ -67,6 +67,19 @@ class Tangent:
                 out[n + k] += column[system.free] @ x
         out[n:] += self.corner @ step[n:]
         return out
+
+    def _times_tissue(self, x: Array) -> Array:
+        """The symmetric matrix of the tissue's unknowns times x, rows shared by the threads."""
+        upper, threads = self.upper, self.system.threads
+        parts = [np.zeros_like(x) for _ in range(threads.n)]
+
+        def task(worker: int, begin: int, end: int) -> None:
+            upper_times(begin, end, upper.indptr, upper.indices, upper.data, x, parts[worker])
+
+        threads.run(task, len(x))
+        for each in parts[1:]:
+            parts[0] += each
+        return parts[0]
 
 
 def assemble(system: System, state: State, nodal: Array) -> Tangent:
@@ -190,10 +203,10 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
         )
 
 
-@njit(cache=True)
-def upper_times(indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
-    """out += the symmetric matrix, given by its upper triangle in CSR, times x."""
-    for row in range(len(indptr) - 1):
+@njit(cache=True, nogil=True)
+def upper_times(begin, end, indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
+    """out += rows of the upper triangle in CSR, and their mirror images, times x."""
+    for row in range(begin, end):
         total = 0.0
         for k in range(indptr[row], indptr[row + 1]):
             column = indices[k]
