@@ -28,10 +28,10 @@ _MAX_CUTS = 8
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
-_FAR_OUT = 0.09  # error of a first guess above which a stride is shortened untried
+_FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _WARY = 5  # strides after a cut before they may grow again
-_EASY = 3  # iterations up to which the next stride may be longer
+_EASY = 4  # iterations up to which the next stride may be longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,12 +179,13 @@ class Analysis:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 newton.counts.retries += 1
-                newton.inverse = None if isinstance(error, SingularMatrix) else newton.inverse
+                if isinstance(error, SingularMatrix):
+                    newton.linearised.inverse = None
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 self._wary = _WARY if known is None else 0
-                newton.debt, known = np.inf, None
+                newton.linearised.debt, known = np.inf, None
                 newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
@@ -192,7 +193,7 @@ class Analysis:
             easy = _EASY + (2 if aim == target else 0)
             self._wary = max(self._wary - 1, 0)
             if aim - begin >= 0.6 * self._stride and used <= easy and not self._wary:
-                self._stride *= 1.5
+                self._stride *= 2.0
             reached.append(state)
             if self._histories is not None:
                 self._histories.accept(aim - begin, state)
@@ -312,12 +313,8 @@ def continued(system: System, last: State, before: State, after: State) -> State
     still = np.zeros_like(last.u)
     change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
     volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]
-    tractions = tuple(
-        np.maximum(a + c - b, 0.0)
-        for a, b, c in zip(last.tractions, before.tractions, after.tractions, strict=True)
-    )
     u = last.u + after.u - before.u
-    return replace(after, u=u, volumes=tuple(volumes), tractions=tractions)
+    return replace(after, u=u, volumes=tuple(volumes))
 
 
 def _ratios(system: System, state: State) -> tuple[Array, ...]:
@@ -325,7 +322,7 @@ def _ratios(system: System, state: State) -> tuple[Array, ...]:
 
 
 def extrapolate(system: System, states: list[State], time: float) -> State:
-    """First guess on the polynomial through converged states; pressures and tractions follow theirs."""
+    """First guess on the polynomial through converged states; pressures follow theirs."""
     weights = lagrange(np.array([s.time for s in states]), time)
     last = states[-1]
 
@@ -339,10 +336,7 @@ def extrapolate(system: System, states: list[State], time: float) -> State:
     still = np.zeros_like(last.u)
     ratios = [system.linear_volumes(s, still) for s in states]
     volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
-    tractions = tuple(
-        np.maximum(combined(list(each)), 0.0) for each in zip(*(s.tractions for s in states), strict=True)
-    )
-    return replace(guess, volumes=volumes, tractions=tractions)
+    return replace(guess, volumes=volumes)
 
 
 def lagrange(times: np.ndarray, time: float) -> np.ndarray:

@@ -17,13 +17,11 @@ from limbcli.fem.contact_points import (
     OTHER,
     POINT,
     TRACTION,
-    add_symmetric,
     cross,
     normal_change,
     point_change,
     point_geometry,
     push,
-    spread,
 )
 
 
@@ -39,21 +37,6 @@ def force(facets, N, weights, state, center, out, body):
             for i in range(3):
                 f3[i] = weights[k] * row[TRACTION] * row[NORMAL + i]
             push(f3, row, center, facets[f], N[k], out, body)
-
-
-@njit(cache=True, nogil=True)
-def shifted_force(facets, N, weights, state, carried, out):
-    """out (n_points, 3) += what tractions `carried` instead of those of `state` add to `force`."""
-    f3 = np.empty(3)
-    for f in range(facets.shape[0]):
-        for k in range(N.shape[0]):
-            row = state[f, k]
-            if row[TRACTION] == 0.0:
-                continue
-            change = weights[k] * (carried[f, k] - row[TRACTION])
-            for i in range(3):
-                f3[i] = change * row[NORMAL + i]
-            spread(f3, facets[f], N[k], out)
 
 
 @njit(cache=True, nogil=True)
@@ -81,35 +64,11 @@ def _gap_change(row, gap, nu, dr, dnu, slip):
 
 
 @njit(cache=True, nogil=True)
-def linear_tractions(x, facets, N, dN, eps, state, carried, v, motion, out):
-    """out (n_facets, n_gauss) = traction plus its linear change along v (n_points, 3) and the body's motion.
-
-    Points without contact carry nothing, however far they come. carried: as in `times`.
-    """
-    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for f in range(facets.shape[0]):
-        for k in range(N.shape[0]):
-            row = state[f, k]
-            out[f, k] = 0.0
-            if row[TRACTION] == 0.0:
-                continue
-            t = carried[f, k] if carried.shape[0] else row[TRACTION]
-            gap = row[GAP] + (t - row[TRACTION]) / eps[f]
-            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
-            length = normal_change(g1, g2, n, d1, d2, dn, dnu)
-            dg = _gap_change(row, gap, n / length, dr, dnu, motion)
-            out[f, k] = max(row[TRACTION] + eps[f] * dg, 0.0)
-
-
-@njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, state, carried, center, v, motion, out, body):
+def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
     motion: translation of the centre and small rotation vector about it.
-    carried (n_facets, n_gauss): tractions that turn with the skin's normals; without facets those of
-    `state`, and the derivative is exact.
+    turning: 1 for the derivative, 0 to leave out what the traction does as the normal turns.
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -119,8 +78,7 @@ def times(x, facets, N, dN, weights, eps, state, carried, center, v, motion, out
             row = state[f, k]
             if row[TRACTION] == 0.0:
                 continue
-            t = carried[f, k] if carried.shape[0] else row[TRACTION]
-            gap = row[GAP] + (t - row[TRACTION]) / eps[f]
+            t, gap = turning * row[TRACTION], turning * row[GAP]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             length = normal_change(g1, g2, n, d1, d2, dn, dnu)
@@ -142,27 +100,27 @@ def times(x, facets, N, dN, weights, eps, state, carried, center, v, motion, out
 
 
 @njit(cache=True, nogil=True)
-def stiffness(x, facets, N, dN, weights, eps, state, carried, pairs, slots, values):
-    """Symmetric part of the contact tangent of the soft facets, added to the upper triangle.
+def blocks(x, facets, N, dN, weights, eps, state, turning, out):
+    """Contact tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do.
 
-    The exact block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
-    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`; half of it and of its transpose are added.
-    carried: as in `times`.
+    The block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
+    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`, as is `turning`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    D, dg, K = np.empty((nodes, 3, 3)), np.empty((nodes, 3)), np.empty((nodes, 3, nodes, 3))
+    D, dg = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
+    touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
-        touching = False
+        K = out[f]
         K[:] = 0.0
         for k in range(N.shape[0]):
             if state[f, k, TRACTION] == 0.0:
                 continue
-            t = carried[f, k] if carried.shape[0] else state[f, k, TRACTION]
-            touching = True
+            t = turning * state[f, k, TRACTION]
+            touched[f] = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            gap = state[f, k, GAP] + (t - state[f, k, TRACTION]) / eps[f]
+            gap = turning * state[f, k, GAP]
             m = state[f, k, OTHER : OTHER + 3]
             mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
             for b in range(nodes):
@@ -184,6 +142,4 @@ def stiffness(x, facets, N, dN, weights, eps, state, carried, pairs, slots, valu
                     for b in range(nodes):
                         for j in range(3):
                             K[a, i, b, j] += left * dg[b, j] + right * D[b, i, j]
-        if not touching:
-            continue
-        add_symmetric(K, pairs[f], slots, values)
+    return touched

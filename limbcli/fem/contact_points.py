@@ -88,20 +88,42 @@ def spread(f3, nodes, N, out):
             out[nodes[a], i] += N[a] * f3[i]
 
 
-@njit(cache=True)
-def add_symmetric(K, pairs, slots, values):
-    """The symmetric part of K (n, 3, n, 3) of one facet, added to the upper triangle.
+@njit(cache=True, nogil=True)
+def add_symmetric(blocks, touched, pairs, slots, values):
+    """The symmetric part of the touched facets' blocks (n_facets, n, 3, n, 3), added to the upper triangle.
 
     pairs, slots : see `fem.kernels.tangent`
     """
-    place = 0
-    for b in range(K.shape[0]):
-        for a in range(b + 1):
-            pair = pairs[place] // 2
-            swapped = pairs[place] % 2 == 1
-            place += 1
+    for f in range(blocks.shape[0]):
+        if not touched[f]:
+            continue
+        K = blocks[f]
+        place = 0
+        for b in range(K.shape[0]):
+            for a in range(b + 1):
+                pair = pairs[f, place] // 2
+                swapped = pairs[f, place] % 2 == 1
+                place += 1
+                for i in range(3):
+                    for j in range(3):
+                        slot = slots[pair, j, i] if swapped else slots[pair, i, j]
+                        if slot >= 0:
+                            values[slot] += 0.5 * (K[a, i, b, j] + K[b, j, a, i])
+
+
+@njit(cache=True, nogil=True)
+def add_dense(blocks, touched, facets, places, out):
+    """The touched facets' blocks, added to a dense matrix. places (n_points, 3): its row, or -1."""
+    for f in range(blocks.shape[0]):
+        if not touched[f]:
+            continue
+        for a in range(facets.shape[1]):
             for i in range(3):
-                for j in range(3):
-                    slot = slots[pair, j, i] if swapped else slots[pair, i, j]
-                    if slot >= 0:
-                        values[slot] += 0.5 * (K[a, i, b, j] + K[b, j, a, i])
+                row = places[facets[f, a], i]
+                if row < 0:
+                    continue
+                for b in range(facets.shape[1]):
+                    for j in range(3):
+                        column = places[facets[f, b], j]
+                        if column >= 0:
+                            out[row, column] += blocks[f, a, i, b, j]

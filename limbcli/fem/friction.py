@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.fem import friction_kernels
-from limbcli.fem.contact_points import FACET, TRACTION
-from limbcli.fem.pairs import Carried, Pair
+from limbcli.fem.contact_points import FACET
+from limbcli.fem.pairs import Pair
 from limbcli.fem.rigid import AT_REST, Body, BodyState
-from limbcli.model import Array, IntArray
+from limbcli.model import Array
 
 
 @dataclass(eq=False)
@@ -73,26 +73,21 @@ class FrictionPair(Pair):
         for p in self.patches:
             friction_kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
 
-    def times(
-        self, x: Array, center: Array, v: Array, motion: Array, carried: Carried, out: Array, body: Array
-    ) -> None:
+    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p, before in zip(self.patches, self.before, strict=True):
             friction_kernels.times(
                 x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center, v,
                 motion, out, body,
             )  # fmt: skip
 
-    def stiffness(self, x: Array, carried: Carried, slots: IntArray, values: Array) -> None:
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
         center = self.rigid.center + self.now.shift
+        found = []
         for p, before in zip(self.patches, self.before, strict=True):
-            friction_kernels.stiffness(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center,
-                p.pairs, slots, values,
-            )  # fmt: skip
-
-    def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
-        """The tractions as they are: with friction none are carried along."""
-        return [p.state[..., TRACTION].copy() for p in self.patches]
-
-    def shifted_force(self, carried: Carried, out: Array) -> None:
-        """Nothing: the residual is always at the contact's own tractions."""
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = friction_kernels.blocks(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center, out
+            )
+            found.append((out, touched))
+        return found

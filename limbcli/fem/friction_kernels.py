@@ -33,7 +33,6 @@ from limbcli.fem.contact_points import (
     OTHER,
     POINT,
     TRACTION,
-    add_symmetric,
     cross,
     normal_change,
     point_change,
@@ -243,22 +242,22 @@ def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, mo
 
 
 @njit(cache=True, nogil=True)
-def stiffness(x, facets, N, dN, weights, eps, mu, before, move, state, center, pairs, slots, values):
-    """Symmetric part of the tangent of the soft facets, added to the upper triangle."""
+def blocks(x, facets, N, dN, weights, eps, mu, before, move, state, center, out):
+    """Tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m = np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     still = np.zeros(6)
-    K = np.empty((nodes, 3, nodes, 3))
+    touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
-        touching = False
+        K = out[f]
         K[:] = 0.0
         for k in range(N.shape[0]):
             row = state[f, k]
             if row[TRACTION] == 0.0:
                 continue
-            touching = True
+            touched[f] = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
             for b in range(nodes):
@@ -274,6 +273,4 @@ def stiffness(x, facets, N, dN, weights, eps, mu, before, move, state, center, p
                     for a in range(nodes):
                         for i in range(3):
                             K[a, i, b, j] += weights[k] * N[k, a] * df[i]
-        if not touching:
-            continue
-        add_symmetric(K, pairs[f], slots, values)
+    return touched

@@ -116,7 +116,7 @@ class Kinematics:
             base = self.start.u[nodes, axis] if relative else 0.0
             u[nodes, axis] = base + values * factor
         bodies = [self._given(b, body, state, time) for b, body in enumerate(self.bodies)]
-        after = State(time, u, tuple(bodies), state.hints, state.volumes, state.tractions)
+        after = State(time, u, tuple(bodies), state.hints, state.volumes)
         return self.followed(after)
 
     def _given(self, b: int, body: Body, state: State, time: float) -> BodyState:

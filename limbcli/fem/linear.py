@@ -1,8 +1,8 @@
 """Direct solvers for symmetric matrices behind one small interface.
 
-`Pardiso` (Intel MKL, through pypardiso's library handle) keeps its symbolic analysis
-for the life of the pattern; `SuperLU` (scipy) stands in where there is no MKL. Both
-take the upper triangle as fixed CSR arrays and new values at each `factor`.
+Our own is in `multifrontal`. `Pardiso` (Intel MKL, through pypardiso's library handle) and
+`SuperLU` (scipy) are there to compare it with. All take the upper triangle as fixed CSR arrays,
+analysed once, and new values at each `factor`.
 """
 
 from __future__ import annotations
@@ -242,16 +242,14 @@ def make(
     single: bool = False,
     last: IntArray | None = None,
 ) -> LinearSolver:
-    """The solver named ("pardiso", "superlu", "multifrontal") or the best one there is ("auto").
+    """The solver named: our own "multifrontal" ("auto" too), or "pardiso", or "superlu".
 
     last : equations to be eliminated last, for the multifrontal solver's root
     """
-    if kind == "multifrontal":
+    if kind in ("auto", "multifrontal"):
         from limbcli.fem.multifrontal import Multifrontal
 
         return Multifrontal(indptr, indices, threads=threads, single=single, last=last)
-    if kind == "auto":
-        kind = "pardiso" if has_pardiso() else "superlu"
     if kind == "pardiso" and not has_pardiso():
         raise ToolError(
             "MKL Pardiso is not installed", where="linear solver", fix="pip install pypardiso, or use superlu"

@@ -2,177 +2,70 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem import linear as linear_solvers
+from limbcli.fem.counts import Counts, Level, Settings
+from limbcli.fem.linearised import Linearised
 from limbcli.fem.state import Forces, State, norm
 from limbcli.fem.system import System
-from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
+__all__ = ["Counts", "Level", "Newton", "NotConverged", "Settings"]
+
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
-_MAX_KRYLOV = 40
 _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
-_LARGE = 6_000  # equations, from which on single precision pays
-_TIGHTEST = (1e-4, 1e-2)  # to which the linear system of a step is solved: near equilibrium, far from it
-_FRESH = 3.0  # Krylov iterations a decade takes with a fresh factor
+_FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
+_ROUGH = 0.1  # of the load's change: what a first guess may leave
+_FAR = 0.1  # error from which on contact tractions are not yet what they will be
+_SHARE = 0.3  # of what Newton's method leaves by itself
 
 
 class NotConverged(SolveError):
     """Newton's method gave up at one time; the caller may cut the step."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How equilibrium is sought.
-
-    tolerance : residual over the forces at play, both as norms
-    renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
-    single : factor in single precision (None: for large systems); GMRES makes up for it
-    linear : "auto", "pardiso" or "superlu"
-    mixed : pressures and tractions of their own on the way to equilibrium (see `Newton.with_volumes`)
-    """
-
-    tolerance: float = 1e-6
-    max_iterations: int = 30
-    linear: str = "auto"
-    threads: int = 2
-    single: bool | None = None
-    mixed: bool = True
-    renew_ratio: float = 0.1
-
-
-@dataclass
-class Counts:
-    """What the work cost."""
-
-    iterations: int = 0
-    residuals: int = 0
-    krylov: int = 0
-    factorisations: int = 0
-    retries: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Level:
-    """Where the load stands, for messages."""
-
-    number: int
-    n_levels: int
-    depth: float
-
-
 class Newton:
-    """Keeps the factor and the tangent of one system between times."""
+    """Equilibrium of one system; keeps its tangent and factor between times."""
 
     def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
-        self.tangent: Tangent | None = None
-        self.inverse: Inverse | None = None
-        self.debt = 0.0
-        self.rate = _FRESH
-        self.stuck = False
-        single = settings.single if settings.single is not None else system.n_tissue > _LARGE
-        pattern = system.pattern
-        self.linear: Any = (
-            linear_solvers.make(
-                pattern.indptr,
-                pattern.indices,
-                kind=settings.linear,
-                threads=settings.threads,
-                single=single,
-            )
-            if system.n_tissue
-            else None
-        )
+        self.linearised = Linearised(system, settings, self.counts)
 
     @property
     def linear_name(self) -> str:
-        return self.linear.name if self.linear is not None else "none"
+        linear = self.linearised.linear
+        return str(linear.name) if linear is not None else "none"
 
     def forces(self, state: State) -> Forces:
         self.counts.residuals += 1
         return self.system.forces(state)
 
-    def refresh(self, state: State, forces: Forces) -> None:
-        """Assemble and factor the tangent at a state."""
-        self.tangent = assemble(self.system, state, forces.nodal)
-        self.inverse = Inverse(self.tangent, state, self.linear)
-        if state.time == 0.0 and self.linear is not None:
-            linear_solvers.check_supported(self.linear)
-        self.counts.factorisations += 1
-        self.debt = 0.0
-
-    def solve_linear(self, state: State, rhs: Array, tolerance: float) -> Array:
-        """Solve with the exact contact tangent and the last elastic tangent.
-
-        `debt` counts the Krylov iterations that a fresh factor would have saved, in factorisations:
-        at 1 it has cost as much as a new one.
-        """
-        assert self.tangent is not None
-        assert self.inverse is not None
-        tangent, inverse = self.tangent, self.inverse
-        step, n, reached = gmres(
-            lambda v: tangent.times(state, v), inverse, rhs, tolerance=tolerance, max_iterations=self.patience
-        )
-        self.counts.krylov += n
-        self.stuck = reached > max(3 * tolerance, 1e-9)
-        decades = max(-np.log10(max(reached, 1e-16)), 0.3)
-        self.rate = n / decades
-        self.debt += max(n - _FRESH * decades, 0.0) / self.per_factor
-        return step
-
-    @property
-    def per_factor(self) -> float:
-        """What a factorisation costs, in solves."""
-        return float(self.linear.solves_per_factor) if self.linear is not None else 1.0
-
-    @property
-    def patience(self) -> int:
-        """Krylov iterations after which a stale factor has cost more than a new one."""
-        return int(np.clip(self.per_factor, 12, _MAX_KRYLOV))
-
-    def ready_for(self, n_solves: int, decades: float, state: State, forces: Forces) -> None:
-        """The exact tangent at a state, with a new factor if that pays for so many solves to come."""
-        wasted = n_solves * decades * (self.rate - _FRESH)
-        if self.inverse is None or wasted > self.per_factor:
-            self.refresh(state, forces)
-            self.rate = _FRESH
-        elif self.tangent is None or self.tangent.state is not state:
-            self.tangent = assemble(self.system, state, forces.nodal)
-
     def predict(self, state: State, time: float) -> State:
         """The state moved to `time` along the tangent: no element sees the whole step at once."""
-        system = self.system
+        system, linearised = self.system, self.linearised
         system.at(time)
-        forces = self.forces(replace(state, time=time, volumes=(), tractions=()))
-        if self.inverse is None or self.debt > 1.0:
-            self.refresh(state, forces)
+        forces = self.forces(replace(state, time=time, volumes=()))
+        if linearised.worn:
+            linearised.refresh(state, forces.nodal)
         else:
-            self.tangent = assemble(system, state, forces.nodal)
+            linearised.assemble(state, forces.nodal)
         aim = system.prescribed(state, time)
         v = np.where(system.free, 0.0, aim.u - state.u)
         motions = np.zeros((len(system.bodies), 6))
         for b in range(len(system.bodies)):
             motions[b, :3] = aim.bodies[b].shift - state.bodies[b].shift
         change = system.tangent_times(state, v) if v[system.coupled].any() else np.zeros_like(v)
-        if system.pairs:
-            nodal, bodies = system.contact_times(state, v, motions)
-            change += nodal
-        rhs = forces.residual.copy()
-        rhs[: system.n_tissue] += change[system.free]
-        if len(system.rigid) and system.pairs:
-            for k, (b, dof) in enumerate(system.rigid):
-                rhs[system.n_tissue + k] += bodies[b, dof]
-        guess = system.moved(aim, self.solve_linear(state, -rhs, 1e-2))
-        return self.with_volumes(guess, state)
+        tissue = forces.residual - system.contact_residual(state)
+        tissue[: system.n_tissue] += change[system.free]
+        rhs = tissue + system.contact_residual(state) + system.contact_change(state, motions=motions)
+        first = linearised.solve(state, -rhs, _ROUGH**2 if system.rubs else _ROUGH)
+        step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
+        return self.with_volumes(system.moved(aim, step), state)
 
     def with_volumes(self, guess: State, state: State) -> State:
         """The guess with pressures that follow its step from `state` linearly.
@@ -185,16 +78,7 @@ class Newton:
         """
         if not self.settings.mixed:
             return guess
-        volumes, tractions = self.linear_stresses(state, guess)
-        return replace(guess, volumes=volumes, tractions=tractions)
-
-    def linear_stresses(self, state: State, after: State) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Volume ratios and contact tractions, changed linearly from a state (searched last) to another."""
-        v = after.u - state.u
-        motions = np.zeros((len(self.system.bodies), 6))
-        for b in range(len(motions)):
-            motions[b, :3] = after.bodies[b].shift - state.bodies[b].shift
-        return self.system.linear_volumes(state, v), self.system.linear_tractions(state, v, motions)
+        return replace(guess, volumes=self.system.linear_volumes(state, guess.u - state.u))
 
     def equilibrate(
         self,
@@ -223,7 +107,7 @@ class Newton:
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
             if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
-                return replace(state, hints=system.hints(), volumes=(), tractions=system.tractions()), forces
+                return replace(state, hints=system.hints(), volumes=()), forces
             if iteration == settings.max_iterations:
                 break
             sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
@@ -239,22 +123,22 @@ class Newton:
         raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
-        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow.
-
-        While the set of touching points changes, a step gains a decade or so, however well it is
-        solved for.
-        """
-        if self.inverse is None or self.debt > 1.0:
-            self.refresh(state, forces)
-        elif renew or self.tangent is None:
-            self.tangent = assemble(self.system, state, forces.nodal)
-        least = float(np.clip(forces.error, *_TIGHTEST))
-        most = max(least, min(0.1, forces.error**0.5))
-        forcing = float(np.clip(0.3 * target / forces.error, least, most))
-        step = self.solve_linear(state, -forces.residual, forcing)
-        if self.stuck:  # the factor is too old to be of use
-            self.refresh(state, forces)
-            step = self.solve_linear(state, -forces.residual, forcing)
+        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
+        linearised = self.linearised
+        if linearised.worn:
+            linearised.refresh(state, forces.nodal)
+        elif renew or linearised.tangent is None:
+            linearised.assemble(state, forces.nodal)
+        size = min(norm(forces.mixed), norm(forces.residual))
+        error = size / max(forces.scale, 1e-14)
+        goal = size * float(np.clip(_SHARE * max(error, target / max(error, 1e-14)), *_FORCING))
+        tissue = forces.residual - self.system.contact_residual(state)
+        far = error > _FAR
+        step = linearised.settle(state, tissue, goal, far=far)
+        if linearised.stuck:  # the factor is too old to be of use
+            self.forces(state)
+            linearised.refresh(state, forces.nodal)
+            step = linearised.settle(state, tissue, goal, far=far)
         return step
 
     def search(
@@ -262,27 +146,22 @@ class Newton:
     ) -> tuple[State, Forces, float]:
         """Shorten the step until no cell is inverted and the residual does not run away.
 
-        While the set of touching points still changes, the residual of a good step may be
-        several times the one before; only later must it fall, at the step's own pressures or at those
-        of its displacements.
+        Far from equilibrium the residual of a good step may be several times the one before; only
+        later must it fall, at the step's own pressures or at those of its displacements.
         """
         before, before_all = norm(forces.mixed), norm(forces.residual)
         full = self.system.moved(state, step)
         mixed = self.settings.mixed
         if mixed:
-            nows = (
-                state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u)),
-                state.tractions or self.system.tractions(),
-            )
-            aims = self.linear_stresses(state, full)
+            nows = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
+            aims = self.system.linear_volumes(state, full.u - state.u)
         allowed = _PATIENCE if iteration < _PATIENT_ITERATIONS else 1.0
         length = 1.0
         best: tuple[float, State, Forces, float] | None = None
         for _ in range(7):
             trial = self.system.moved(state, length * step)
             if mixed:
-                volumes, tractions = (_between(*both, length) for both in zip(nows, aims, strict=True))
-                trial = replace(trial, volumes=volumes, tractions=tractions)
+                trial = replace(trial, volumes=_between(nows, aims, length))
             result = self.forces(trial)
             size, size_all = norm(result.mixed), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
@@ -333,8 +212,7 @@ class Newton:
         )
 
     def close(self) -> None:
-        if self.linear is not None:
-            self.linear.close()
+        self.linearised.close()
         self.system.close()
 
 

@@ -42,17 +42,19 @@ class Patch:
     pairs: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
 
-Carried = Sequence[Array]
-
-
 @dataclass(eq=False)
 class Pair:
-    """One contact of the model: soft patches against the facets of a body."""
+    """One contact of the model: soft patches against the facets of a body.
+
+    turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
+        equilibrium they are many times what they will be, and that part of the tangent leads astray
+    """
 
     contact: Contact
     body: int
     facets2: IntArray
     patches: list[Patch]
+    turning: float = field(default=1.0, kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
         """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
@@ -71,28 +73,21 @@ class Pair:
         for p in self.patches:
             kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
 
-    def times(
-        self, x: Array, center: Array, v: Array, motion: Array, carried: Carried, out: Array, body: Array
-    ) -> None:
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.times(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, center, v, motion, out, body)
+    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, center, v, motion, out, body
+            )  # fmt: skip
 
-    def stiffness(self, x: Array, carried: Carried, slots: IntArray, values: Array) -> None:
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.stiffness(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, t, p.pairs, slots, values)
-
-    def linear_tractions(self, x: Array, v: Array, motion: Array, carried: Carried) -> list[Array]:
-        """Tractions (n_facets, n_gauss) of each patch, changed linearly along v and the body's motion."""
-        out = []
-        for p, t in zip(self.patches, carried, strict=True):
-            out.append(np.empty(p.state.shape[:2]))
-            kernels.linear_tractions(x, p.facets, p.N, p.dN, p.eps, p.state, t, v, motion, out[-1])
-        return out
-
-    def shifted_force(self, carried: Carried, out: Array) -> None:
-        """Add what tractions `carried` instead of the contact's own change in the nodal forces."""
-        for p, t in zip(self.patches, carried, strict=True):
-            kernels.shifted_force(p.facets, p.N, p.weights, p.state, t, out)
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
+        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch."""
+        found = []
+        for p in self.patches:
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = kernels.blocks(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, out)
+            found.append((out, touched))
+        return found
 
     def remember(self, x: Array, at: BodyState) -> None:
         """Take a converged step over; without friction nothing is remembered."""

@@ -61,7 +61,7 @@ def sensitivities(
             fix="difference whole solves, as a session does",
         )
     loads = [partial(system, state, each) for each in parameters]
-    newton.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces)
+    newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces.nodal)
     return [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
 
 
@@ -76,14 +76,14 @@ def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Arr
 
 
 def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
-    reached = 1.0
+    reached, linearised = 1.0, newton.linearised
     for attempt in range(2):
-        tangent, inverse = newton.tangent, newton.inverse
-        if tangent is None or inverse is None or attempt:
-            newton.refresh(state, forces)
-            tangent, inverse = newton.tangent, newton.inverse
+        if linearised.tangent is None or linearised.inverse is None or attempt:
+            linearised.refresh(state, forces.nodal)
+        tangent, inverse = linearised.tangent, linearised.inverse
         assert tangent is not None
         assert inverse is not None
+        inverse.follow(state)
         step, n, reached = gmres(
             partial_function(tangent.times, state),
             inverse,

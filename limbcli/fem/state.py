@@ -22,7 +22,6 @@ class State:
 
     volumes : volume ratios (n_cells, n_gauss) of each group that pressures are taken at on the way to
         equilibrium; empty: those of u, as at equilibrium
-    tractions : contact tractions (n_facets, n_gauss) of each patch, likewise
     """
 
     time: float
@@ -30,7 +29,6 @@ class State:
     bodies: tuple[BodyState, ...]
     hints: tuple[Array, ...] = ()
     volumes: tuple[Array, ...] = ()
-    tractions: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,21 +7,23 @@ equations; their part of the tangent enters as a few dense columns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
-from limbcli.fem.contact_points import FACET, TRACTION
+from limbcli.fem.contact_points import FACET, TRACTION, add_dense, add_symmetric
+from limbcli.fem.contact_reach import near_nodes
 from limbcli.fem.element_loops import ElementLoops
 from limbcli.fem.groups import make_groups
 from limbcli.fem.rigid_loads import RigidLoads
 from limbcli.fem.state import Forces, State
-from limbcli.model import Array, Drive, LimbModel, Support
+from limbcli.model import Array, Drive, IntArray, LimbModel, Support
 
-_NO_TRACTIONS = np.zeros((0, 1))
 _NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
 
 
@@ -60,6 +62,11 @@ class System(RigidLoads, ElementLoops):
     def jumps(self) -> bool:
         """Whether a stress jumps (sheared fibres), so that the tangent is not symmetric."""
         return any(each.jumps for each in self.operands)
+
+    @property
+    def rubs(self) -> bool:
+        """Whether a contact has friction."""
+        return any(pair.contact.friction for pair in self.pairs)
 
     @property
     def least_force(self) -> float:
@@ -142,53 +149,97 @@ class System(RigidLoads, ElementLoops):
             scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
         scale = max(float(scale), self.least_force)
         mixed = residual
-        if state.volumes or state.tractions:
-            shift = self.volume_force(state) if state.volumes else np.zeros_like(nodal)
-            if state.tractions:
-                for k, pair in enumerate(self.pairs):
-                    pair.shifted_force(self._carried(state, k), shift)
+        if state.volumes:
             mixed = residual.copy()
-            mixed[: self.n_tissue] += shift[self.free]
+            mixed[: self.n_tissue] += self.volume_force(state)[self.free]
         return Forces(nodal, bodies, residual, scale, touching, worst, place, mixed)
 
     # ------------------------------------------------------------ tangent
 
-    def _carried(self, state: State, pair: int) -> Sequence[Array]:
-        """The state's own tractions of the patches of one pair."""
-        begin = sum(len(each.patches) for each in self.pairs[:pair])
-        n = len(self.pairs[pair].patches)
-        return state.tractions[begin : begin + n] if state.tractions else [_NO_TRACTIONS] * n
+    @contextmanager
+    def turning(self, on: bool) -> Iterator[None]:
+        """Contact tangents with or without the turning of the normals."""
+        for pair in self.pairs:
+            pair.turning = float(on)
+        try:
+            yield
+        finally:
+            for pair in self.pairs:
+                pair.turning = 1.0
 
-    def tractions(self) -> tuple[Array, ...]:
-        """Contact tractions (n_facets, n_gauss) of each patch as searched last."""
-        return tuple(p.state[..., TRACTION].copy() for pair in self.pairs for p in pair.patches)
-
-    def linear_tractions(self, state: State, v: Array, motions: Array) -> tuple[Array, ...]:
-        """The tractions as searched last, changed linearly along nodal and body motions."""
-        x = self.X + state.u
-        return tuple(
-            each
-            for k, pair in enumerate(self.pairs)
-            for each in pair.linear_tractions(x, v, motions[pair.body], self._carried(state, k))
-        )
+    def touching(self) -> tuple[NDArray[np.bool_], ...]:
+        """Which points (n_facets, n_gauss) of each patch touch, as searched last."""
+        return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
 
     def add_contact(self, state: State, values: Array) -> Array:
         """The matrix with the symmetric part of the contact (as searched last) added."""
         values = values.copy()
-        for k, pair in enumerate(self.pairs):
-            pair.stiffness(self.X + state.u, self._carried(state, k), self.pattern.slots, values)
+        for pair in self.pairs:
+            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+                add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
+
+    def dense_contact(self, state: State, places: IntArray, n: int) -> Array:
+        """Exact contact tangent (n, n), as searched last, of the unknowns that have places (n_points, 3)."""
+        out = np.zeros((n, n))
+        for pair in self.pairs:
+            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+                add_dense(blocks, touched, patch.facets, places, out)
+        return out
+
+    def within_reach(self) -> IntArray:
+        """Equations of the nodes that the rigid surfaces may come to touch in this step, sorted."""
+        nodes = [
+            near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
+            for pair in self.pairs
+            for patch in pair.patches
+        ]
+        found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
+        return np.unique(found[found >= 0])
 
     def contact_times(self, state: State, v: Array, motions: Array) -> tuple[Array, Array]:
         """Exact contact tangent times nodal and body motions: nodal (n_points, 3), bodies (n_bodies, 6)."""
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
         x = self.X + state.u
-        for k, pair in enumerate(self.pairs):
+        for pair in self.pairs:
             body = np.zeros(6)
-            carried = self._carried(state, k)
-            pair.times(x, self.center(pair.body, state), v, motions[pair.body], carried, nodal, body)
+            pair.times(x, self.center(pair.body, state), v, motions[pair.body], nodal, body)
             bodies[pair.body] -= body
         return nodal, bodies
+
+    def contact_change(
+        self, state: State, step: Array | None = None, *, motions: Array | None = None
+    ) -> Array:
+        """Exact contact tangent, at `state` as it was searched last, times a change of the unknowns.
+
+        motions (n_bodies, 6) : given motions of the bodies besides
+        """
+        step = np.zeros(self.n_unknowns) if step is None else step
+        out = np.zeros_like(step)
+        if not self.pairs:
+            return out
+        n = self.n_tissue
+        own = self.motions(step)
+        v = self.follow(state, own)
+        v[self.free] = step[:n]
+        nodal, bodies = self.contact_times(state, v, own if motions is None else own + motions)
+        out[:n] = nodal[self.free]
+        for k, (b, dof) in enumerate(self.rigid):
+            out[n + k] = bodies[b, dof]
+        return out
+
+    def contact_residual(self, state: State, *, search: bool = False) -> Array:
+        """The contact's part of the residual, as searched last or searched anew."""
+        nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
+        x = self.X + state.u
+        for pair in self.pairs:
+            if search:
+                pair.search(x, state.bodies[pair.body])
+            push = np.zeros(6)
+            pair.force(self.center(pair.body, state), nodal, push)
+            bodies[pair.body] -= push
+        self.gather_tied(state, nodal, bodies)
+        return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
 
     def close(self) -> None:
         self.threads.close()

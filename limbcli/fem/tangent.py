@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -41,18 +42,21 @@ class Tangent:
 
     def times(self, state: State, step: Array) -> Array:
         """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
+        return self.tissue_times(step) + self.system.contact_change(state, step)
+
+    def tissue_times(self, step: Array) -> Array:
+        """The same of the tissue alone, without contact."""
         system = self.system
         n = system.n_tissue
         x = step[:n]
         out = np.zeros_like(step)
-        motions = system.motions(step)
-        v = np.zeros_like(state.u)
-        v[system.free] = x
         if self.jumps:
+            v = np.zeros_like(self.state.u)
+            v[system.free] = x
             elastic = system.tangent_times(self.state, v)
             out[:n] = elastic[system.free]
         else:
-            upper_times(self.upper.indptr, self.upper.indices, self.upper.data, x, out)
+            out[:n] = self._times_tissue(x)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
             if self.jumps:
@@ -62,13 +66,20 @@ class Tangent:
             else:
                 out[n + k] += column[system.free] @ x
         out[n:] += self.corner @ step[n:]
-        if system.pairs:
-            v += system.follow(state, motions)
-            nodal, bodies = system.contact_times(state, v, motions)
-            out[:n] += nodal[system.free]
-            for k, (b, dof) in enumerate(system.rigid):
-                out[n + k] += bodies[b, dof]
         return out
+
+    def _times_tissue(self, x: Array) -> Array:
+        """The symmetric matrix of the tissue's unknowns times x, rows shared by the threads."""
+        upper, threads = self.upper, self.system.threads
+        parts = [np.zeros_like(x) for _ in range(threads.n)]
+
+        def task(worker: int, begin: int, end: int) -> None:
+            upper_times(begin, end, upper.indptr, upper.indices, upper.data, x, parts[worker])
+
+        threads.run(task, len(x))
+        for each in parts[1:]:
+            parts[0] += each
+        return parts[0]
 
 
 def assemble(system: System, state: State, nodal: Array) -> Tangent:
@@ -104,23 +115,61 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 
 
 class Inverse:
-    """Approximate inverse of a tangent: factor of its symmetric part, and the border's Schur complement."""
+    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the contact in its root
+    front, and the Schur complement of the rigid unknowns' border.
+
+    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
+    has a root.
+    """
 
     def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
-        self.linear = linear
+        self.linear, self.tangent = linear, tangent
+        self.rooted: Any = linear  # used as such where it has a root
         system = tangent.system
         self.n = system.n_tissue
+        root = getattr(linear, "root", None)
+        self.n_root = 0 if root is None or not system.pairs else len(root)
         if self.n:
             linear.factor(system.add_contact(state, tangent.upper.data))
+        if self.n_root:
+            places = np.full(self.n + 1, -1, dtype=np.int64)
+            places[root] = np.arange(self.n_root)
+            self.places = places[system.equations]
+            self.inside = self._contact(state)
+            self.met = self._meeting()
+        self._set_border(state)
+
+    def follow(self, state: State) -> None:
+        """Take the contact at `state`, as it was searched last, into the root of the factor."""
+        if not self.n_root:
+            return
+        meeting = self._meeting()
+        if meeting != self.met:
+            self.met = meeting
+            self.rooted.update_root(self._contact(state) - self.inside)
+            self._set_border(state)
+
+    def _meeting(self) -> tuple[bytes | float, ...]:
+        """What the contact's tangent was made of: points that touch, and whether normals turn."""
+        system = self.tangent.system
+        return (*(each.tobytes() for each in system.touching()), *(pair.turning for pair in system.pairs))
+
+    def _contact(self, state: State) -> Array:
+        """Symmetric part of the contact tangent of the root."""
+        contact = self.tangent.system.dense_contact(state, self.places, self.n_root)
+        return 0.5 * (contact + contact.T)
+
+    def _set_border(self, state: State) -> None:
+        system = self.tangent.system
         n_rigid = len(system.rigid)
         self.border = np.zeros((system.n_unknowns, n_rigid))
         for k in range(n_rigid):
             unit = np.zeros(system.n_unknowns)
             unit[self.n + k] = 1.0
-            self.border[:, k] = tangent.times(state, unit)
+            self.border[:, k] = self.tangent.times(state, unit)
         self.solved = np.zeros((self.n, n_rigid))
         for k in range(n_rigid):
-            self.solved[:, k] = linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
+            self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
         schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
         if n_rigid:
             check_rigid_modes(system, schur, self.border[self.n :])
@@ -154,10 +203,10 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
         )
 
 
-@njit(cache=True)
-def upper_times(indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
-    """out += the symmetric matrix, given by its upper triangle in CSR, times x."""
-    for row in range(len(indptr) - 1):
+@njit(cache=True, nogil=True)
+def upper_times(begin, end, indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
+    """out += rows of the upper triangle in CSR, and their mirror images, times x."""
+    for row in range(begin, end):
         total = 0.0
         for k in range(indptr[row], indptr[row + 1]):
             column = indices[k]

@@ -54,8 +54,7 @@ class Restart:
             arrays[f"u{k}"] = each.u
             arrays[f"shift{k}"] = np.array([body.shift for body in each.bodies])
             arrays[f"turn{k}"] = np.array([body.turn for body in each.bodies])
-            for name, parts in (("hints", each.hints), ("tractions", each.tractions)):
-                arrays |= {f"{name}{k}_{j}": part for j, part in enumerate(parts)}
+            arrays |= {f"hints{k}_{j}": part for j, part in enumerate(each.hints)}
         with atomic_file(self.path) as path, path.open("wb") as stream:
             np.savez(stream, **arrays)
 
@@ -76,11 +75,9 @@ def _state(stored: Any, k: int, time: float) -> State:
     from limbcli.fem.rigid import BodyState
     from limbcli.fem.state import State
 
-    def parts(name: str) -> tuple[Any, ...]:
-        keys = [key for key in stored.files if key.startswith(f"{name}{k}_")]
-        return tuple(stored[f"{name}{k}_{j}"] for j in range(len(keys)))
-
+    keys = [key for key in stored.files if key.startswith(f"hints{k}_")]
+    hints = tuple(stored[f"hints{k}_{j}"] for j in range(len(keys)))
     bodies = tuple(
         BodyState(shift, turn) for shift, turn in zip(stored[f"shift{k}"], stored[f"turn{k}"], strict=True)
     )
-    return State(time, stored[f"u{k}"], bodies, parts("hints"), tractions=parts("tractions"))
+    return State(time, stored[f"u{k}"], bodies, hints)

@@ -72,7 +72,7 @@ def measure(path: Path, threads: int) -> dict[str, object]:
         "linear solver": analysis.newton.linear_name,
         "factorisations": counts.factorisations,
         "iterations": counts.iterations,
-        "solves": analysis.newton.linear.n_solves,
+        "solves": analysis.newton.linearised.linear.n_solves,
         "seconds": f"{wall * (1 - share):.1f}",
         "cpu": f"{cpu - cost[0]:.1f}",
         "peak MB": f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f}",

@@ -1,4 +1,4 @@
-"""Pressures and tractions of their own on the way to equilibrium; warm starts."""
+"""Pressures of their own on the way to equilibrium; warm starts."""
 
 from __future__ import annotations
 
@@ -68,27 +68,6 @@ def test_tangent_at_pressures_of_their_own(kind: str, rng: np.random.Generator) 
     np.testing.assert_allclose(differences, exact, atol=1e-6 * abs(exact).max())
     times = system.tangent_times(own, v) - system.tangent_times(state, v)
     np.testing.assert_allclose(times[system.free], exact, atol=1e-10 * abs(exact).max())
-
-
-def test_linear_tractions_are_their_derivative(rng: np.random.Generator) -> None:
-    system = System(punch("tet10", (3, 2, 2)), threads=1)
-    state = system.prescribed(system.rest(), 0.1)
-    state = system.moved(state, 1e-2 * rng.standard_normal(system.n_unknowns))
-    assert system.forces(state).n_touching > 3
-    v, motions = rng.standard_normal(system.X.shape), np.zeros((1, 6))
-    v[~system.free] = 0.0
-    now = system.tractions()[0]
-    linear = system.linear_tractions(state, 1e-3 * v, motions)[0] - now
-    h = 1e-7
-    ends = []
-    for sign in (1, -1):
-        system.forces(replace(state, u=state.u + sign * h * v))
-        ends.append(system.tractions()[0])
-    differences = 1e-3 * (ends[0] - ends[1]) / (2 * h)
-    touching = (now > 0) & (ends[0] > 0) & (ends[1] > 0) & (now + linear > 0)
-    assert touching.sum() > 3
-    np.testing.assert_allclose(linear[touching], differences[touching], atol=1e-6 * abs(differences).max())
-    assert np.all((now + linear)[now == 0.0] == 0.0), "a point without contact carries nothing"
 
 
 def deep(f_kappa: float = 1000.0) -> LimbModel:

@@ -1,0 +1,103 @@
+"""The tissue linearised, against the contact as it is; the contact in the root of the factor."""
+
+from __future__ import annotations
+
+import numpy as np
+from small_models import punch
+
+from limbcli.fem.contact_reach import near_nodes
+from limbcli.fem.counts import Counts, Settings
+from limbcli.fem.linearised import Linearised
+from limbcli.fem.state import State, norm
+from limbcli.fem.system import System
+
+
+def pressed(
+    rng: np.random.Generator, kind: str = "tet10", linear: str = "auto", size: float = 2e-2
+) -> tuple[Linearised, State]:
+    """A linearised block, and a state with the probe in it."""
+    system = System(punch(kind, (5, 4, 3)), threads=1)
+    linearised = Linearised(system, Settings(threads=1, linear=linear), Counts())
+    state = system.prescribed(system.rest(), 0.2)
+    state = system.moved(state, size * rng.standard_normal(system.n_unknowns))
+    linearised.refresh(state, system.forces(state).nodal)
+    return linearised, state
+
+
+def test_dense_contact_is_the_contact_tangent(rng: np.random.Generator) -> None:
+    linearised, state = pressed(rng)
+    system = linearised.system
+    n = system.n_tissue
+    dense = system.dense_contact(state, system.equations, n)
+    v = rng.standard_normal(n)
+    assert abs(dense).max() > 0
+    np.testing.assert_allclose(dense @ v, system.contact_change(state, v), atol=1e-12 * abs(dense).max())
+    upper = system.add_contact(state, np.zeros(len(system.pattern.indices)))
+    np.testing.assert_allclose(
+        system.pattern.matrix(upper).toarray(), 0.5 * (dense + dense.T), atol=1e-12 * abs(dense).max()
+    )
+
+
+def test_the_nodes_that_touch_are_within_reach(rng: np.random.Generator) -> None:
+    system = pressed(rng)[0].system
+    within = set(system.within_reach().tolist())
+    patch = system.pairs[0].patches[0]
+    touching = np.unique(patch.facets[system.touching()[0].any(axis=1)])
+    wanted = system.equations[touching].ravel()
+    assert len(within) < system.n_tissue
+    assert set(wanted[wanted >= 0].tolist()) <= within
+
+
+def test_reach_follows_the_outline_wherever_the_face_points(rng: np.random.Generator) -> None:
+    """A long face over a plane: nodes below it, not beside it; the same after a rotation of the scene."""
+    grid = np.stack(np.meshgrid(np.arange(21.0), np.arange(21.0), [0.0], indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
+    number = np.arange(441).reshape(21, 21)
+    a, b, c, d = (
+        each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    )
+    soft = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    face = np.array([[4.0, 9, 1], [16, 9, 1], [16, 11, 1], [4, 11, 1]])
+    X = np.concatenate([grid, face])
+    rigid = np.array([[441, 442, 443, 444]])
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    for Q in (np.eye(3), turn):
+        normals = np.tile(Q @ [0, 0, 1.0], (len(soft), 1))
+        found = grid[near_nodes(X @ Q.T, rigid, soft, normals)]
+        assert abs(found[:, 0] - 10).max() <= 8
+        assert abs(found[:, 1] - 10).max() <= 3
+        under = (abs(grid[:, 0] - 10) < 6) & (abs(grid[:, 1] - 10) < 1.1)
+        assert under.sum() <= len(found)
+
+
+def test_settled_tissue_and_contact_are_in_balance(rng: np.random.Generator) -> None:
+    """By the tissue's own linear forces and a fresh search: not by what the iteration kept."""
+    linearised, state = pressed(rng, size=2e-3)
+    system = linearised.system
+    for far, part in ((True, 0.1), (False, 1e-4)):
+        forces = system.forces(state)
+        linearised.refresh(state, forces.nodal)
+        tissue = forces.residual - system.contact_residual(state)
+        goal = part * norm(forces.residual)
+        step = linearised.settle(state, tissue, goal, far=far)
+        assert linearised.tangent is not None
+        after = system.moved(state, step)
+        left = tissue + linearised.tangent.tissue_times(step) + system.contact_residual(after, search=True)
+        assert norm(left) <= goal
+        state = after
+
+
+def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
+    """After the probe came deeper, far fewer Krylov iterations than with the contact of before."""
+    used = {}
+    for linear in ("multifrontal", "superlu"):
+        linearised, state = pressed(rng, linear=linear)
+        system = linearised.system
+        deeper = system.prescribed(state, 0.8)
+        system.forces(deeper)
+        rhs = rng.standard_normal(system.n_unknowns)
+        before = linearised.counts.krylov
+        linearised.solve(deeper, rhs, 1e-6)
+        used[linear] = linearised.counts.krylov - before
+    assert used["multifrontal"] < 0.6 * used["superlu"]
