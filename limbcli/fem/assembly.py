@@ -71,7 +71,7 @@ def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern
         n_pairs = cells.shape[1] * (cells.shape[1] + 1) // 2
         size = len(cells) * n_pairs
         part = 2 * inverse[at : at + size] + swapped
-        pairs.append(np.ascontiguousarray(part.reshape(len(cells), n_pairs), dtype=np.int64))
+        pairs.append(np.ascontiguousarray(part.reshape(len(cells), n_pairs), dtype=np.int32))
         at += size
     return Pattern(indptr, indices, slots, tuple(pairs))
 
@@ -94,8 +94,8 @@ def _slots(low: IntArray, high: IntArray, equations: IntArray) -> tuple[IntArray
     r, c = rows[kept], columns[kept]
     r, c = np.minimum(r, c), np.maximum(r, c)
     order = np.lexsort((c, r))
-    slots = np.full((len(low), 3, 3), -1, dtype=np.int64)
-    place = np.empty(len(order), dtype=np.int64)
+    slots = np.full((len(low), 3, 3), -1, dtype=np.int32)
+    place = np.empty(len(order), dtype=np.int32)
     place[order] = np.arange(len(order))
     slots[kept] = place
     indptr = np.zeros(n + 1, dtype=np.int64)
