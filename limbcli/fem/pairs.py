@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from limbcli.fem import contact_kernels as kernels
+from limbcli.fem.assembly import Threads
 from limbcli.fem.contact_points import FACET, TRACTION
 from limbcli.fem.contact_search import search
 from limbcli.fem.groups import Group
@@ -55,19 +57,26 @@ class Pair:
     facets2: IntArray
     patches: list[Patch]
     turning: float = field(default=1.0, kw_only=True)
+    threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
         """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
         many touch."""
         spheres, box = _bounds(x, self.facets2)
-        c = self.contact
         return sum(
-            search(
-                0, len(p.facets), x, p.facets, p.N, p.dN, x, self.facets2, spheres, box,
-                c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
-            )
+            sum(self.threads.run(partial(self._search, p, x, spheres, box), len(p.facets)))
             for p in self.patches
+        )
+
+    def _search(
+        self, p: Patch, x: Array, spheres: Array, box: Array, worker: int, begin: int, end: int
+    ) -> int:
+        c = self.contact
+        found = search(
+            begin, end, x, p.facets, p.N, p.dN, x, self.facets2, spheres, box,
+            c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
         )  # fmt: skip
+        return int(found)
 
     def force(self, center: Array, out: Array, body: Array) -> None:
         for p in self.patches:

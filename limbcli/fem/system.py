@@ -48,6 +48,8 @@ class System(RigidLoads, ElementLoops):
         cell_lists = [g.cells for g in self.groups]
         super().__init__(model, supports, drives, start, cell_lists)
         self.pairs = make_pairs(model, self.groups, self.bodies)
+        for pair in self.pairs:
+            pair.threads = self.threads
         patches = [p for pair in self.pairs for p in pair.patches]
         self.pattern: Pattern = make_pattern(self.equations, cell_lists + [p.facets for p in patches])
         for patch, pairs in zip(patches, self.pattern.pairs[len(cell_lists) :], strict=True):
