@@ -89,7 +89,7 @@ def test_settled_tissue_and_contact_are_in_balance(rng: np.random.Generator) -> 
 
 
 def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
-    """After the probe came deeper, far fewer Krylov iterations than with the contact of before."""
+    """After the probe came deeper, far fewer Krylov iterations a decade than with the contact of before."""
     used = {}
     for linear in ("multifrontal", "superlu"):
         linearised, state = pressed(rng, linear=linear)
@@ -97,7 +97,6 @@ def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
         deeper = system.prescribed(state, 0.8)
         system.forces(deeper)
         rhs = rng.standard_normal(system.n_unknowns)
-        before = linearised.counts.krylov
-        linearised.solve(deeper, rhs, 1e-6)
-        used[linear] = linearised.counts.krylov - before
+        linearised.solve(deeper, rhs, 1e-4)
+        used[linear] = linearised.rate
     assert used["multifrontal"] < 0.6 * used["superlu"]
