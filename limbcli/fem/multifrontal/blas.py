@@ -158,7 +158,31 @@ trsm_left_t = _trsm("T")  # B = L^-T B
 
 
 @intrinsic
-def product(typingctx, table, m, n, k, a, oa, lda, b, ob, ldb, sign, os, factor, add, lower, c, oc, ldc, low, high, room, at):  # type: ignore[no-untyped-def]
+def product(
+    typingctx,
+    table,
+    m,
+    n,
+    k,
+    a,
+    oa,
+    lda,
+    b,
+    ob,
+    ldb,
+    sign,
+    os,
+    factor,
+    add,
+    lower,
+    c,
+    oc,
+    ldc,
+    low,
+    high,
+    room,
+    at,
+):  # type: ignore[no-untyped-def]
     """C (m, n) = factor A S B^T, or added to it: see `product._product`."""
     i, flag, real = types.intp, types.boolean, a.dtype
     signature = types.void(

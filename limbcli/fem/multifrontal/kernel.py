@@ -84,9 +84,7 @@ def _micro(strips):  # type: ignore[no-untyped-def]
             kind = left.type.pointee
             rows = _lanes(kind)
             zero = ir.Constant(ir.VectorType(kind, rows), [0.0] * rows)
-            sums = [
-                [cgutils.alloca_once_value(builder, zero) for _ in range(strips)] for _ in range(COLUMNS)
-            ]
+            sums = [[cgutils.alloca_once_value(builder, zero) for _ in range(strips)] for _ in range(COLUMNS)]
             for column in sums:
                 for each in column:
                     builder.store(zero, each)
@@ -108,7 +106,9 @@ def _micro(strips):  # type: ignore[no-untyped-def]
                         column = builder.mul(ldc, ir.Constant(word, j))
                         for s in range(strips):
                             place = builder.add(column, ir.Constant(word, s * rows))
-                            total = builder.fadd(_load(builder, target, place, rows), builder.load(sums[j][s]))
+                            total = builder.fadd(
+                                _load(builder, target, place, rows), builder.load(sums[j][s])
+                            )
                             _store(builder, total, target, place, rows)
                 with fresh:
                     for j in range(COLUMNS):

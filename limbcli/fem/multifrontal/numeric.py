@@ -8,7 +8,7 @@ from numba import njit
 from limbcli.fem.multifrontal.dense import NOT_FINITE, factor_panel, form_update
 from limbcli.fem.multifrontal.vectors import add
 
-BLOCK = 96  # columns of a block where one thread is at work
+BLOCK = 192  # columns of a block where one thread is at work
 
 
 @njit(cache=True, nogil=True)

@@ -29,7 +29,9 @@ class Store:
         self.plan = layout.plan
         self.blas = blas.addresses(single, has_wide_vectors())
         self.tiny = self.kind(_TINY[single])
-        self.panels = np.empty(layout.factor_size + ALIGNED, dtype=self.kind)  # the last vector may reach over
+        self.panels = np.empty(
+            layout.factor_size + ALIGNED, dtype=self.kind
+        )  # the last vector may reach over
         self.updates = np.empty(layout.update_size, dtype=self.kind)
         self.values = np.empty(n_values, dtype=self.kind)
         self.sign = np.ones(n, dtype=self.kind)
