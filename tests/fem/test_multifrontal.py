@@ -119,6 +119,28 @@ def test_root_is_changed_and_factored_again(single: bool, symmetric: bool, shift
     assert np.allclose(solver.solve(b), before, rtol=0, atol=ROUND_OFF[single] * 1e-3)
 
 
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize("n_last", [20, 420])
+def test_root_far_from_symmetric_is_factored_with_pivots_or_without(single: bool, n_last: int) -> None:
+    rng = np.random.default_rng(7)
+    matrix = grid(8)
+    solver = solver_of(matrix, single=single, last=np.arange(n_last))
+    b = rng.standard_normal(matrix.shape[0])
+    size = np.sqrt(np.outer(matrix.diagonal()[solver.root], matrix.diagonal()[solver.root]))
+    skew = np.triu(rng.standard_normal((n_last, n_last)) * size) * 0.3
+    for pivots, addition in (
+        (False, skew - skew.T),
+        (True, -solver.schur + rng.permutation(np.eye(n_last)) * size),
+    ):
+        changed = matrix.tolil()
+        changed[np.ix_(solver.root, solver.root)] += addition
+        solver.update_root(addition)
+        assert (solver._root._lu is not None) == pivots
+        assert error(changed.tocsr(), solver.solve(b), b) < 10 * ROUND_OFF[single]
+        both = np.stack([b, 2 * b], axis=1)
+        assert np.allclose(solver.solve(both)[:, 1], 2 * solver.solve(b), rtol=0, atol=10 * ROUND_OFF[single])
+
+
 @pytest.mark.parametrize("columns", [(), (3,)])
 def test_forward_root_and_backward_make_up_a_solution(columns: tuple[int, ...]) -> None:
     matrix = grid(7, shift=0.5)

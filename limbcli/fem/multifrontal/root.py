@@ -10,11 +10,14 @@ from scipy.linalg import lapack
 
 from limbcli.fem.linear import singular
 from limbcli.fem.multifrontal import solve
+from limbcli.fem.multifrontal.dense import ALIGNED
+from limbcli.fem.multifrontal.pair import factor_pair
 from limbcli.fem.multifrontal.store import Store
 from limbcli.fem.multifrontal.top import Top
 from limbcli.model import Array, IntArray
 
 _SYMMETRIC = 1e-10  # of the largest entry
+_GROWTH = 1e3  # of entries in a factor without pivoting, whose matrix has a diagonal of about 1
 
 
 class Root:
@@ -29,6 +32,7 @@ class Root:
         self.at, self.ld = int(plan.panel_at[self.front]), int(plan.ld[self.front])
         self._kept = np.empty(self.n * self.ld if kept else 0, dtype=store.kind)
         self._lu: tuple[Any, Any] | None = None
+        self._pair: tuple[Any, Any, Any] | None = None
         self._room = np.empty(self.n, dtype=store.kind)
 
     @property
@@ -41,7 +45,7 @@ class Root:
 
     def factor(self) -> int:
         """Factor the gathered front; pivots made up for."""
-        self._lu = None
+        self._lu = self._pair = None
         if len(self._kept):
             self._kept[:] = self._panel
         return self._factor()
@@ -61,7 +65,7 @@ class Root:
         """Factor the Schur complement with something added; pivots made up for."""
         self._need_kept()
         scaling = self.store.scaling[self.equations]
-        self._lu = None
+        self._lu = self._pair = None
         self._panel[:] = self._kept
         if addition is None:
             return self._factor()
@@ -71,6 +75,25 @@ class Root:
         if uneven <= _SYMMETRIC * largest:
             _add_lower(self._panel, self.ld, addition, scaling)
             return self._factor()
+        if not self._factor_pair(addition, scaling):
+            self._factor_lu(addition, scaling)
+        return 0
+
+    def _factor_pair(self, addition: Array, scaling: Array) -> bool:
+        """Without pivoting, on both threads; whether that was safe."""
+        size = self.n * self.ld + ALIGNED
+        left, right = np.empty(size, dtype=self.store.kind), np.empty(size, dtype=self.store.kind)
+        sign = np.ones(self.n, dtype=self.store.kind)
+        _both_lower(self._kept, self.ld, addition, scaling, left, right)
+        crew = self.top.crew
+        if not factor_pair(self.store, crew, left, right, self.ld, self.n, sign):
+            return False
+        if _growth(left, right, self.ld, self.n) > _GROWTH:
+            return False
+        self._pair = (left, right, sign)
+        return True
+
+    def _factor_lu(self, addition: Array, scaling: Array) -> None:
         full = np.empty((self.n, self.n), dtype=self.store.kind, order="F")
         _sum(self._kept, self.ld, addition, scaling, full)
         factor = lapack.sgetrf if self.store.kind is np.float32 else lapack.dgetrf
@@ -78,7 +101,6 @@ class Root:
         if info != 0 or not np.isfinite(np.diagonal(lu)).all():
             raise singular("the root has no factor")
         self._lu = (lu, pivots)
-        return 0
 
     def _need_kept(self) -> None:
         if not len(self._kept):
@@ -91,6 +113,8 @@ class Root:
         if self._lu is not None:
             substitute = lapack.sgetrs if store.kind is np.float32 else lapack.dgetrs
             part[...] = substitute(*self._lu, part)[0]
+        elif self._pair is not None:
+            solve.pair(*self._pair, self.ld, part if w.ndim > 1 else part[:, None], self._room)
         elif w.ndim == 1:
             solve.forward(store.plan, s, s + 1, store.panels, store.sign, w, self._room)
             solve.backward(store.plan, s, s + 1, store.panels, w, self._room)
@@ -137,6 +161,33 @@ def _add_lower(panel, ld, addition, scaling):  # type: ignore[no-untyped-def]
     for j in range(n):
         for i in range(j, n):
             panel[i + j * ld] += addition[j, i] * scaling[i] * scaling[j]
+
+
+@njit(cache=True)
+def _both_lower(lower, ld, addition, scaling, left, right):  # type: ignore[no-untyped-def]
+    """Lower triangles of the sum and of its transpose."""
+    n = len(scaling)
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    value = lower[i + j * ld]
+                    size = scaling[i] * scaling[j]
+                    left[i + j * ld] = value + addition[i, j] * size
+                    right[i + j * ld] = value + addition[j, i] * size
+
+
+@njit(cache=True)
+def _growth(left, right, ld, n):  # type: ignore[no-untyped-def]
+    """The largest entry of the factors, infinite if one is not finite."""
+    largest = 0.0
+    for j in range(n):
+        for i in range(j, n):
+            size = abs(left[i + j * ld]) + abs(right[i + j * ld])
+            if not size < np.inf:
+                return np.inf
+            largest = max(largest, size)
+    return largest
 
 
 @njit(cache=True)

@@ -148,3 +148,18 @@ def backward_many(blas, plan, start, stop, panels, w, y):  # type: ignore[no-unt
         for i in range(p):
             for c in range(k):
                 w[first + i, c] = y[c * m + i]
+
+
+@njit(cache=True, nogil=True)
+def pair(left, right, sign, ld, x, y):  # type: ignore[no-untyped-def]
+    """Each column of x (n, k) -> (L S R^T)^-1 x."""
+    n = len(x)
+    for c in range(x.shape[1]):
+        for i in range(n):
+            y[i] = x[i, c]
+        _down(left, 0, ld, n, n, y)
+        for i in range(n):
+            y[i] *= sign[i]
+        _up(right, 0, ld, n, n, y)
+        for i in range(n):
+            x[i, c] = y[i]
