@@ -21,7 +21,7 @@ from limbcli.model import Array
 _MAX_KRYLOV = 40
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
-_PER_SOLVE = 0.2  # a Krylov iteration is a solve, and a product with the tangent
+_PER_SOLVE = 0.35  # a Krylov iteration is a solve, and a product with the tangent
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
 _EXACT = 1e-2  # to which it is solved where contact does not settle

@@ -16,12 +16,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from numba import njit
+from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
 from limbcli.fem.linear import LinearSolver
 from limbcli.fem.state import State, norm
 from limbcli.fem.system import System
 from limbcli.model import Array
+
+_FEW = 0.01  # of the touching points changed: not worth a new root
 
 
 @dataclass(eq=False)
@@ -143,16 +146,18 @@ class Inverse:
         """Take the contact at `state`, as it was searched last, into the root of the factor."""
         if not self.n_root:
             return
-        meeting = self._meeting()
-        if meeting != self.met:
-            self.met = meeting
+        touching, turning = self._meeting()
+        changed = int((touching != self.met[0]).sum())
+        if changed > _FEW * touching.sum() or turning != self.met[1]:
+            self.met = touching, turning
             self.rooted.update_root(self._contact(state) - self.inside)
             self._set_border(state)
 
-    def _meeting(self) -> tuple[bytes | float, ...]:
+    def _meeting(self) -> tuple[NDArray[np.bool_], list[float]]:
         """What the contact's tangent was made of: points that touch, and whether normals turn."""
         system = self.tangent.system
-        return (*(each.tobytes() for each in system.touching()), *(pair.turning for pair in system.pairs))
+        touching = [each.ravel() for each in system.touching()]
+        return np.concatenate(touching), [pair.turning for pair in system.pairs]
 
     def _contact(self, state: State) -> Array:
         """Symmetric part of the contact tangent of the root."""
