@@ -48,7 +48,7 @@ class Account:
         data = self.ground.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.ground.relative else 1.0
+        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.ground.is_relative(state) else 1.0
         told = self.ground.bench.reported(fitted, scale=scale)
         return Shrink(
             fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), told, percentile

@@ -26,6 +26,7 @@ class Data:
     y : (n,); channel : of every datum; order : (n,) position along its channel (level number)
     groups : name -> (n,) bool, the parts to be localised (channel, site, third of the levels ...)
     blocks : name -> (n,) bool, the parts to be held out
+    series : of every datum, what it is a level of (a channel, one part of its maps); empty: the channel
     """
 
     y: Array
@@ -34,6 +35,7 @@ class Data:
     noise: Noise
     groups: Mapping[str, Mask] = field(default_factory=dict)
     blocks: Mapping[str, Mask] = field(default_factory=dict)
+    series: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -44,8 +46,15 @@ class Data:
 
     def channels(self) -> dict[str, Mask]:
         """Mask (n,) of each channel."""
-        names = dict.fromkeys(self.channel)
-        return {name: np.array([each == name for each in self.channel]) for name in names}
+        return _masks(self.channel)
+
+    def all_series(self) -> dict[str, Mask]:
+        """Mask (n,) of each series: data that follow one another from level to level."""
+        return _masks(self.series or self.channel)
+
+
+def _masks(labels: Sequence[str]) -> dict[str, Mask]:
+    return {name: np.array([each == name for each in labels]) for name in dict.fromkeys(labels)}
 
 
 @dataclass(frozen=True, eq=False)

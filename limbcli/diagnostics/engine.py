@@ -57,7 +57,9 @@ class _Run:
         trials = whitened_trials(
             ground.bench, ground.base, self.facts, ground.whiten, self.not_evaluated, ground.progress
         )
-        self.family = ground.family(ground.state, [*ground.parts(ground.whiten), *trials])
+        self.family = ground.family(
+            ground.state, [*ground.parts(ground.whiten), *trials], relative=ground.relative
+        )
         if self.family.smallest >= ALPHA:
             return self._nothing_found()
         by_name = {trial.name: trial for trial in trials}
@@ -146,8 +148,9 @@ class _Run:
             if t.name.startswith(PREFIX) and t.p_adjusted < ALPHA
         )
         shrink = account.shrink(shown, self.refits)
+        relative = ground.relative if best is None else ground.is_relative(best.state)
         return Diagnosis(
-            verdict=word, reason=reason, relative=ground.relative, base=ground.base, family=self.family,
+            verdict=word, reason=reason, relative=relative, base=ground.base, family=self.family,
             flagged=flagged, refits=tuple(self.refits.known.values()) if self.refits else (),
             confidence_set=tuple(r.explanation for r in kept), chosen=best.explanation if best else (),
             closed=word == "named", shrink=shrink,

@@ -44,22 +44,25 @@ class Ground:
 
     @cached_property
     def rough(self) -> Roughness | None:
-        """The data's own scatter, from neighbours; None where it cannot be told."""
-        if self.state.nu < 1:
-            return None
-        return roughness(self.state, self.whiten, channels=self.data.channels(), order=self.data.order)
-
-    @property
-    def is_contradicted(self) -> bool:
-        """The data scatter more than their stated noise."""
-        return self.rough is not None and self.rough.p < _ROUGH_P
+        """The data's own scatter, level by level; None where it cannot be told."""
+        return self._roughness(self.state)
 
     @cached_property
     def relative(self) -> bool:
-        """The noise's level is not known: assumed, or contradicted."""
-        if self.state.nu < 1:
+        """The noise's level is not known: assumed, or contradicted by the scatter about the base fit."""
+        return self.is_relative(self.state)
+
+    def is_relative(self, state: Linearised) -> bool:
+        """The same about another fit: what scattered may have been an effect (a step, a jump) in it."""
+        if state.nu < 1:
             return False
-        return self.data.noise.is_assumed or self.is_contradicted
+        found = self._roughness(state)
+        return self.data.noise.is_assumed or (found is not None and found.p < _ROUGH_P)
+
+    def _roughness(self, state: Linearised) -> Roughness | None:
+        if state.nu < 1:
+            return None
+        return roughness(state, self.whiten, series=self.data.all_series(), order=self.data.order)
 
     def rng(self, stream: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, stream])
@@ -67,12 +70,13 @@ class Ground:
     def linearised(self, fitted: Fitted) -> Linearised:
         return Linearised.of(self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian))
 
-    def family(self, state: Linearised, trials: Sequence[Trial], *, n_draws: int = 0) -> Family:
+    def family(
+        self, state: Linearised, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0
+    ) -> Family:
         """All these tests with one false-alarm rate."""
         return score_family(
-            state, trials, rng=self.rng(1), relative=self.relative, n_draws=n_draws or self.n_draws,
-            alpha=ALPHA,
-        )  # fmt: skip
+            state, trials, rng=self.rng(1), relative=relative, n_draws=n_draws or self.n_draws, alpha=ALPHA
+        )
 
     def parts(self, whiten: Whitener) -> list[Trial]:
         """One trial for each part of the data."""

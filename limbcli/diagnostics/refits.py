@@ -39,9 +39,11 @@ class Refits:
         ground = self.ground
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
         joint |= {each: joint_trial([self.trials[name] for name in each]) for each in several}
+        found = self._refitted(several)
+        relative = all(ground.is_relative(each.state) for each in found)
         refits = compare(
-            self._refitted(several), ground.base, ground.state, joint, ground.whiten, self._form_error,
-            rng=ground.rng(2), relative=ground.relative,
+            found, ground.base, ground.state, joint, ground.whiten, self._form_error, rng=ground.rng(2),
+            relative=relative,
         )  # fmt: skip
         self.known.update({each.explanation: each for each in refits})
         return refits
@@ -113,7 +115,10 @@ class Refits:
             for name, trial in self.trials.items() if name not in fitted.explanation
         ]  # fmt: skip
         state = Linearised.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian))
-        return ground.family(state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS))
+        return ground.family(
+            state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
+            relative=ground.is_relative(ground.linearised(fitted)),
+        )  # fmt: skip
 
     def _form_error(self, fitted: Fitted) -> Array:
         """Covariance (n, n) of an error that is a share of what the effects change, alike at neighbours."""

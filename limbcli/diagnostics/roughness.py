@@ -18,7 +18,7 @@ _LEAST_NU = 5
 
 @dataclass(frozen=True)
 class Roughness:
-    """Scatter beyond a quartic along each channel: ratio = chi2/nu (1: as stated), p of so much or more."""
+    """Scatter beyond a quartic along each series: ratio = chi2/nu (1: as stated), p of so much or more."""
 
     ratio: float
     nu: int
@@ -26,12 +26,12 @@ class Roughness:
 
 
 def roughness(
-    state: Linearised, whiten: Whitener, *, channels: Mapping[str, Mask], order: Array
+    state: Linearised, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
 ) -> Roughness | None:
     """Compare the rough part of the residual with the stated noise; None where too few data are left."""
     n = len(order)
     columns = [state.jacobian]
-    for mask in channels.values():
+    for mask in series.values():
         x = order[mask]
         t = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
         degree = min(_DEGREE, len(np.unique(t)) - 1)

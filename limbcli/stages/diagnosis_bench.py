@@ -251,6 +251,8 @@ class SiteBench:
             [s.parameter.null + start.get(s.name, 0.0) or s.parameter.start for s in slots],
             [p.start for p in parameters],
         ]
+        for each in self.sites:
+            each.inherit_parts(explanation, points)
         best = None
         for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts()):
             x0 = np.clip(np.array([np.log(c), np.log(m), *guess]), low + 1e-6, high - 1e-6)

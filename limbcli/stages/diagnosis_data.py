@@ -108,9 +108,11 @@ def site_data(
     parts = _noise(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
+    series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
     data = Data(
-        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows)
-    )
+        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows),
+        series,
+    )  # fmt: skip
     present = tuple(dict.fromkeys(channel))
     extra = ("swe",) if "map" in present else ()
     channels = (*present, *extra)

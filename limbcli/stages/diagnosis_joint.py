@@ -24,7 +24,8 @@ def joined(sites: Sequence[SiteData]) -> Data:
     y = np.concatenate([site.data.y for site in sites])
     channel = tuple(f"{name} {site.name}" for site in sites for name in site.data.channel)
     order = np.concatenate([site.data.order for site in sites])
-    return Data(y, channel, order, _noise(sites), _groups(sites), _blocks(sites))
+    series = tuple(f"{name} {site.name}" for site in sites for name in site.data.series)
+    return Data(y, channel, order, _noise(sites), _groups(sites), _blocks(sites), series)
 
 
 def slices(sites: Sequence[SiteData]) -> list[slice]:

@@ -8,6 +8,7 @@ effect in it is solved once as it stands, and what the stand-in missed is put ri
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol as Typed
@@ -152,6 +153,22 @@ class SiteCurves:
         known = self._repairs.get((old, label(old_points)))
         if known is not None:
             self._repairs.setdefault((new, label(points)), known)
+
+    def inherit_parts(self, explanation: Explanation, points: Sequence[Theta]) -> None:
+        """A larger explanation not solved yet starts with what is known of its parts: the largest one that
+        was solved, and the rest one by one."""
+        n = len(explanation)
+        if n < 2 or (explanation, label(points)) in self._repairs:
+            return
+        left, total = set(range(n)), None
+        for size in range(n - 1, 0, -1):
+            for part in itertools.permutations(range(n), size):
+                key = (tuple(explanation[k] for k in part), label([points[k] for k in part]))
+                if left.issuperset(part) and key in self._repairs:
+                    total = self._repairs[key] if total is None else total + self._repairs[key]
+                    left -= set(part)
+        if total is not None:
+            self._repairs[(explanation, label(points))] = total
 
     # ------------------------------------------------------------
 
