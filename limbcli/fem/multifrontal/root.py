@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from limbcli.fem.multifrontal import solve
 from limbcli.fem.multifrontal.dense import ALIGNED
 from limbcli.fem.multifrontal.pair import factor_pair
 from limbcli.fem.multifrontal.store import Store
-from limbcli.fem.multifrontal.top import Top
+from limbcli.fem.multifrontal.top import Top, even_area
 from limbcli.model import Array, IntArray
 
 _SYMMETRIC = 1e-10  # of the largest entry
@@ -33,6 +34,7 @@ class Root:
         self._kept = np.empty(self.n * self.ld if kept else 0, dtype=store.kind)
         self._lu: tuple[Any, Any] | None = None
         self._pair: tuple[Any, Any, Any] | None = None
+        self._pair_room: list[Any] = []
         self._room = np.empty(self.n, dtype=store.kind)
 
     @property
@@ -66,27 +68,47 @@ class Root:
         self._need_kept()
         scaling = self.store.scaling[self.equations]
         self._lu = self._pair = None
-        self._panel[:] = self._kept
         if addition is None:
+            self._panel[:] = self._kept
             return self._factor()
+        addition = np.ascontiguousarray(addition, dtype=float)
         if addition.shape != (self.n, self.n):
             raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
-        largest, uneven = _unevenness(addition)
-        if uneven <= _SYMMETRIC * largest:
-            _add_lower(self._panel, self.ld, addition, scaling)
+        if self._add(addition, scaling):
+            self._panel[:] = self._pair_room[0][: self.n * self.ld]
             return self._factor()
-        if not self._factor_pair(addition, scaling):
+        if not self._factor_pair():
             self._factor_lu(addition, scaling)
         return 0
 
-    def _factor_pair(self, addition: Array, scaling: Array) -> bool:
+    def _add(self, addition: Array, scaling: Array) -> bool:
+        """The sum in the room of the pair; whether it is symmetric."""
+        if not self._pair_room:
+            size = self.n * self.ld + ALIGNED
+            self._pair_room = [np.empty(each, dtype=self.store.kind) for each in (size, size, self.n)]
+        left, right, _ = self._pair_room
+        columns = [
+            partial(
+                _both_lower,
+                self._kept,
+                self.ld,
+                addition,
+                scaling,
+                a,
+                b,
+                left,
+                right,
+                np.empty((_TILE, _TILE)),
+            )
+            for a, b in even_area(self.n, self.n)
+        ]
+        found = np.array(self.top.crew.run(columns))
+        return bool(found[:, 1].max() <= _SYMMETRIC * found[:, 0].max())
+
+    def _factor_pair(self) -> bool:
         """Without pivoting, on both threads; whether that was safe."""
-        size = self.n * self.ld + ALIGNED
-        left, right = np.empty(size, dtype=self.store.kind), np.empty(size, dtype=self.store.kind)
-        sign = np.ones(self.n, dtype=self.store.kind)
-        _both_lower(self._kept, self.ld, addition, scaling, left, right)
-        crew = self.top.crew
-        if not factor_pair(self.store, crew, left, right, self.ld, self.n, sign):
+        left, right, sign = self._pair_room
+        if not factor_pair(self.store, self.top.crew, left, right, self.ld, self.n, sign):
             return False
         if _growth(left, right, self.ld, self.n) > _GROWTH:
             return False
@@ -141,40 +163,35 @@ def _unscaled(lower, ld, scaling):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
-def _unevenness(a):  # type: ignore[no-untyped-def]
-    """Largest entry, and largest difference between an entry and its mirror image."""
-    n = len(a)
+@njit(cache=True, nogil=True, fastmath=True)
+def _both_lower(lower, ld, addition, scaling, first, stop, left, right, tile):  # type: ignore[no-untyped-def]
+    """Columns first..stop of the lower triangles of the sum and of its transpose.
+
+    Returns the largest entry added, and the largest difference from its mirror image.
+    """
+    n = len(scaling)
     largest, uneven = 0.0, 0.0
-    for j0 in range(0, n, _TILE):
+    for j0 in range(first, stop, _TILE):
+        j1 = min(j0 + _TILE, stop)
         for i0 in range(j0, n, _TILE):
-            for j in range(j0, min(j0 + _TILE, n)):
-                for i in range(max(i0, j), min(i0 + _TILE, n)):
-                    largest = max(largest, abs(a[i, j]), abs(a[j, i]))
-                    uneven = max(uneven, abs(a[i, j] - a[j, i]))
+            i1 = min(i0 + _TILE, n)
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    tile[j - j0, i - i0] = addition[i, j]
+            for j in range(j0, j1):
+                low = max(i0, j)
+                at = low + j * ld
+                column, row = tile[j - j0, low - i0 : i1 - i0], addition[j, low:i1]
+                to = at + i1 - low
+                value, into, mirrored = lower[at:to], left[at:to], right[at:to]
+                sizes, size = scaling[low:i1], scaling[j]
+                for i in range(len(row)):
+                    one, other = column[i], row[i]
+                    largest = max(largest, max(abs(one), abs(other)))
+                    uneven = max(uneven, abs(one - other))
+                    into[i] = value[i] + one * (size * sizes[i])
+                    mirrored[i] = value[i] + other * (size * sizes[i])
     return largest, uneven
-
-
-@njit(cache=True)
-def _add_lower(panel, ld, addition, scaling):  # type: ignore[no-untyped-def]
-    n = len(scaling)
-    for j in range(n):
-        for i in range(j, n):
-            panel[i + j * ld] += addition[j, i] * scaling[i] * scaling[j]
-
-
-@njit(cache=True)
-def _both_lower(lower, ld, addition, scaling, left, right):  # type: ignore[no-untyped-def]
-    """Lower triangles of the sum and of its transpose."""
-    n = len(scaling)
-    for j0 in range(0, n, _TILE):
-        for i0 in range(j0, n, _TILE):
-            for j in range(j0, min(j0 + _TILE, n)):
-                for i in range(max(i0, j), min(i0 + _TILE, n)):
-                    value = lower[i + j * ld]
-                    size = scaling[i] * scaling[j]
-                    left[i + j * ld] = value + addition[i, j] * size
-                    right[i + j * ld] = value + addition[j, i] * size
 
 
 @njit(cache=True)

@@ -33,7 +33,7 @@ class Top:
         plan, store = self.store.plan, self.store
         p = int(plan.pivot_at[s + 1] - plan.pivot_at[s])
         r = int(plan.rows_at[s + 1] - plan.rows_at[s])
-        edges = _even_area(p, p + r)
+        edges = even_area(p, p + r)
         self.crew.run(
             [
                 partial(gather_panel, plan, s, a, b, store.values, store.panels, store.updates)
@@ -88,11 +88,11 @@ class Top:
             )
             gather_update(plan, s, a, b, updates)
 
-        edges = _even_area(r, r)
+        edges = even_area(r, r)
         self.crew.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
 
 
-def _even_area(p: int, m: int) -> list[tuple[int, int]]:
+def even_area(p: int, m: int) -> list[tuple[int, int]]:
     """Two runs of the first p columns of a lower triangle of m rows, of the same area."""
     area = (p * m - p * p / 2) / 2
     cut = int(m - np.sqrt(max(m * m - 2 * area, 0.0)) + 0.5)
