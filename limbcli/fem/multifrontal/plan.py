@@ -13,7 +13,7 @@ from numba import njit
 from limbcli.fem.multifrontal.dense import ALIGNED
 from limbcli.fem.multifrontal.memory import place_updates
 from limbcli.fem.multifrontal.ordering import Graph, positions
-from limbcli.fem.multifrontal.sharing import Shares, share
+from limbcli.fem.multifrontal.sharing import Shares, share_for_two, share_top_alone
 from limbcli.fem.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
 
@@ -85,8 +85,8 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
         indptr, indices, positions(equations), pivot_at, rows_at, rows, ld
     )
     seconds = cost(p.astype(float), (p + r).astype(float))
-    factoring = share(fronts.parent, seconds, largest=_GRAIN)
-    solving = share(fronts.parent, (ld * p).astype(float) + 300.0)
+    factoring = share_for_two(fronts.parent, seconds, largest=_GRAIN)
+    solving = share_top_alone(fronts.parent, (p * (p + r) - p * p / 2).astype(float) + 300.0)
     update_at, update_size = place_updates(fronts.parent, ldu * r, factoring)
     plan = Plan(
         pivot_at, rows_at, rows, into, run_at, runs, panel_at[:-1], ld, update_at, ldu,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -24,40 +24,65 @@ class Shares(NamedTuple):
     top: IntArray
 
 
-def share(parent: IntArray, cost: Array, *, largest: float = 1.0) -> Shares:
-    """Cut the tree (in postorder) as little as gives every thread the same cost below the cut.
+def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> Shares:
+    """Cut the tree (in postorder) as little as gives both threads the same cost below the cut.
 
     For two threads, even where there is only one: so the sums are the same. The last front is
     always above the cut.
 
     largest : part of the whole cost that one subtree may have
     """
+    limit = largest * cost.sum()
+    for pieces, _, load in _cuts(parent, cost):
+        biggest = -min(pieces)[0] if pieces else 0.0
+        if max(load) <= (1 + _UNEVEN) * sum(load) / 2 and biggest <= limit:
+            break
+    return _shares(parent, pieces)
+
+
+def share_top_alone(parent: IntArray, cost: Array) -> Shares:
+    """The cut with the least time where one thread does all above it by itself."""
+    best = min(_cuts(parent, cost), key=lambda cut: cut[1] + max(cut[2]))
+    return _shares(parent, best[0])
+
+
+Pieces = list[tuple[float, int]]
+
+
+def _cuts(parent: IntArray, cost: Array) -> Iterator[tuple[Pieces, float, list[float]]]:
+    """Ever deeper cuts: subtrees (less their cost, front), cost above them, load of each thread."""
     n = len(parent)
-    total, size = cost.copy(), np.ones(n, dtype=np.int64)
+    total = cost.copy()
     children: list[list[int]] = [[] for _ in range(n)]
     for s in range(n):
         if parent[s] >= 0:
             total[parent[s]] += total[s]
-            size[parent[s]] += size[s]
             children[parent[s]].append(s)
-    top = [n - 1]
     heap = [(-total[s], s) for s in range(n - 1) if parent[s] < 0 or parent[s] == n - 1]
     heapq.heapify(heap)
-    while heap and len(heap) < _MANY:
+    above = float(cost[n - 1])
+    while True:
         pieces = sorted(heap)
-        load, _ = _loads([-c for c, _ in pieces])
-        biggest = pieces[0][1]
-        even = max(load) <= (1 + _UNEVEN) * sum(load) / 2 and total[biggest] <= largest * cost.sum()
-        if even or not children[biggest]:
-            break
-        heapq.heappop(heap)
-        top.append(biggest)
+        yield pieces, above, _loads([-c for c, _ in pieces])[0]
+        if not heap or len(heap) >= _MANY or not children[heap[0][1]]:
+            return
+        _, biggest = heapq.heappop(heap)
+        above += cost[biggest]
         for c in children[biggest]:
             heapq.heappush(heap, (-total[c], c))
-    pieces = sorted(heap)
+
+
+def _shares(parent: IntArray, pieces: Pieces) -> Shares:
+    size = np.ones(len(parent), dtype=np.int64)
+    for s, up in enumerate(parent):
+        if up >= 0:
+            size[up] += size[s]
+    ranges = [(int(s - size[s] + 1), s + 1) for _, s in pieces]
+    above = np.ones(len(parent), dtype=bool)
+    for first, stop in ranges:
+        above[first:stop] = False
     _, owner = _loads([-c for c, _ in pieces])
-    ranges = [(int(s - size[s] + 1), int(s + 1)) for _, s in pieces]
-    return Shares(ranges, owner, np.array(sorted(top), dtype=np.int64))
+    return Shares(ranges, owner, np.flatnonzero(above))
 
 
 def _loads(costs: Sequence[float]) -> tuple[list[float], list[int]]:

@@ -48,7 +48,7 @@ class Multifrontal:
         started = time.perf_counter()
         self.name = "multifrontal LDL" + (" (single precision)" if single else "")
         self.n = len(indptr) - 1
-        self._indptr, self._indices = np.asarray(indptr), np.asarray(indices)
+        self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
         self._crew = Crew(min(threads, 2))
@@ -66,7 +66,7 @@ class Multifrontal:
         """Factor the matrix with these values, in the places of `indices`."""
         started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
-            self._scale(np.asarray(values, dtype=float))
+            self._scale(np.ascontiguousarray(values, dtype=float))
             self._made_up = self._factor_subtrees() + self._factor_top()
             self._top.gather(self._root.front)
             self._made_up_in_root = self._root.factor()
@@ -119,7 +119,7 @@ class Multifrontal:
     def solve(self, rhs: Array) -> Array:
         """Solutions (n,) or (n, k) for right-hand sides of the same shape."""
         started = time.perf_counter()
-        rhs = np.asarray(rhs, dtype=float)
+        rhs = np.ascontiguousarray(rhs, dtype=float)
         w = self._substitution.enter(rhs)
         with self._one_blas_thread(rhs):
             self._substitution.forward(w)
@@ -157,7 +157,7 @@ class Multifrontal:
     def forward(self, rhs: Array) -> Array:
         """All but the root eliminated: at `root` its right-hand side, elsewhere what `backward` needs."""
         started = time.perf_counter()
-        rhs = np.asarray(rhs, dtype=float)
+        rhs = np.ascontiguousarray(rhs, dtype=float)
         w = self._substitution.enter(rhs)
         with self._one_blas_thread(rhs):
             self._substitution.forward(w)
