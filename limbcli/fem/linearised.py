@@ -148,13 +148,8 @@ class Linearised:
             with system.turning(not far):
                 change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
             moved = tangent.tissue_times(change)
-            for length in (1.0, 0.5, 0.25):
-                trial = step + length * change
-                at = system.moved(base, trial)
-                residual = tissue + length * moved + system.contact_residual(at, search=True)
-                if norm(residual) < 2.0 * size:
-                    break
-            step, tissue = trial, tissue + length * moved
+            length, at, residual = self._shortened(base, tissue, step, change, moved, size)
+            step, tissue = step + length * change, tissue + length * moved
             if norm(residual) < best[0]:
                 best = (norm(residual), step)
             elif k > 1:
@@ -164,6 +159,21 @@ class Linearised:
             before, touching = touching, system.touching()
             rough = any((a != b).any() for a, b in zip(before, touching, strict=True))
         return best[1]
+
+    def _shortened(
+        self, base: State, tissue: Array, step: Array, change: Array, moved: Array, size: float
+    ) -> tuple[float, State, Array]:
+        """Length of a change, the state there and its residual: the first that brings it down, else the best."""
+        tried = []
+        for length in (1.0, 0.5, 0.25):
+            at = self.system.moved(base, step + length * change)
+            residual = tissue + length * moved + self.system.contact_residual(at, search=True)
+            if norm(residual) < size:
+                return length, at, residual
+            tried.append((norm(residual), length))
+        length = min(tried)[1]
+        at = self.system.moved(base, step + length * change)
+        return length, at, tissue + length * moved + self.system.contact_residual(at, search=True)
 
     def _once(self, base: State, tissue: Array, goal: float) -> Array:
         """One linear solve, contact as searched last: points that stick or slip by turns do not settle."""
