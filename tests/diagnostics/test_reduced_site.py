@@ -101,6 +101,23 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
     assert np.abs(whole[early] / plain[early] - 1).max() > 0.01
 
 
+def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
+    one = bench(levels(rng), names=("skin-layer", "contraction")).sites[0]
+    for m in (2.0, 5.0):
+        one.solve_node(m)
+    pair, points = ("contraction", "skin-layer"), ({"tensed_after_share_of_levels": 0.0},
+                                                  {"skin_thickness_mm": 1.5})  # fmt: skip
+    theta = {"active_stress_per_c": 1.0, "log_skin_ratio": 3.0}
+    before = one.predict(0.0065, 4.0, pair, theta, points)
+    one.repair(4.0, ("skin-layer",), {"log_skin_ratio": 3.0}, points[1:])
+    one.repair(4.0, ("contraction",), {"active_stress_per_c": 1.0}, points[:1])
+    one.inherit_parts(pair, points)
+    started = one.predict(0.0065, 4.0, pair, theta, points)
+    one.repair(4.0, pair, theta, points)
+    true = one.predict(0.0065, 4.0, pair, theta, points)
+    assert np.abs(started - true).max() < 0.5 * np.abs(before - true).max()
+
+
 @pytest.mark.slow
 def test_muscle_that_tenses_from_a_level_on_is_found_there(rng):
     tensed = ((effect("contraction"), {"active_stress_per_c": 1.0}),)
