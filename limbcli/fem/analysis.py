@@ -224,33 +224,48 @@ class Analysis:
     ) -> tuple[State, Forces | None]:
         """The best of the first guesses there are; with the contact searched for it.
 
-        From an earlier solve: its level as it is, and its increment added to the last level. Else
-        along the tangent, and on a parabola through the last states. A stride whose guesses are all far
-        out is refused at once, which is cheaper than to fail.
+        From an earlier solve: its level as it is, and its increment added to the last level. Else on
+        the line and on the parabola through the last states, or, where that leads nowhere, along the tangent.
+        A stride whose guesses are all far out is refused at once, which is cheaper than to fail.
         """
-        newton, system = self.newton, self.newton.system
+        system = self.newton.system
         if known is not None:
             guesses = [system.prescribed(known, time)]
             if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
                 guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
         else:
-            guesses = [newton.predict(reached[-1], time)]
-            if len(reached) >= 4:
-                guesses.insert(0, extrapolate(system, reached[-3:], time))
+            most = min(len(reached) - 1, 3)  # the unloaded state is of no use
+            guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
+        limit = _FAR_OUT if known is None else _FAR_OFF
+        error, guess, forces = self._best(guesses, time)
+        if guess is None or (known is None and error > limit):
+            error, guess, forces = self._best([self.newton.predict(reached[-1], time)], time)
+        if guess is None or (error > limit and self._marching and not patient and len(reached) > 1):
+            raise self.newton.failure(
+                reached[-1], self._last_tried, level, 0, "the step is too long for a first guess"
+            )
+        return guess, forces
+
+    def _best(self, guesses: list[State], time: float) -> tuple[float, State | None, Forces | None]:
+        """The guess with the smallest error whose cells are sound, that error, and the forces there.
+
+        The forces are left out where another guess was searched for contact after it.
+        """
+        newton, system = self.newton, self.newton.system
         system.at(time)
-        tried = []
+        best: tuple[float, State | None, Forces | None] = (np.inf, None, None)
         for each in guesses:
             system.recall(each.hints)
-            tried.append((newton.forces(each), each))
-        sound = [(norm(f.mixed) / max(f.scale, 1e-14), each) for f, each in tried if f.worst > 0]
-        error, guess = min(sound, key=lambda pair: pair[0], default=(np.inf, guesses[0]))
-        limit = _FAR_OUT if known is None else _FAR_OFF
-        if error > limit and self._marching and not patient and len(reached) > 1:
-            raise newton.failure(guess, tried[0][0], level, 0, "the step is too long for a first guess")
-        if guess is guesses[-1]:
-            return guess, tried[-1][0]
-        system.recall(guess.hints)
-        return guess, None
+            found = self._last_tried = newton.forces(each)
+            error = min(norm(found.mixed), norm(found.residual)) / max(found.scale, 1e-14)
+            error = found.error if len(guesses) > 1 else error
+            if found.worst > 0 and error < best[0]:
+                best = (error, each, found)
+        guess = best[1]
+        if guess is not None and guess is not guesses[-1]:
+            system.recall(guess.hints)
+            return best[0], guess, None
+        return best
 
     def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
         """Augmentations of the contact pressure until its multipliers settle."""

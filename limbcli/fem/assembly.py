@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
 
@@ -43,8 +44,8 @@ class Pattern:
 
     indptr: IntArray
     indices: IntArray
-    slots: IntArray
-    pairs: tuple[IntArray, ...]
+    slots: NDArray[np.int32]
+    pairs: tuple[NDArray[np.int32], ...]
 
     @property
     def n(self) -> int:
@@ -84,7 +85,9 @@ def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, Int
     return np.minimum(first, second), np.maximum(first, second), (first > second).astype(np.int64)
 
 
-def _slots(low: IntArray, high: IntArray, equations: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+def _slots(
+    low: IntArray, high: IntArray, equations: IntArray
+) -> tuple[NDArray[np.int32], IntArray, IntArray]:
     rows = np.broadcast_to(equations[low][:, :, None], (len(low), 3, 3))
     columns = np.broadcast_to(equations[high][:, None, :], (len(low), 3, 3))
     kept = (rows >= 0) & (columns >= 0)

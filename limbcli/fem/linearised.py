@@ -163,7 +163,7 @@ class Linearised:
     def _shortened(
         self, base: State, tissue: Array, step: Array, change: Array, moved: Array, size: float
     ) -> tuple[float, State, Array]:
-        """Length of a change, the state there and its residual: the first that brings it down, else the best."""
+        """Length, state and residual: of the first length that brings it down, else of the best."""
         tried = []
         for length in (1.0, 0.5, 0.25):
             at = self.system.moved(base, step + length * change)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.fem import contact_kernels as kernels
 from limbcli.fem.assembly import Threads
@@ -41,7 +42,7 @@ class Patch:
     eps: Array
     multiplier: Array
     state: Array
-    pairs: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    pairs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
 
 
 @dataclass(eq=False)
