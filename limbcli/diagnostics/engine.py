@@ -81,17 +81,17 @@ class _Run:
         """Where a member leaves something at the level of detection, one more effect is tried with it.
 
         Members pass at a lower level, since the model's own error is known only roughly. So a
-        member may stay beside its own extension: then both are told.
+        member stays beside its own extension: both are told.
         """
         found = [each for refit in kept for each in candidates.extended(refit, below=ALPHA)]
         larger = list({frozenset(each): each for each in found}.values())
         if not larger:
             return kept
-        several = [*(refit.explanation for refit in kept), *larger]
-        compared = refits.compared(several)
+        compared = refits.compared([*(refit.explanation for refit in kept), *larger])
+        first = {refit.explanation for refit in kept}
         return [
             each for each in compared
-            if each.in_set and (each.explanation not in larger or self._each_is_needed(each, refits, ALPHA))
+            if each.explanation in first or (each.in_set and self._each_is_needed(each, refits, ALPHA))
         ]  # fmt: skip
 
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = ADEQUATE) -> bool:

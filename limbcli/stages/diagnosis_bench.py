@@ -124,9 +124,9 @@ class SiteBench:
             return self._fit_base()
         self._check_channels(explanation)
         effects = [self.effects[name] for name in explanation]
-        combinations: list[Sequence[Theta]] = list(
-            itertools.islice(itertools.product(*(e.grid for e in effects)), _MOST_POINTS)
-        )
+        # Among several effects none sets in late: a free step beside another effect bends to almost any gap.
+        grids = [e.grid[:1] if e.onset and len(effects) > 1 else e.grid for e in effects]
+        combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
