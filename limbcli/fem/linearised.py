@@ -13,6 +13,7 @@ import numpy as np
 
 from limbcli.fem import linear as linear_solvers
 from limbcli.fem.counts import Counts, Settings
+from limbcli.fem.free_motion import check_held
 from limbcli.fem.state import State, norm
 from limbcli.fem.system import System
 from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
@@ -78,6 +79,8 @@ class Linearised:
         """Assemble and factor the tangent at a state, the contact as searched last; `nodal` are the forces
         there."""
         self.tangent = assemble(self.system, state, nodal)
+        if state.time == 0.0:
+            check_held(self.tangent, state)
         self.inverse = Inverse(self.tangent, state, self.linear)
         if state.time == 0.0 and self.linear is not None:
             linear_solvers.check_supported(self.linear)
