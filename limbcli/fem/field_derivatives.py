@@ -1,8 +1,8 @@
 """Derivatives of logged cell and node fields by a parameter, from a sensitivity.
 
-A field is a function of displacements and of the law's numbers. Its change along du/dtheta is a
-central difference of the field alone (no solve; about eight digits), its direct dependence
-on a law's number is exact.
+A field is a function of displacements, of the law's numbers, of places and prestrain. Its change along
+du/dtheta is a central difference of the field alone (no solve; about eight digits), as is its
+direct dependence on places and prestrain; that on a law's number is exact.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem import kernels
 from limbcli.fem.fields import _STRESS, NODE_FIELDS, cell_fields
-from limbcli.fem.parameters import LawParameter, Parameter, Prestrain, Shape, Tied, programs
+from limbcli.fem.parameters import (
+    LawParameter,
+    Parameter,
+    Prestrain,
+    Shape,
+    Tied,
+    moved_system,
+    nudged,
+    programs,
+)
 from limbcli.fem.sensitivity import Sensitivity
 from limbcli.fem.state import State
 from limbcli.fem.system import System
@@ -41,18 +50,35 @@ def cell_field_derivatives(
                 where="derivative of a field",
                 fix="use J, F, E or stress components, and combine them",
             )
-    if isinstance(parameter, Shape | Prestrain):
-        raise SolveError(
-            "fields of cells have no derivative by their own places or prestrain",
-            where="derivative of a field",
-            fix="difference two solves; nodes and forces have theirs",
-        )
     v = sensitivity.displacement
     h = _STEP_MM / max(float(abs(v).max()), 1e-30)
     up, down = (
         cell_fields(system, replace(state, u=state.u + sign * h * v), number, fields) for sign in (1.0, -1.0)
     )
-    out = (up - down) / (2 * h)
+    return (up - down) / (2 * h) + _direct(system, state, number, fields, parameter)
+
+
+def _direct(
+    system: System, state: State, number: int, fields: tuple[str, ...], parameter: Parameter
+) -> Array:
+    """The change (n_cells, n_fields) of the fields at held displacements."""
+    out = np.zeros((len(system.groups[number].cells), len(fields)))
+    if isinstance(parameter, Shape):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = moved_system(system, parameter, sign)
+            moved.at(state.time)
+            ends.append(cell_fields(moved, state, number, fields))
+        return (ends[0] - ends[1]) / (2 * parameter.step)
+    if isinstance(parameter, Prestrain):
+        if system.groups[number].material.name != parameter.material:
+            return out
+        ends = []
+        for sign in (1.0, -1.0):
+            operands = nudged(system, number, parameter, sign * parameter.step)
+            with system.standing_in(number, operands):
+                ends.append(cell_fields(system, state, number, fields))
+        return (ends[0] - ends[1]) / (2 * parameter.step)
     parts = parameter.parts if isinstance(parameter, Tied) else ()
     parts = ((parameter, 1.0),) if isinstance(parameter, LawParameter) else parts
     for part, rate in parts:

@@ -165,7 +165,7 @@ def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array,
 def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array]:
     sides = []
     for sign in (1.0, -1.0):
-        moved = _moved_system(system, parameter, sign)
+        moved = moved_system(system, parameter, sign)
         moved.recall(state.hints or system.hints())
         moved.at(state.time)
         forces = moved.forces(state)
@@ -174,7 +174,7 @@ def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array
     return (n1 - n0) / (2 * parameter.step), (b1 - b0) / (2 * parameter.step)
 
 
-def _moved_system(system: System, parameter: Shape, sign: float) -> System:
+def moved_system(system: System, parameter: Shape, sign: float) -> System:
     key = hash((id(system), sign, id(system.groups)))
     if key not in parameter._systems:
         mesh = system.model.mesh
@@ -201,7 +201,7 @@ def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Arra
     nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
     for k in mine:
         for sign in (1.0, -1.0):
-            o = _nudged(system, k, parameter, sign * parameter.step)
+            o = nudged(system, k, parameter, sign * parameter.step)
             part = np.zeros_like(nodal)
             kernels.internal_force(0, len(o.cells), state.u, *o.arguments(), part)
             nodal += sign * part / (2.0 * parameter.step)
@@ -209,7 +209,7 @@ def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Arra
     return nodal, bodies
 
 
-def _nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:
+def nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:
     """A group's operands with its prestrain moved."""
     group = system.groups[number]
     assert group.material.prestrain is not None
