@@ -126,6 +126,9 @@ class _Run:
         if len(kept) > 1:
             why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
             return self._finish("ambiguous", why, best, tuple(kept))
+        if not self._speaks_for_itself(best):
+            why = "the one explanation that fits is not significant by itself; what is, does not fit"
+            return self._finish("unexplained", why, None, tuple(kept))
         if not Closing(self.ground, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
@@ -133,7 +136,14 @@ class _Run:
         if failed:
             why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"
             return self._finish("ambiguous", why, best, (best,))
-        return self._finish("named", "one explanation fits, and every other is excluded", best, (best,))
+        return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
+
+    def _speaks_for_itself(self, refit: Refit) -> bool:
+        """A name needs evidence of its own: what was found may be that of another, dropped since."""
+        if len(refit.explanation) > 1:
+            return True
+        found = self.family.of(refit.explanation[0])
+        return found is not None and found.p_adjusted < ALPHA
 
     @property
     def _n_candidates(self) -> int:

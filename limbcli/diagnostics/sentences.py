@@ -9,7 +9,7 @@ from limbcli.diagnostics.verdict import Diagnosis
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",
-    "named": "NAMED: one missing effect explains the gap, and every other candidate is excluded.",
+    "named": "NAMED: one missing effect explains the gap, and no other that could be tried does.",
     "ambiguous": "AMBIGUOUS: several explanations fit, and these data cannot tell them apart.",
     "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
     "untestable": "UNTESTABLE: no absolute test can be made of these data.",

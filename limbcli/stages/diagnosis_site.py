@@ -219,17 +219,23 @@ class SiteCurves:
         p = next(each for each in effect.parameters if each.name == name)
         step = p.start - p.null
         known = np.isfinite(logs(self.nodes[self.m_reference]))
-        places, values = [0.0], [np.zeros(known.shape)]
+        places, values, problem = [0.0], [np.zeros(known.shape)], None
         for times in _STEPS_ONE if p.sign else _STEPS_TWO:
             value = p.null + times * step
             if not p.low - 1e-12 <= value <= p.high + 1e-12:
                 continue
             theta = {**effect.null, **point, name: value}
-            moved = np.column_stack(self.book.shift(self.m_reference, ((effect, theta),)))
+            try:
+                moved = np.column_stack(self.book.shift(self.m_reference, ((effect, theta),)))
+            except SolveError as error:  # too large a step; smaller ones tell the change
+                problem = error
+                continue
             moved = filled(np.where(known, moved, 0.0))
             if np.isfinite(moved).all():
                 places.append(times)
                 values.append(moved)
+        if len(places) < 2 and problem is not None:
+            raise problem
         if len(places) < 2:
             raise SolveError(
                 f"no wave can run, or the law has no answer, with {name} near {p.start:g}",
