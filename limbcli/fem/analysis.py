@@ -107,6 +107,7 @@ class Analysis:
             state = newton.system.start
             reached: list[State] = [state]
             self._known: State | None = None
+            self._n_touching = 0
             self._stride = _FIRST * step.step_size if self._marching else np.inf
             musts = {begin + t for t in step_times(step)}
             if self._histories is None and self.remembers:
@@ -195,6 +196,7 @@ class Analysis:
             if aim - begin >= 0.6 * self._stride and used <= easy and not self._wary:
                 self._stride *= 2.0
             reached.append(state)
+            self._n_touching = forces.n_touching
             if self._histories is not None:
                 self._histories.accept(aim - begin, state)
             if aim == target:
@@ -257,8 +259,11 @@ class Analysis:
         for each in guesses:
             system.recall(each.hints)
             found = self._last_tried = newton.forces(each)
-            error = min(norm(found.mixed), norm(found.residual)) / max(found.scale, 1e-14)
-            error = found.error if len(guesses) > 1 else error
+            error = found.error
+            if len(guesses) > 1:  # a guess that loses contact misleads
+                error += max(1.0 - found.n_touching / max(self._n_touching, 1), 0.0)
+            else:
+                error = min(norm(found.mixed) / max(found.scale, 1e-14), error)
             if found.worst > 0 and error < best[0]:
                 best = (error, each, found)
         guess = best[1]
