@@ -20,7 +20,7 @@ from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.reading import Curves, Reading
-from limbcli.errors import FitError, LimbError
+from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_data import SiteData
@@ -150,12 +150,18 @@ class SiteBench:
         effect = self.effects[name]
         self._check_channels((name,))
         slots = self.slots((name,))
-        found = []
+        found, problem = [], None
         for point in effect.grid:
-            columns = [self._column(fitted, effect, slot, point) for slot in slots]
+            try:
+                columns = [self._column(fitted, effect, slot, point) for slot in slots]
+            except SolveError as error:  # the other points may do
+                problem = error
+                continue
             signs = tuple(slot.parameter.sign for slot in slots)
             names = tuple(slot.name for slot in slots)
             found.append(Direction(np.stack(columns, axis=1), signs, point_name(point), names))
+        if not found and problem is not None:
+            raise problem
         return found
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
