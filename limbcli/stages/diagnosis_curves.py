@@ -114,7 +114,7 @@ class CurveBook:
         ratio = frozen_force(changed, kinematics)[1:] / frozen_force(plain, kinematics)[1:]
         if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
             raise SolveError(
-                f"at a kept deformation it changes the force more than {_MOST_CHANGE:g} times: no first order",
+                f"it changes the force more than {_MOST_CHANGE:g} times at a kept deformation",
                 where="diagnose", fix="smaller steps",
             )  # fmt: skip
         speeds = [
