@@ -34,7 +34,7 @@ _SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to 
 class ReferenceSolver:
     """The reference solver behind the five verbs.
 
-    threads : 1 or 2 and so on; linear : "auto", "pardiso" or "superlu"
+    threads : 1 or 2 and so on; linear : "auto" (our own "multifrontal"), "pardiso" or "superlu"
     tolerance : residual over the forces at play
     """
 
