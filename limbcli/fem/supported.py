@@ -44,4 +44,4 @@ def warm_up(progress: Progress) -> None:
     stats = kernels.internal_force.stats
     cached = any((folder / "__pycache__").glob("kernels.internal_force*.nbi"))
     if not cached and not stats.cache_hits:
-        progress.event("compile", what="the reference solver's kernels (about half a minute, once)")
+        progress.event("compile", what="the reference solver's kernels (about a minute, once)")

@@ -19,8 +19,13 @@ def drop_stale_kernels() -> bool:
     Returns whether anything was deleted. A folder that cannot be written is left alone.
     """
     here = Path(__file__).parent
-    sources = [*sorted(here.glob("*.py")), *sorted((here.parent / "fem").glob("*.py"))]
-    texts = [text for text in (path.read_bytes() for path in sources) if b"njit" in text]
+    folders = (here, here.parent / "fem", here.parent / "fem" / "multifrontal")
+    sources = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    texts = [
+        text
+        for text in (path.read_bytes() for path in sources)
+        if any(word in text for word in (b"njit", b"intrinsic", b"llvmlite"))
+    ]
     digest = hashlib.sha256(b"".join(texts)).hexdigest()
     stamp = here / "__pycache__" / _STAMP
     with suppress(OSError):
@@ -28,7 +33,7 @@ def drop_stale_kernels() -> bool:
             return False
     dropped = False
     with suppress(OSError):
-        for folder in (here, here.parent / "fem"):
+        for folder in folders:
             for pattern in ("*.nbi", "*.nbc"):
                 for path in (folder / "__pycache__").glob(pattern):
                     path.unlink(missing_ok=True)
