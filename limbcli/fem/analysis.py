@@ -60,6 +60,7 @@ class Analysis:
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
         self._wary = 0
+        self._n_touching = 0
         self._histories: Histories | None = None
 
     @property
@@ -108,6 +109,7 @@ class Analysis:
             reached: list[State] = [state]
             self._known: State | None = None
             self._n_touching = 0
+            self._n_pressed = 0  # strides that ended in contact
             self._stride = _FIRST * step.step_size if self._marching else np.inf
             musts = {begin + t for t in step_times(step)}
             if self._histories is None and self.remembers:
@@ -197,6 +199,7 @@ class Analysis:
                 self._stride *= 2.0
             reached.append(state)
             self._n_touching = forces.n_touching
+            self._n_pressed += forces.n_touching > 0
             if self._histories is not None:
                 self._histories.accept(aim - begin, state)
             if aim == target:
@@ -236,7 +239,8 @@ class Analysis:
             if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
                 guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
         else:
-            most = min(len(reached) - 1, 3)  # the unloaded state is of no use
+            # the unloaded state is of no use, nor are those in the air
+            most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
             guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
         limit = _FAR_OUT if known is None else _FAR_OFF
         error, guess, forces = self._best(guesses, time)
