@@ -60,7 +60,7 @@ class Analysis:
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
         self._wary = 0
-        self._n_touching = 0
+        self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
         self._histories: Histories | None = None
 
     @property
@@ -108,8 +108,7 @@ class Analysis:
             state = newton.system.start
             reached: list[State] = [state]
             self._known: State | None = None
-            self._n_touching = 0
-            self._n_pressed = 0  # strides that ended in contact
+            self._n_touching = self._n_pressed = 0
             self._stride = _FIRST * step.step_size if self._marching else np.inf
             musts = {begin + t for t in step_times(step)}
             if self._histories is None and self.remembers:
@@ -199,7 +198,7 @@ class Analysis:
                 self._stride *= 2.0
             reached.append(state)
             self._n_touching = forces.n_touching
-            self._n_pressed += forces.n_touching > 0
+            self._n_pressed += int(forces.n_touching > 0)
             if self._histories is not None:
                 self._histories.accept(aim - begin, state)
             if aim == target:
