@@ -10,18 +10,19 @@ one are first guesses. With a viscoelastic law every stride is a step of its his
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.guesses import continued, extrapolate
 from limbcli.fem.history import Histories
+from limbcli.fem.levels import step_times
 from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
 from limbcli.fem.state import Forces, State, norm
 from limbcli.fem.system import System
-from limbcli.model import Array, LimbModel, Step
+from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
@@ -329,69 +330,3 @@ def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> 
         level=level.number,
         depth=level.depth,
     )
-
-
-def continued(system: System, last: State, before: State, after: State) -> State:
-    """The last level plus what an earlier solve changed by, between two of its levels."""
-    still = np.zeros_like(last.u)
-    change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
-    volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]
-    u = last.u + after.u - before.u
-    return replace(after, u=u, volumes=tuple(volumes))
-
-
-def _ratios(system: System, state: State) -> tuple[Array, ...]:
-    return state.volumes or system.linear_volumes(state, np.zeros_like(state.u))
-
-
-def extrapolate(system: System, states: list[State], time: float) -> State:
-    """First guess on the polynomial through converged states; pressures follow theirs."""
-    weights = lagrange(np.array([s.time for s in states]), time)
-    last = states[-1]
-
-    def combined(parts: list[Any]) -> Any:
-        return sum(w * each for w, each in zip(weights, parts, strict=True))
-
-    bodies = [
-        replace(at, shift=combined([s.bodies[b].shift for s in states])) for b, at in enumerate(last.bodies)
-    ]
-    guess = system.prescribed(State(last.time, combined([s.u for s in states]), tuple(bodies)), time)
-    still = np.zeros_like(last.u)
-    ratios = [system.linear_volumes(s, still) for s in states]
-    volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
-    return replace(guess, volumes=volumes)
-
-
-def lagrange(times: np.ndarray, time: float) -> np.ndarray:
-    """Weights of the polynomial through `times`, at `time`.
-
-    >>> lagrange(np.array([0.0, 1.0]), 2.0)
-    array([-1.,  2.])
-    """
-    weights = np.ones(len(times))
-    for k in range(len(times)):
-        for j in range(len(times)):
-            if j != k:
-                weights[k] *= (time - times[j]) / (times[k] - times[j])
-    return weights
-
-
-def step_times(step: Step, *, every: bool = False) -> list[float]:
-    """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps.
-
-    every : the equal steps of the model as well, for a response that depends on the way
-
-    >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)))
-    [0.5, 1.0]
-    >>> step_times(Step(n_steps=4, step_size=0.1, must_points=(0.3,)), every=True)  # not 0.1 * 3
-    [0.1, 0.2, 0.3, 0.4]
-    """
-    end = step.n_steps * step.step_size
-    inner = [t for t in step.must_points if 0 < t < end * (1 - 1e-9)]
-    if step.must_points and not every:
-        return sorted({*inner, end})
-    if every:
-        grid = [step.step_size * (k + 1) for k in range(step.n_steps - 1)]
-        between = [g for g in grid if all(abs(t - g) > 1e-9 * end for t in inner)]
-        return sorted({*between, *inner, end})
-    return [step.step_size * (k + 1) for k in range(step.n_steps - 1)] + [end]
