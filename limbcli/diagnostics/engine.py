@@ -136,7 +136,22 @@ class _Run:
         if failed:
             why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"
             return self._finish("ambiguous", why, best, (best,))
+        rivals = [
+            label for label, refit in self._at_bounds() if len(refit.explanation) == len(best.explanation)
+        ]
+        if rivals:
+            why = f"one explanation fits; {', '.join(rivals)} would too, with a size on its bound"
+            return self._finish("ambiguous", why, best, (best,))
         return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
+
+    def _at_bounds(self) -> list[tuple[str, Refit]]:
+        """Refits that fit but for a parameter on a bound: hardly believed, yet not excluded either."""
+        known = self.refits.known.values() if self.refits else ()
+        return [
+            (" + ".join(r.explanation), r)
+            for r in known
+            if r.fitted.at_bound and r.fits and r.gap is not None
+        ]
 
     def _speaks_for_itself(self, refit: Refit) -> bool:
         """A name needs evidence of its own: what was found may be that of another, dropped since."""

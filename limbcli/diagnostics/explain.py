@@ -45,7 +45,12 @@ class Refit:
 
     @property
     def in_set(self) -> bool:
-        if self.fitted.at_bound or not self.is_adequate:
+        return not self.fitted.at_bound and self.fits
+
+    @property
+    def fits(self) -> bool:
+        """Adequate, and not beaten beyond chance; perhaps with a parameter on a bound."""
+        if not self.is_adequate:
             return False
         return self.gap is None or self.gap_allowed is None or self.gap <= self.gap_allowed + _SLACK
 
