@@ -19,7 +19,7 @@ from limbcli.fem.system import System
 from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
 from limbcli.model import Array
 
-_MAX_KRYLOV = 40
+_LEAST_KRYLOV, _MAX_KRYLOV = 30, 40
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.35  # a Krylov iteration is a solve, and a product with the tangent
@@ -73,7 +73,7 @@ class Linearised:
     @property
     def patience(self) -> int:
         """Krylov iterations after which a stale factor has cost more than a new one."""
-        return int(np.clip(self.per_factor, 12, _MAX_KRYLOV))
+        return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     def refresh(self, state: State, nodal: Array) -> None:
         """Assemble and factor the tangent at a state, the contact as searched last; `nodal` are the forces
