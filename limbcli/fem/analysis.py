@@ -222,6 +222,8 @@ class Analysis:
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
         guess, forces = self._guess(time, reached, level, known, patient)
+        if known is not None:  # a level away from where the factor was made
+            newton.linearised.debt = np.inf
         return newton.equilibrate(guess, level, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(

@@ -88,7 +88,6 @@ def test_the_record_is_misread_as_the_levels_are():
         ("force-zero=9", "must be a number from -4 to 4"),
         ("force-zero=much", "must be a number"),
         ("poroelasticity", "cannot be hidden"),
-        ("poroelasticity", "cannot be hidden"),
     ],
 )
 def test_what_cannot_be_hidden_is_said(text, message):
