@@ -19,10 +19,10 @@ from limbcli.fem.system import System
 from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
 from limbcli.model import Array
 
-_LEAST_KRYLOV, _MAX_KRYLOV = 30, 40
+_LEAST_KRYLOV, _MAX_KRYLOV = 30, 40  # the less compressible, the more even a fresh factor needs
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
-_PER_SOLVE = 0.35  # a Krylov iteration is a solve, and a product with the tangent
+_PER_SOLVE = 0.35  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 0.6 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
 _EXACT = 1e-2  # to which it is solved where contact does not settle
@@ -72,7 +72,7 @@ class Linearised:
 
     @property
     def patience(self) -> int:
-        """Krylov iterations after which a stale factor has cost more than a new one."""
+        """Krylov iterations after which a factor is given up: a new one is cheaper by then."""
         return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     def refresh(self, state: State, nodal: Array) -> None:
