@@ -135,7 +135,7 @@ def test_what_cannot_be_run_is_said(rng):
 
 @pytest.mark.slow
 def test_json_and_pictures(rng, tmp_path):
-    the_bench = bench(levels(rng, reading=Reading(force_zero=1.0)))
+    the_bench = bench(levels(rng, reading=Reading(force_zero=1.5)))
     found = diagnose(the_bench, n_draws=1500)
     content = diagnosis_json(found, the_bench.site, the_bench)
     assert content["verdict"] == "named"
