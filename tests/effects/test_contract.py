@@ -22,16 +22,8 @@ NAMES = [each.name for each in EFFECTS]
 
 
 @pytest.fixture(scope="module")
-def base(golden_base):
-    return golden_base
-
-
-@pytest.fixture(scope="module")
-def golden_base():
-    folder = Path(__file__).resolve().parents[3] / "shared" / "febio-golden" / "effect-base"
-    if not folder.is_dir():
-        pytest.skip("needs the reference data: set LIMBCLI_SHARED to the folder that holds it")
-    return read_feb(folder / "model.feb")
+def base(golden: Path):
+    return read_feb(golden / "effect-base" / "model.feb")
 
 
 def same(a: object, b: object) -> bool:
