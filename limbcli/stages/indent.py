@@ -110,12 +110,13 @@ class _Press:
         try:
             done = session.solve(model, records=True).simulation
             while done.probe_force(PROBE)[-1] < force and end < cap:
-                end = min(next_end(done.probe_depth(PROBE), done.probe_force(PROBE), force), cap)
+                further = next_end(_depth(model, done), done.probe_force(PROBE), force)
+                end = min(max(further, end + _LEAST_PIECE), cap)
                 longer = self._loaded(end)
                 try:
                     model, done = longer, session.solve(longer, records=True).simulation
                 except SolveError as error:
-                    depth = float(done.probe_depth(PROBE)[-1])
+                    depth = float(_depth(model, done)[-1])
                     self.progress.event("note", text=f"the simulation ends at {depth:.1f} mm: {error.what}")
                     break
             return model, done
@@ -124,10 +125,9 @@ class _Press:
 
     def bare(self, change: Change, simulation: Simulation) -> LimbModel:
         """The model under its load with another change than that simulated."""
-        end = float(simulation.probe_depth(PROBE)[-1])
-        return _Press(self.meshed, self.tissue, self.spacing, self.tolerance, self.progress, change)._loaded(
-            end
-        )
+        press = _Press(self.meshed, self.tissue, self.spacing, self.tolerance, self.progress, change)
+        there = self._loaded(FIRST_PIECE)  # for what its change did to the probe's place
+        return press._loaded(float(_depth(there, simulation)[-1]))
 
     def _loaded(self, end: float) -> LimbModel:
         """The model under its load; a depth has the same time in every piece.
@@ -176,6 +176,11 @@ def depths_to(end: float, spacing: float) -> list[float]:
     return [round(each, 3) for each in [*found, end]]
 
 
+def _depth(model: LimbModel, simulation: Simulation) -> Array:
+    """Depths of the probe's lowest point below first touch: a change may have lifted its centre."""
+    return simulation.probe_depth(PROBE) + float(model.info.get("depth_offset_mm", 0.0))
+
+
 def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
     """States from first touch (at rest) on, as arrays over the recorded elements."""
     elements = next(iter(simulation.elements.values()))
@@ -190,7 +195,7 @@ def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
     F = F.reshape(*F.shape[:2], 3, 3)
     identity = np.broadcast_to(np.eye(3), (1, *F.shape[1:]))
     return Indentation(
-        depth=np.concatenate([[0.0], simulation.probe_depth(PROBE)]),
+        depth=np.concatenate([[0.0], _depth(model, simulation)]),
         force=np.concatenate([[0.0], simulation.probe_force(PROBE)]),
         positions=np.concatenate([rest[None], positions]),
         deformation_gradient=np.concatenate([identity, F]),
