@@ -18,8 +18,8 @@ from limbcli.errors import SolveError
 from limbcli.fem.guesses import continued, extrapolate
 from limbcli.fem.history import Histories
 from limbcli.fem.levels import step_times
-from limbcli.fem.linear import SingularMatrix
 from limbcli.fem.newton import Counts, Level, Newton, NotConverged, Settings
+from limbcli.fem.singular import SingularMatrix
 from limbcli.fem.state import Forces, State, norm
 from limbcli.fem.system import System
 from limbcli.model import LimbModel, Step

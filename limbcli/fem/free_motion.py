@@ -11,7 +11,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from limbcli.fem.linear import SingularMatrix
+from limbcli.fem.singular import SingularMatrix
 from limbcli.fem.state import State
 from limbcli.fem.tangent import Tangent
 from limbcli.model import Array, IntArray

@@ -16,7 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sparse
 
-from limbcli.errors import SolveError, ToolError
+from limbcli.errors import ToolError
+from limbcli.fem.singular import singular
 from limbcli.model import Array, IntArray
 
 
@@ -39,18 +40,6 @@ class LinearSolver(Protocol):
     def solve(self, rhs: Array) -> Array: ...
 
     def close(self) -> None: ...
-
-
-class SingularMatrix(SolveError):
-    """The matrix has no usable factor."""
-
-
-def singular(detail: str) -> SingularMatrix:
-    return SingularMatrix(
-        f"the stiffness matrix is singular ({detail})",
-        where="sparse factorisation",
-        fix="hold every part of the tissue: look for a region or a rigid body without support",
-    )
 
 
 def check_supported(solver: LinearSolver) -> None:

@@ -60,9 +60,10 @@ class Newton:
         for b in range(len(system.bodies)):
             motions[b, :3] = aim.bodies[b].shift - state.bodies[b].shift
         change = system.tangent_times(state, v) if v[system.coupled].any() else np.zeros_like(v)
-        tissue = forces.residual - system.contact_residual(state)
+        contact = system.contact_residual(state)
+        tissue = forces.residual - contact
         tissue[: system.n_tissue] += change[system.free]
-        rhs = tissue + system.contact_residual(state) + system.contact_change(state, motions=motions)
+        rhs = tissue + contact + system.contact_change(state, motions=motions)
         first = linearised.solve(state, -rhs, _ROUGH**2 if system.rubs else _ROUGH)
         step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
         return self.with_volumes(system.moved(aim, step), state)

@@ -8,12 +8,13 @@ import scipy.sparse as sparse
 from numba import njit
 
 from limbcli.fem import linear
-from limbcli.fem.linear import SingularMatrix, check_supported
+from limbcli.fem.linear import check_supported
 from limbcli.fem.multifrontal import Multifrontal, store
 from limbcli.fem.multifrontal.blas import addresses, product
 from limbcli.fem.multifrontal.kernel import has_wide_vectors
 from limbcli.fem.multifrontal.ordering import compress, minimum_degree, order
 from limbcli.fem.multifrontal.product import ROOM
+from limbcli.fem.singular import SingularMatrix
 
 ROUND_OFF = {True: 2e-4, False: 1e-9}  # of matrices with condition numbers of a few hundred
 

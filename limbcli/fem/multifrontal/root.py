@@ -9,12 +9,12 @@ import numpy as np
 from numba import njit
 from scipy.linalg import lapack
 
-from limbcli.fem.linear import singular
 from limbcli.fem.multifrontal import solve
 from limbcli.fem.multifrontal.dense import ALIGNED
 from limbcli.fem.multifrontal.pair import factor_pair
 from limbcli.fem.multifrontal.store import Store
 from limbcli.fem.multifrontal.top import Top, even_area
+from limbcli.fem.singular import singular
 from limbcli.model import Array, IntArray
 
 _SYMMETRIC = 1e-10  # of the largest entry

@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from limbcli.fem.linear import singular
 from limbcli.fem.multifrontal import numeric
 from limbcli.fem.multifrontal.ordering import compress, order
 from limbcli.fem.multifrontal.plan import Layout, make_plan
@@ -20,6 +19,7 @@ from limbcli.fem.multifrontal.store import Store
 from limbcli.fem.multifrontal.substitution import Substitution
 from limbcli.fem.multifrontal.symbolic import analyse
 from limbcli.fem.multifrontal.top import Top
+from limbcli.fem.singular import singular
 from limbcli.model import Array, IntArray
 
 
