@@ -15,7 +15,7 @@ from limbcli.diagnostics.explain import Refit
 from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.groups import predicted_without
 from limbcli.diagnostics.heldout import held_out_error
-from limbcli.diagnostics.linear import Linearised
+from limbcli.diagnostics.linear import LinearFit
 from limbcli.diagnostics.nextstep import NextStep, rank_proposals
 from limbcli.diagnostics.refits import Refits
 from limbcli.diagnostics.verdict import Shrink
@@ -44,7 +44,7 @@ class Account:
         stages.append(self._stage(refit.fitted, refit.state, closing.percentile(refit)))
         return tuple(stages)
 
-    def _stage(self, fitted: Fitted, state: Linearised, percentile: float | None) -> Shrink:
+    def _stage(self, fitted: Fitted, state: LinearFit, percentile: float | None) -> Shrink:
         data = self.ground.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}

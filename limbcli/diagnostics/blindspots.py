@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from limbcli.diagnostics.linear import Linearised
+from limbcli.diagnostics.linear import LinearFit
 from limbcli.diagnostics.score import Direction, visible_columns
 from limbcli.model import Array
 
@@ -44,7 +44,7 @@ class BlindSpot:
 
 
 def blind_spot(
-    state: Linearised, name: str, direction: Direction, typical: Array, *,
+    state: LinearFit, name: str, direction: Direction, typical: Array, *,
     critical: float, base_names: tuple[str, ...],
 ) -> BlindSpot:  # fmt: skip
     """

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.linear import Linearised
+from limbcli.diagnostics.linear import LinearFit
 from limbcli.diagnostics.score import Score, Trial, score, statistics
 from limbcli.model import Array
 
@@ -69,7 +69,7 @@ class Family:
 
 
 def score_family(
-    state: Linearised,
+    state: LinearFit,
     trials: Sequence[Trial],
     *,
     rng: np.random.Generator,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from limbcli.diagnostics.bench import Bench, Explanation, Facts, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, best_pairs
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, cosine, score
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
@@ -44,7 +44,7 @@ def whitened_trials(
 class Candidates:
     """The trials of all candidates at the fit without effects, and their tests."""
 
-    state: Linearised
+    state: LinearFit
     trials: Mapping[str, Trial]
     family: Family
 

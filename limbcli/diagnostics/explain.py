@@ -10,7 +10,7 @@ import numpy as np
 
 from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, score, statistics
 from limbcli.model import Array
 
@@ -30,7 +30,7 @@ class Refit:
     """
 
     fitted: Fitted
-    state: Linearised
+    state: LinearFit
     family: Family
     gap: float | None = None
     gap_allowed: float | None = None
@@ -56,7 +56,7 @@ class Refit:
 
 
 def compare(
-    refits: Sequence[Refit], base: Fitted, state: Linearised, trials: Mapping[Explanation, Trial],
+    refits: Sequence[Refit], base: Fitted, state: LinearFit, trials: Mapping[Explanation, Trial],
     whiten: Whitener, form_error: Callable[[Fitted], Array], *, rng: np.random.Generator, relative: bool,
 ) -> list[Refit]:  # fmt: skip
     """Give each refit its deviance gap and the quantile of that gap were it the truth.
@@ -78,7 +78,7 @@ def compare(
 
 
 def _allowed(
-    truth: Refit, rivals: Sequence[Refit], base: Fitted, state: Linearised,
+    truth: Refit, rivals: Sequence[Refit], base: Fitted, state: LinearFit,
     trials: Mapping[Explanation, Trial], whiten: Whitener, form_error: Array, rng: np.random.Generator,
     scale: float,
 ) -> float:  # fmt: skip
@@ -129,7 +129,7 @@ def joint_trial(trials: Sequence[Trial]) -> Trial:
     return Trial(" + ".join(trial.name for trial in trials), tuple(directions))
 
 
-def best_pairs(state: Linearised, trials: Sequence[Trial]) -> list[tuple[str, str]]:
+def best_pairs(state: LinearFit, trials: Sequence[Trial]) -> list[tuple[str, str]]:
     """Pairs of effects in the order of what they explain together, to first order; the best few."""
     found = []
     for a, b in itertools.combinations(trials, 2):

@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.diagnostics.bench import Bench, Data, Fitted
 from limbcli.diagnostics.calibrate import Family, score_family
 from limbcli.diagnostics.groups import group_trials
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.roughness import Roughness, roughness
 from limbcli.diagnostics.score import Trial
 from limbcli.progress import SILENT, Progress
@@ -39,7 +39,7 @@ class Ground:
         return Whitener.of(self.data.noise.covariance)
 
     @cached_property
-    def state(self) -> Linearised:
+    def state(self) -> LinearFit:
         return self.linearised(self.base)
 
     @cached_property
@@ -52,14 +52,14 @@ class Ground:
         """The noise's level is not known: assumed, or contradicted by the scatter about the base fit."""
         return self.is_relative(self.state)
 
-    def is_relative(self, state: Linearised) -> bool:
+    def is_relative(self, state: LinearFit) -> bool:
         """The same about another fit: what scattered may have been an effect (a step, a jump) in it."""
         if state.nu < 1:
             return False
         found = self._roughness(state)
         return self.data.noise.is_assumed or (found is not None and found.p < _ROUGH_P)
 
-    def _roughness(self, state: Linearised) -> Roughness | None:
+    def _roughness(self, state: LinearFit) -> Roughness | None:
         if state.nu < 1:
             return None
         return roughness(state, self.whiten, series=self.data.all_series(), order=self.data.order)
@@ -67,11 +67,11 @@ class Ground:
     def rng(self, stream: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, stream])
 
-    def linearised(self, fitted: Fitted) -> Linearised:
-        return Linearised.of(self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian))
+    def linearised(self, fitted: Fitted) -> LinearFit:
+        return LinearFit.of(self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian))
 
     def family(
-        self, state: Linearised, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0
+        self, state: LinearFit, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0
     ) -> Family:
         """All these tests with one false-alarm rate."""
         return score_family(

@@ -45,7 +45,7 @@ class Whitener:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearFit:
     """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the span J cannot reach.
 
     basis : (n, rank) orthonormal, spans J; P = I - basis basis'
@@ -56,12 +56,12 @@ class Linearised:
     basis: Array
 
     @staticmethod
-    def of(residual: Array, jacobian: Array) -> Linearised:
+    def of(residual: Array, jacobian: Array) -> LinearFit:
         if jacobian.shape[1] == 0:
-            return Linearised(residual, jacobian, np.zeros((len(residual), 0)))
+            return LinearFit(residual, jacobian, np.zeros((len(residual), 0)))
         scale = np.linalg.norm(jacobian, axis=0)
         u, s, _ = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1.0), full_matrices=False)
-        return Linearised(residual, jacobian, u[:, s > _RANK * max(float(s[0]), 1e-300)])
+        return LinearFit(residual, jacobian, u[:, s > _RANK * max(float(s[0]), 1e-300)])
 
     @property
     def nu(self) -> int:
@@ -76,7 +76,7 @@ class Linearised:
     def project(self, x: Array) -> Array:
         """P x: what no change of the fitted parameters can imitate; x (n,) or (n, k).
 
-        >>> state = Linearised.of(np.zeros(2), np.array([[1.0], [0.0]]))
+        >>> state = LinearFit.of(np.zeros(2), np.array([[1.0], [0.0]]))
         >>> state.project(np.array([3.0, 4.0]))
         array([0., 4.])
         """

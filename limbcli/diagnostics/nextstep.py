@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import norm
 
 from limbcli.diagnostics.bench import Fitted, Proposal
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 _SIGNIFICANT = float(norm.ppf(0.95))
@@ -44,7 +44,7 @@ def _distance(truth: Fitted, rival: Fitted, whiten: Whitener, extra: Proposal | 
         difference = extra.predictions[truth.explanation] - extra.predictions[rival.explanation]
         gap = np.concatenate([gap, plus(difference)])
         tangent = np.vstack([tangent, plus(extra.jacobians[rival.explanation])])
-    left: Array = Linearised.of(gap, tangent).left
+    left: Array = LinearFit.of(gap, tangent).left
     return float(np.linalg.norm(left))
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from limbcli.diagnostics.bench import Mask
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 N_PLACEBOS = 1000
@@ -32,7 +32,7 @@ def smooth_directions(
 
 
 def placebo_percentile(
-    state: Linearised, whiten: Whitener, explained: float, *, n_parameters: int,
+    state: LinearFit, whiten: Whitener, explained: float, *, n_parameters: int,
     channels: Mapping[str, Mask], order: Array, deviation: Array, rng: np.random.Generator,
 ) -> float:  # fmt: skip
     """Percent of placebos (`n_parameters` smooth directions each) that explain less of chi2."""
@@ -47,7 +47,7 @@ def placebo_percentile(
 
 
 def library_percentile(
-    state: Linearised, whiten: Whitener, explained: float, *, n_parameters: int, n_tried: int,
+    state: LinearFit, whiten: Whitener, explained: float, *, n_parameters: int, n_tried: int,
     channels: Mapping[str, Mask], order: Array, deviation: Array, rng: np.random.Generator,
 ) -> float:  # fmt: skip
     """The same with the search counted: each placebo is the best of `n_tried` sets.

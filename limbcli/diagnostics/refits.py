@@ -12,7 +12,7 @@ from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, compare, joint_trial
 from limbcli.diagnostics.ground import Ground
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.noise import correlated
 from limbcli.diagnostics.score import Direction, Trial, score
 from limbcli.errors import LimbError
@@ -114,7 +114,7 @@ class Refits:
             Trial(name, tuple(map(anew, trial.directions)))
             for name, trial in self.trials.items() if name not in fitted.explanation
         ]  # fmt: skip
-        state = Linearised.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian))
+        state = LinearFit.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian))
         return ground.family(
             state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
             relative=ground.is_relative(ground.linearised(fitted)),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from limbcli.diagnostics.bench import Mask
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 _DEGREE = 4
@@ -26,7 +26,7 @@ class Roughness:
 
 
 def roughness(
-    state: Linearised, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
+    state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
 ) -> Roughness | None:
     """Compare the rough part of the residual with the stated noise; None where too few data are left."""
     n = len(order)
@@ -38,7 +38,7 @@ def roughness(
         smooth = np.zeros((n, degree + 1))
         smooth[mask] = np.polynomial.legendre.legvander(t, degree)
         columns.append(whiten(smooth))
-    wide = Linearised.of(state.residual, np.hstack(columns))
+    wide = LinearFit.of(state.residual, np.hstack(columns))
     if wide.nu < _LEAST_NU:
         return None
     return Roughness(wide.chi2 / wide.nu, wide.nu, float(stats.chi2.sf(wide.chi2, wide.nu)))

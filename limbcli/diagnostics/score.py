@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.linear import Linearised
+from limbcli.diagnostics.linear import LinearFit
 from limbcli.model import Array
 
 _INVISIBLE = 1e-6
@@ -54,7 +54,7 @@ class Score:
     eta: Array
 
 
-def visible_columns(state: Linearised, direction: Direction) -> Array:
+def visible_columns(state: LinearFit, direction: Direction) -> Array:
     """A = P H (n, q), with columns that the fitted parameters imitate fully set to zero."""
     A = state.project(direction.columns)
     size, full = np.linalg.norm(A, axis=0), np.linalg.norm(direction.columns, axis=0)
@@ -105,7 +105,7 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
     return best, eta
 
 
-def statistics(state: Linearised, trial: Trial, draws: Array) -> Array:
+def statistics(state: LinearFit, trial: Trial, draws: Array) -> Array:
     """(n_draws,) of the trial's statistic; draws (n_draws, n) already projected by P."""
     found = np.zeros(len(draws))
     for direction in trial.directions:
@@ -114,7 +114,7 @@ def statistics(state: Linearised, trial: Trial, draws: Array) -> Array:
     return found
 
 
-def score(state: Linearised, trial: Trial) -> Score:
+def score(state: LinearFit, trial: Trial) -> Score:
     """The statistic of the residual itself, with the direction and the estimate behind it."""
     left = state.left[None]
     best: Score | None = None
@@ -126,7 +126,7 @@ def score(state: Linearised, trial: Trial) -> Score:
     return best
 
 
-def cosine(state: Linearised, first: Direction, second: Direction) -> float:
+def cosine(state: LinearFit, first: Direction, second: Direction) -> float:
     """Largest cosine between the spans of two directions, after the fitted parameters took their part.
 
     Near 1: the two effects look the same in these data.
@@ -143,7 +143,7 @@ def cosine(state: Linearised, first: Direction, second: Direction) -> float:
     return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
 
 
-def _orientation(state: Linearised, first: Direction, second: Direction, bases: list[Array]) -> float:
+def _orientation(state: LinearFit, first: Direction, second: Direction, bases: list[Array]) -> float:
     """Sign that turns singular vectors back into the columns' own senses."""
     a = visible_columns(state, first)[:, 0] @ bases[0][:, 0]
     b = visible_columns(state, second)[:, 0] @ bases[1][:, 0]

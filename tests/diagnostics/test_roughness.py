@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics.bench import Data
-from limbcli.diagnostics.linear import Linearised, Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.noise import Noise, independent
 from limbcli.diagnostics.roughness import roughness
 
@@ -23,7 +23,7 @@ def data(y: np.ndarray, *, by_part: bool) -> Data:
 def found(y: np.ndarray, *, by_part: bool):
     told = data(y, by_part=by_part)
     whiten = Whitener.of(told.noise.covariance)
-    state = Linearised.of(whiten(y), np.ones((len(y), 1)))
+    state = LinearFit.of(whiten(y), np.ones((len(y), 1)))
     return roughness(state, whiten, series=told.all_series(), order=told.order)
 
 

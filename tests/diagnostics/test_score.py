@@ -7,12 +7,12 @@ import pytest
 from scipy import stats
 
 from limbcli.diagnostics.calibrate import score_family
-from limbcli.diagnostics.linear import Linearised
+from limbcli.diagnostics.linear import LinearFit
 from limbcli.diagnostics.score import Direction, Trial, cone_projection, cosine, score, statistics
 
 
 def _state(rng, n=20, p=2):
-    return Linearised.of(rng.standard_normal(n), rng.standard_normal((n, p)))
+    return LinearFit.of(rng.standard_normal(n), rng.standard_normal((n, p)))
 
 
 def test_two_sided_score_is_chi2(rng):
@@ -51,7 +51,7 @@ def test_directions_inside_the_fitted_span_score_nothing(rng):
 
 def test_estimate_is_the_effect_put_in(rng):
     J, h = rng.standard_normal((20, 2)), rng.standard_normal((20, 1))
-    state = Linearised.of(3.0 * h[:, 0] + J @ [1.0, 2.0], J)
+    state = LinearFit.of(3.0 * h[:, 0] + J @ [1.0, 2.0], J)
     assert score(state, Trial("x", (Direction(h, (0,)),))).eta == pytest.approx([3.0])
 
 
@@ -74,7 +74,7 @@ def test_family_is_calibrated(rng, relative):
     ]
     below = 0
     for _ in range(150):
-        state = Linearised.of((3.0 if relative else 1.0) * rng.standard_normal(n), J)
+        state = LinearFit.of((3.0 if relative else 1.0) * rng.standard_normal(n), J)
         family = score_family(state, trials, rng=np.random.default_rng(7), relative=relative, n_draws=800)
         below += family.smallest < 0.05
     assert below / 150 <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 150)
