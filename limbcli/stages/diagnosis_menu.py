@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +12,8 @@ from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
 from limbcli.stages.diagnosis_data import Extra
+from limbcli.stages.diagnosis_fits import Fits
 from limbcli.stages.diagnosis_site import SiteCurves
-
-if TYPE_CHECKING:
-    from limbcli.stages.diagnosis_bench import SiteBench
 
 See = Callable[[Curves, Reading, Protocol], Array]
 _SLOW_S, _FAST_S = 20.0, 0.5
@@ -104,7 +101,7 @@ def known(given: Mapping[str, float]) -> list[Extra]:
 _NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-def menu(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
+def menu(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     """What is not measured yet, as far as it may tell these explanations apart."""
     has = {channel for each in bench.sites for channel in each.site.channels}
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
@@ -162,7 +159,7 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 # ---------------------------------------------------------------- at one site
 
 
-def _proposal(bench: SiteBench, fits: Sequence[Fitted], item: Item) -> Proposal:
+def _proposal(bench: Fits, fits: Sequence[Fitted], item: Item) -> Proposal:
     predictions, jacobians = {}, {}
     for fitted in fits:
         value, jacobian = _seen(bench, fitted, bench.sites[0], item.see)
@@ -172,7 +169,7 @@ def _proposal(bench: SiteBench, fits: Sequence[Fitted], item: Item) -> Proposal:
     return Proposal(item.name, item.sentence, predictions, jacobians, np.diag(deviation**2))
 
 
-def _seen(bench: SiteBench, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
+def _seen(bench: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """The proposal's value at a fit, and its derivative in the fit's own columns."""
     points = bench.points(fitted)
     x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
@@ -200,7 +197,7 @@ def _seen(bench: SiteBench, fitted: Fitted, where: SiteCurves, see: See) -> tupl
 # ---------------------------------------------------------------- another orientation
 
 
-def _rotated(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
+def _rotated(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     """The same place with the probe turned by 90 degrees: a whole measurement more."""
     if bench.turned is None:
         return []
@@ -225,7 +222,7 @@ def _rotated(bench: SiteBench, fits: Sequence[Fitted]) -> list[Proposal]:
     return [Proposal(ROTATE, sentence, predictions, jacobians, covariance)]
 
 
-def _turned(bench: SiteBench, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
+def _turned(bench: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
     """The turned measurement as a fit predicts it; what changes each time is absent from it."""
     values = dict(fitted.values)
     for slot in bench.slots(fitted.explanation):

@@ -1,0 +1,265 @@
+"""Fits of explanations to one site's data, or to those of several measurements of one place.
+
+They run on each site's stand-in (`diagnosis_site`): c, m and the effects' parameters by least squares, at
+given points of the effects' grids.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from limbcli.diagnostics.bench import Data, Explanation, Fitted
+from limbcli.diagnostics.estimates import Conditional
+from limbcli.diagnostics.linear import Whitener
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.reading import Curves, Reading
+from limbcli.errors import FitError
+from limbcli.model import Array
+from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_joint import joined
+from limbcli.stages.diagnosis_site import Book, SiteCurves, label
+from limbcli.units import kpa_from_mpa
+
+M_BOUNDS = (1.0, 20.0)
+_DIFFERENCE = 1e-3
+_ON_BOUND = 1e-3
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A parameter of an explanation: its name in the fit, and the site it is for (None: all)."""
+
+    name: str
+    parameter: Parameter
+    site: int | None = None
+
+
+class Fits:
+    """Sites that share the tissue and one tuple of effects, and what fits them.
+
+    turned : the place with the probe turned by 90 degrees, where it can be simulated
+    """
+
+    def __init__(self, sites: Sequence[SiteCurves]):
+        self.sites = tuple(sites)
+        self.effects: dict[str, Effect] = dict(sites[0].effects)
+        self._data = joined([each.site for each in sites])
+        self.whiten = Whitener.of(self._data.noise.covariance)
+        self.turned: Callable[[], SiteCurves] | None = None
+        self.base_end: tuple[float, float] | None = None  # c (MPa), m of the fit without effects
+
+    @property
+    def data(self) -> Data:
+        return self._data
+
+    @property
+    def site(self) -> SiteData:
+        """The first site's data."""
+        return self.sites[0].site
+
+    @property
+    def book(self) -> Book:
+        return self.sites[0].book
+
+    def slots(self, explanation: Explanation) -> list[Slot]:
+        """The parameters of an explanation, in order."""
+        found = []
+        for name in explanation:
+            effect = self.effects[name]
+            for p in effect.parameters:
+                if effect.each_time and len(self.sites) > 1:
+                    found += [Slot(f"{p.name}@{s.site.name}", p, k) for k, s in enumerate(self.sites)]
+                else:
+                    found.append(Slot(p.name, p))
+        return found
+
+    def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
+        """Effect parameters by their own names, as one site has them."""
+        return {
+            slot.parameter.name: float(values[slot.name])
+            for slot in self.slots(explanation) if slot.site in (None, site)
+        }  # fmt: skip
+
+    def points(self, fitted: Fitted) -> list[Theta]:
+        """The point of each effect's grid that was chosen."""
+        chosen: list[Theta] = []
+        for effect in (self.effects[name] for name in fitted.explanation):
+            match = [q for q in effect.grid if all(fitted.values.get(k) == v for k, v in q.items())]
+            chosen.append(match[0] if match else effect.grid[0])
+        return chosen
+
+    # ------------------------------------------------------------ predictions
+
+    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        """x: ln c, ln m, then the effects' parameters in order."""
+        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        parts = [
+            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
+            for k, each in enumerate(self.sites)
+        ]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
+        """The fitted curves of a site, and how they are read."""
+        points = self.points(fitted)
+        theta = self.theta(fitted.values, fitted.explanation, site)
+        c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
+        one = self.sites[site]
+        return (
+            one.curves(c, m, fitted.explanation, theta, points),
+            one.reading(fitted.explanation, theta, points),
+        )
+
+    def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        sizes = [1.0, 1.0, *(max(abs(p.start - p.null), 1e-6) for p in parameters)]
+        columns = []
+        for k, size in enumerate(sizes):
+            up, down = x.copy(), x.copy()
+            up[k] += _DIFFERENCE * size
+            down[k] -= _DIFFERENCE * size
+            change = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+            columns.append(change / (2 * _DIFFERENCE * size))
+        return np.stack(columns, axis=1)
+
+    def column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
+        """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
+        p, old = slot.parameter, fitted.explanation
+        points = [*self.points(fitted), point]
+        explanation = (*old, effect.name)
+        slots = self.slots(explanation)
+        values = {s.name: s.parameter.null for s in slots} | dict(fitted.values)
+        x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
+        x += [values[s.name] for s in slots]
+        k = 2 + [s.name for s in slots].index(slot.name)
+        step = 0.02 * (p.start - p.null)
+        up, down = np.array(x), np.array(x)
+        up[k] += step
+        if not p.sign:
+            down[k] -= step
+        for each in self.sites:
+            each.inherit(old, points[:-1], explanation, points)
+        moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+        return np.asarray(moved / (up[k] - down[k]))
+
+    # ------------------------------------------------------------ fits
+
+    def best_fit(
+        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
+        thorough: bool = True,
+    ) -> tuple[float, Fitted]:  # fmt: skip
+        slots = self.slots(explanation)
+        parameters = [slot.parameter for slot in slots]
+        low, high = self.bounds(explanation)
+        scale = np.array([0.1, 0.3, *(abs(p.start - p.null) for p in parameters)])
+        guesses = [
+            [s.parameter.null + start.get(s.name, 0.0) or s.parameter.start for s in slots],
+            [p.start for p in parameters],
+        ]
+        for each in self.sites:
+            each.inherit_parts(explanation, points)
+        best = None
+        for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts()):
+            x0 = np.clip(np.array([np.log(c), np.log(m), *guess]), low + 1e-6, high - 1e-6)
+            found = least_squares(
+                lambda x: self.whiten(self.data.y - self.predict(x, explanation, points)),
+                x0, bounds=(low, high), x_scale=scale, diff_step=1e-4, max_nfev=60 if thorough else 12,
+            )  # fmt: skip
+            if best is None or found.cost < best.cost:
+                best = found
+            if not thorough:
+                break
+        assert best is not None
+        if not np.isfinite(best.cost):
+            raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
+        return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def at(self, fitted: Fitted, m: float, start: Mapping[str, float]) -> Conditional:
+        """The best fit of the same explanation, at the same points of its grids, with m held."""
+        explanation, points = fitted.explanation, self.points(fitted)
+        slots = self.slots(explanation)
+        free = [0, *range(2, 2 + len(slots))]
+        low, high = (each[free] for each in self.bounds(explanation))
+        x0 = np.array([np.log(start["c_kpa"] / 1e3), *(start[s.name] for s in slots)])
+
+        def full(z: Array) -> Array:
+            return np.array([z[0], np.log(m), *z[1:]])
+
+        found = least_squares(
+            lambda z: self.whiten(self.data.y - self.predict(full(z), explanation, points)),
+            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
+            ftol=1e-5, xtol=1e-4,
+            x_scale=np.array([0.1, *(abs(s.parameter.start - s.parameter.null) for s in slots)]),
+        )  # fmt: skip
+        names = ["c_kpa", *(s.name for s in slots)]
+        J = self.whiten(self._jacobian(full(found.x), explanation, points))[:, free]
+        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
+        values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
+        values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
+        return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
+
+    def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        c = self.book.c
+        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
+        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        return low, high
+
+    def _tissue_starts(self) -> list[tuple[float, float]]:
+        """c, m to start from: where the fit without effects ended, and a usual tissue."""
+        usual = [(self.book.c, 2.0), (self.book.c, 6.0)]
+        if self.base_end is None:
+            return usual
+        m = self.base_end[1]
+        return [self.base_end, max(usual, key=lambda each: abs(np.log(each[1] / m)))]
+
+    def _fitted(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Fitted:
+        slots = self.slots(explanation)
+        low, high = self.bounds(explanation)
+        free = np.ones(len(x), dtype=bool)
+        free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
+        notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
+        jacobian = self._jacobian(x, explanation, points)
+        jacobian[:, 2:][:, self._held(x, slots)] = 0.0
+        values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
+        values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
+        values |= {k: float(v) for point in points for k, v in point.items()}
+        return Fitted(
+            explanation, self.predict(x, explanation, points), jacobian[:, free],
+            ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
+            tuple(self._on_bounds(x, slots)), notes, {"grid": label(points)},
+        )  # fmt: skip
+
+    def _held(self, x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
+        """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
+        low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
+        near = _ON_BOUND * (high - low)
+        return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
+
+    def _on_bounds(self, x: Array, slots: Sequence[Slot]) -> list[str]:
+        """What ended on a bound. Null is fair for some of an effect's parameters, but not for all."""
+        found = []
+        held = self._held(x, slots)
+        for k, (value, slot) in enumerate(zip(x[2:], slots, strict=True)):
+            p = slot.parameter
+            if not held[k]:
+                continue
+            if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
+                side = "higher" if value > p.null else "lower"
+                found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
+            elif all(held[n] for n, other in enumerate(slots) if self._same_effect(slot, other)):
+                found.append(f"{slot.name} ended at {p.null:g}, which is without it")
+        return found
+
+    def _same_effect(self, one: Slot, other: Slot) -> bool:
+        return any(
+            one.parameter in each.parameters and other.parameter in each.parameters
+            for each in self.effects.values()
+        )
