@@ -16,13 +16,13 @@ from numba.extending import get_cython_function_address, intrinsic
 from limbcli.fem.multifrontal.product import address as product_address
 from limbcli.model import IntArray
 
-_ROUTINES = ("gemm", "syrk", "trsm")
-GEMM, SYRK, TRSM = range(len(_ROUTINES))
+_ROUTINES = ("gemm", "syrk")
+GEMM, SYRK = range(len(_ROUTINES))
 WIDE = len(_ROUTINES)  # where the table has our own product, or 0
 
 
 def addresses(single: bool, wide: bool) -> IntArray:
-    """Where the routines are, in the order GEMM, SYRK, TRSM, WIDE."""
+    """Where the routines are, in the order GEMM, SYRK, WIDE."""
     letter = "s" if single else "d"
     found = [get_cython_function_address("scipy.linalg.cython_blas", letter + r) for r in _ROUTINES]
     return np.array([*found, product_address(single) if wide else 0])
@@ -60,42 +60,35 @@ def _table(context, builder, signature, args):  # type: ignore[no-untyped-def]
     return context.make_array(signature.args[0])(context, builder, args[0]).data
 
 
-def _gemm(transposed_a, transposed_b):  # type: ignore[no-untyped-def]
-    @intrinsic
-    def gemm(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
-        i = types.intp
-        real = a.dtype
-        signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
+@intrinsic
+def gemm_nt(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
+    """C (m, n) = alpha A B^T + beta C."""
+    i = types.intp
+    real = a.dtype
+    signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            t = signature.args
-            _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
-            arguments = [
-                _letter(builder, transposed_a),
-                _letter(builder, transposed_b),
-                _int(builder, m),
-                _int(builder, n),
-                _int(builder, k),
-                _by_address(builder, alpha),
-                _pointer(context, builder, t[5], a, oa),
-                _int(builder, lda),
-                _pointer(context, builder, t[8], b, ob),
-                _int(builder, ldb),
-                _by_address(builder, beta),
-                _pointer(context, builder, t[12], c, oc),
-                _int(builder, ldc),
-            ]
-            _call(builder, _table(context, builder, signature, args), GEMM, arguments)
-            return context.get_dummy_value()
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        t = signature.args
+        _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
+        arguments = [
+            _letter(builder, "N"),
+            _letter(builder, "T"),
+            _int(builder, m),
+            _int(builder, n),
+            _int(builder, k),
+            _by_address(builder, alpha),
+            _pointer(context, builder, t[5], a, oa),
+            _int(builder, lda),
+            _pointer(context, builder, t[8], b, ob),
+            _int(builder, ldb),
+            _by_address(builder, beta),
+            _pointer(context, builder, t[12], c, oc),
+            _int(builder, ldc),
+        ]
+        _call(builder, _table(context, builder, signature, args), GEMM, arguments)
+        return context.get_dummy_value()
 
-        return signature, codegen
-
-    return gemm
-
-
-gemm_nt = _gemm("N", "T")  # C = alpha A B^T + beta C
-gemm_nn = _gemm("N", "N")
-gemm_tn = _gemm("T", "N")
+    return signature, codegen
 
 
 @intrinsic
@@ -123,38 +116,6 @@ def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: 
         return context.get_dummy_value()
 
     return signature, codegen
-
-
-def _trsm(transposed):  # type: ignore[no-untyped-def]
-    @intrinsic
-    def trsm(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
-        i = types.intp
-        signature = types.void(table, i, i, a, i, i, b, i, i)
-
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            t = signature.args
-            _, m, n, a, oa, lda, b, ob, ldb = args
-            one = context.get_constant(t[3].dtype, 1.0)
-            arguments = [
-                *(_letter(builder, each) for each in ("L", "L", transposed, "N")),
-                _int(builder, m),
-                _int(builder, n),
-                _by_address(builder, one),
-                _pointer(context, builder, t[3], a, oa),
-                _int(builder, lda),
-                _pointer(context, builder, t[6], b, ob),
-                _int(builder, ldb),
-            ]
-            _call(builder, _table(context, builder, signature, args), TRSM, arguments)
-            return context.get_dummy_value()
-
-        return signature, codegen
-
-    return trsm
-
-
-trsm_left = _trsm("N")  # B (m, n) = L^-1 B
-trsm_left_t = _trsm("T")  # B = L^-T B
 
 
 @intrinsic

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.fem.multifrontal.dense import NOT_FINITE, factor_panel, form_update
+from limbcli.fem.multifrontal.kept import keep
 from limbcli.fem.multifrontal.vectors import add
 
 BLOCK = 192  # columns of a block where one thread is at work
@@ -48,15 +49,15 @@ def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def gather_panel(plan, s, c0, c1, values, panels, updates):  # type: ignore[no-untyped-def]
+def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-untyped-def]
     """Columns c0..c1 of front s, before any arithmetic: the matrix and the children's updates."""
-    o, ld = plan.panel_at[s], plan.ld[s]
-    panels[o + c0 * ld : o + c1 * ld] = 0
+    ld = plan.ld[s]
+    panel[c0 * ld : c1 * ld] = 0
     first = plan.pivot_at[s]
     for k in range(plan.column_at[first + c0], plan.column_at[first + c1]):
-        panels[o + plan.entry_to[k]] += values[plan.entry_from[k]]
+        panel[plan.entry_to[k]] += values[plan.entry_from[k]]
     for c in range(plan.child_at[s], plan.child_at[s + 1]):
-        _extend(plan, plan.children[c], c0, c1, o, ld, updates, panels)
+        _extend(plan, plan.children[c], c0, c1, 0, ld, updates, panel)
 
 
 @njit(cache=True, nogil=True)
@@ -91,21 +92,22 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def factor_subtree(blas, plan, start, stop, values, panels, updates, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
+def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Fronts start..stop, one after the other; pivots made up for, or NOT_FINITE."""
     made_up = 0
     for s in range(start, stop):
         first = plan.pivot_at[s]
         p = plan.pivot_at[s + 1] - first
         r = plan.rows_at[s + 1] - plan.rows_at[s]
-        o, ld = plan.panel_at[s], plan.ld[s]
-        gather_panel(plan, s, 0, p, values, panels, updates)
-        found = factor_panel(blas, panels, o, ld, p, p + r, BLOCK, sign, first, tiny, inverse, work)
+        ld = plan.ld[s]
+        gather_panel(plan, s, 0, p, values, panel, updates)
+        found = factor_panel(blas, panel, 0, ld, p, p + r, BLOCK, sign, first, tiny, inverse, work)
         if found < 0:
             return NOT_FINITE
         made_up += found
         if r > 0:
             u, ldu = plan.update_at[s], plan.ldu[s]
-            form_update(blas, panels, o, ld, p, p + r, updates, u, ldu, 0, r, BLOCK, sign, first, work)
+            form_update(blas, panel, 0, ld, p, p + r, updates, u, ldu, 0, r, BLOCK, sign, first, work)
             gather_update(plan, s, 0, r, updates)
+        keep(kept, plan.tile_at[s], plan.part_at[s], first, panel, 0, ld, p, p + r, -1)
     return made_up

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.fem.multifrontal.dense import ALIGNED
+from limbcli.fem.multifrontal.kept import sizes as kept_sizes
 from limbcli.fem.multifrontal.memory import place_updates
 from limbcli.fem.multifrontal.ordering import Graph, positions
 from limbcli.fem.multifrontal.sharing import Shares, share_for_two, share_top_alone
@@ -23,8 +24,9 @@ _GRAIN = 0.12  # of the work: the most that one thread does by itself in one go
 class Plan(NamedTuple):
     """Front s has pivots pivot_at[s]..pivot_at[s + 1] and below them the rows rows[rows_at[s]..].
 
-    All are places in the order of elimination. Its panel (m, p) begins at panel_at[s] with leading
-    dimension ld[s]; its update matrix (m - p, m - p), lower triangle, at update_at[s] with ldu[s].
+    All are places in the order of elimination. Its panel (m, p) has leading dimension ld[s] and is kept
+    in tiles and parts from tile_at[s], part_at[s] (see `kept`); its update matrix (m - p, m - p), lower
+    triangle, begins at update_at[s] with leading dimension ldu[s].
 
     into : for each row, its place in the parent's front; run_at, runs : where, within the rows of
         a front, these places stop being consecutive
@@ -38,7 +40,8 @@ class Plan(NamedTuple):
     into: IntArray
     run_at: IntArray
     runs: IntArray
-    panel_at: IntArray
+    tile_at: IntArray
+    part_at: IntArray
     ld: IntArray
     update_at: IntArray
     ldu: IntArray
@@ -50,12 +53,15 @@ class Plan(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """A plan, the order of elimination (equation numbers), the sizes, and who does what."""
+    """A plan, the order of elimination (equation numbers), the sizes, and who does what.
+
+    panel_size : of the largest panel but the last front's
+    """
 
     plan: Plan
     order: IntArray
     parent: IntArray
-    factor_size: int
+    panel_size: int
     update_size: int
     largest_front: int
     largest_panel: int
@@ -76,7 +82,7 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
     p, r = np.diff(pivot_at), np.diff(rows_at)
     into, run_at, runs = _maps(pivot_at, rows_at, rows, fronts.parent)
     ld, ldu = _round_up(p + r), _round_up(r)
-    panel_at = np.concatenate([[0], np.cumsum(ld * p)])
+    tile_at, part_at = (np.concatenate([[0], np.cumsum(each)]) for each in kept_sizes(p, p + r))
     by_parent = np.argsort(fronts.parent, kind="stable")
     n_roots = int((fronts.parent < 0).sum())
     counts = np.bincount(fronts.parent[fronts.parent >= 0], minlength=fronts.n)
@@ -89,14 +95,14 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
     solving = share_top_alone(fronts.parent, (p * (p + r) - p * p / 2).astype(float) + 300.0)
     update_at, update_size = place_updates(fronts.parent, ldu * r, factoring)
     plan = Plan(
-        pivot_at, rows_at, rows, into, run_at, runs, panel_at[:-1], ld, update_at, ldu,
+        pivot_at, rows_at, rows, into, run_at, runs, tile_at, part_at, ld, update_at, ldu,
         child_at, by_parent[n_roots:], column_at, entry_to, entry_from,
     )  # fmt: skip
     pf, rf = p.astype(float), r.astype(float)
     flops = float((pf**3 / 3 + pf * pf * rf + pf * rf * rf).sum())
     largest = int((p + r).max(initial=1))
     return Layout(
-        plan, equations, fronts.parent, int(panel_at[-1]), update_size, largest,
+        plan, equations, fronts.parent, int((ld * p)[:-1].max(initial=1)), update_size, largest,
         int(p.max(initial=1)), flops, factoring, solving,
     )  # fmt: skip
 

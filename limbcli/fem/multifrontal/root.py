@@ -11,8 +11,10 @@ from scipy.linalg import lapack
 
 from limbcli.fem.multifrontal import solve
 from limbcli.fem.multifrontal.dense import ALIGNED
+from limbcli.fem.multifrontal.kept import PAD, Kept, make_kept, sizes
 from limbcli.fem.multifrontal.pair import factor_pair
 from limbcli.fem.multifrontal.store import Store
+from limbcli.fem.multifrontal.tiles import TILE
 from limbcli.fem.multifrontal.top import Top, even_area
 from limbcli.fem.singular import singular
 from limbcli.model import Array, IntArray
@@ -30,53 +32,57 @@ class Root:
         self.front = len(plan.pivot_at) - 2
         self.first = int(plan.pivot_at[self.front])
         self.equations = order[self.first :].copy()
-        self.at, self.ld = int(plan.panel_at[self.front]), int(plan.ld[self.front])
-        self._kept = np.empty(self.n * self.ld if kept else 0, dtype=store.kind)
+        self.ld = int(plan.ld[self.front])
+        self.panel = np.empty(self.n * self.ld + ALIGNED, dtype=store.kind)
+        self._unfactored = np.empty(self.n * self.ld + ALIGNED if kept else 0, dtype=store.kind)
+        self._left = self._make_kept()
+        self._right: Kept | None = None  # where the matrix is not symmetric
         self._lu: tuple[Any, Any] | None = None
-        self._pair: tuple[Any, Any, Any] | None = None
+        self._spare: Kept | None = None
         self._pair_room: list[Any] = []
-        self._room = np.empty(self.n, dtype=store.kind)
+        self._sign = store.sign[self.first :]
+        self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
 
     @property
     def n(self) -> int:
         return len(self.equations)
 
-    @property
-    def _panel(self) -> Any:
-        return self.store.panels[self.at : self.at + self.n * self.ld]
+    def _make_kept(self) -> Kept:
+        n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
+        return make_kept(self.n, n_tiles, size, self.store.kind)
 
     def factor(self) -> int:
         """Factor the gathered front; pivots made up for."""
-        self._lu = self._pair = None
-        if len(self._kept):
-            self._kept[:] = self._panel
-        return self._factor()
+        if len(self._unfactored):
+            self._unfactored[:] = self.panel
+        return self._factor(self.panel)
 
-    def _factor(self) -> int:
-        made_up = self.top.factor(self.front)
+    def _factor(self, panel: Any) -> int:
+        self._lu = self._right = None
+        self._sign = self.store.sign[self.first :]
+        made_up = self.top.factor(self.front, panel)
         if made_up < 0:
             raise singular("an entry is not finite")
+        self.top.keep(self.front, panel, self._left, alone=True)
         return made_up
 
     def schur(self) -> Array:
         """What the elimination of all others leaves of the matrix, (n, n), unscaled."""
         self._need_kept()
-        return _unscaled(self._kept, self.ld, self.store.scaling[self.equations])
+        return _unscaled(self._unfactored, self.ld, self.store.scaling[self.equations])
 
     def update(self, addition: Array | None) -> int:
         """Factor the Schur complement with something added; pivots made up for."""
         self._need_kept()
         scaling = self.store.scaling[self.equations]
-        self._lu = self._pair = None
         if addition is None:
-            self._panel[:] = self._kept
-            return self._factor()
+            self.panel[:] = self._unfactored
+            return self._factor(self.panel)
         addition = np.ascontiguousarray(addition, dtype=float)
         if addition.shape != (self.n, self.n):
             raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
         if self._add(addition, scaling):
-            self._panel[:] = self._pair_room[0][: self.n * self.ld]
-            return self._factor()
+            return self._factor(self._pair_room[0])
         if not self._factor_pair():
             self._factor_lu(addition, scaling)
         return 0
@@ -90,7 +96,7 @@ class Root:
         columns = [
             partial(
                 _both_lower,
-                self._kept,
+                self._unfactored,
                 self.ld,
                 addition,
                 scaling,
@@ -112,12 +118,16 @@ class Root:
             return False
         if _growth(left, right, self.ld, self.n) > _GROWTH:
             return False
-        self._pair = (left, right, sign)
+        if self._spare is None:
+            self._spare = self._make_kept()
+        self._lu, self._sign, self._right = None, sign, self._spare
+        self.top.keep(self.front, left, self._left, alone=True)
+        self.top.keep(self.front, right, self._right, alone=True)
         return True
 
     def _factor_lu(self, addition: Array, scaling: Array) -> None:
         full = np.empty((self.n, self.n), dtype=self.store.kind, order="F")
-        _sum(self._kept, self.ld, addition, scaling, full)
+        _sum(self._unfactored, self.ld, addition, scaling, full)
         factor = lapack.sgetrf if self.store.kind is np.float32 else lapack.dgetrf
         lu, pivots, info = factor(full, overwrite_a=1)
         if info != 0 or not np.isfinite(np.diagonal(lu)).all():
@@ -125,25 +135,17 @@ class Root:
         self._lu = (lu, pivots)
 
     def _need_kept(self) -> None:
-        if not len(self._kept):
+        if not len(self._unfactored):
             raise ValueError("no Schur complement is kept unless `last` is given")
 
     def solve(self, w: Any) -> None:
-        """Solve for the root's part of w (n,) or (n, k), scaled and in the order of elimination."""
-        store, s = self.store, self.front
+        """Solve for the root's part of w (n,), scaled and in the order of elimination."""
         part = w[self.first :]
         if self._lu is not None:
-            substitute = lapack.sgetrs if store.kind is np.float32 else lapack.dgetrs
+            substitute = lapack.sgetrs if self.store.kind is np.float32 else lapack.dgetrs
             part[...] = substitute(*self._lu, part)[0]
-        elif self._pair is not None:
-            solve.pair(*self._pair, self.ld, part if w.ndim > 1 else part[:, None], self._room)
-        elif w.ndim == 1:
-            solve.forward(store.plan, s, s + 1, store.panels, store.sign, w, self._room)
-            solve.backward(store.plan, s, s + 1, store.panels, w, self._room)
         else:
-            room = np.empty(self.n * w.shape[1], dtype=store.kind)
-            solve.forward_many(store.blas, store.plan, s, s + 1, store.panels, store.sign, w, room)
-            solve.backward_many(store.blas, store.plan, s, s + 1, store.panels, w, room)
+            solve.whole(self._left, self._right or self._left, self._sign, part, *self._room)
 
 
 _TILE = 32

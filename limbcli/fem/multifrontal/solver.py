@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
 import numpy as np
@@ -68,7 +67,7 @@ class Multifrontal:
         with self._blas_threads.limit(limits=1):
             self._scale(np.ascontiguousarray(values, dtype=float))
             self._made_up = self._factor_subtrees() + self._factor_top()
-            self._top.gather(self._root.front)
+            self._top.gather(self._root.front, self._root.panel)
             self._made_up_in_root = self._root.factor()
         self.n_factorisations += 1
         self.seconds += time.perf_counter() - started
@@ -87,13 +86,13 @@ class Multifrontal:
 
     def _factor_subtrees(self) -> int:
         store = self._store
-        rooms = deque(zip(store.inverses, store.work, strict=True))
+        rooms = deque(zip(store.panels, store.inverses, store.work, strict=True))
 
         def run(start: int, stop: int) -> int:
-            room = rooms.pop()
+            room = panel, inverse, work = rooms.pop()
             made_up = numeric.factor_subtree(
                 store.blas, store.plan, start, stop, store.values,
-                store.panels, store.updates, store.sign, store.tiny, *room,
+                panel, store.updates, store.kept, store.sign, store.tiny, inverse, work,
             )  # fmt: skip
             rooms.append(room)
             return int(made_up)
@@ -105,35 +104,32 @@ class Multifrontal:
 
     def _factor_top(self) -> int:
         made_up = 0
+        panel = self._store.panels[0]
         for s in map(int, self.layout.factoring.top[:-1]):
-            self._top.gather(s)
-            found = self._top.factor(s)
+            self._top.gather(s, panel)
+            found = self._top.factor(s, panel)
             if found < 0:
                 raise singular("an entry is not finite")
             made_up += found
-            self._top.update(s)
+            self._top.update(s, panel)
+            self._top.keep(s, panel, self._store.kept)
         return made_up
 
     # ------------------------------------------------------------ solve
 
     def solve(self, rhs: Array) -> Array:
-        """Solutions (n,) or (n, k) for right-hand sides of the same shape."""
+        """Solution (n,) for a right-hand side (n,)."""
         started = time.perf_counter()
-        rhs = np.ascontiguousarray(rhs, dtype=float)
-        w = self._substitution.enter(rhs)
-        with self._one_blas_thread(rhs):
-            self._substitution.forward(w)
-            self._root.solve(w)
-            self._substitution.backward(w)
+        w = self._substitution.enter(np.ascontiguousarray(rhs, dtype=float))
+        self._substitution.forward(w)
+        self._root.solve(w)
+        self._substitution.backward(w)
         x = self._substitution.leave(w)
         self.n_solves += 1
         self.seconds += time.perf_counter() - started
         if not np.isfinite(x).all():
             raise singular("the solution is not finite")
         return x
-
-    def _one_blas_thread(self, rhs: Array) -> AbstractContextManager[object]:
-        return self._blas_threads.limit(limits=1) if rhs.ndim > 1 else nullcontext()
 
     # ------------------------------------------------------------ root
 
@@ -153,41 +149,6 @@ class Multifrontal:
         with self._blas_threads.limit(limits=1):
             self._made_up_in_root = self._root.update(addition)
         self.seconds += time.perf_counter() - started
-
-    def forward(self, rhs: Array) -> Array:
-        """All but the root eliminated: at `root` its right-hand side, elsewhere what `backward` needs."""
-        started = time.perf_counter()
-        rhs = np.ascontiguousarray(rhs, dtype=float)
-        w = self._substitution.enter(rhs)
-        with self._one_blas_thread(rhs):
-            self._substitution.forward(w)
-        work = np.empty(rhs.shape)
-        work[self.layout.order] = w
-        scaling = self._store.scaling[self.root]
-        work[self.root] /= scaling if rhs.ndim == 1 else scaling[:, None]
-        self.seconds += time.perf_counter() - started
-        return work
-
-    def root_solve(self, rhs: Array) -> Array:
-        """Solve with the root's matrix as factored last: (n_root,) or (n_root, k)."""
-        scaling = self._store.scaling[self.root] if rhs.ndim == 1 else self._store.scaling[self.root, None]
-        w = np.empty((self.n, *rhs.shape[1:]), dtype=self._store.kind)
-        w[self._root.first :] = rhs * scaling
-        self._root.solve(w)
-        return w[self._root.first :] * scaling
-
-    def backward(self, work: Array, root_solution: Array) -> Array:
-        """The whole solution from `forward`'s result and the solution at `root`."""
-        started = time.perf_counter()
-        w = np.empty(work.shape, dtype=self._store.kind)
-        w[:] = work[self.layout.order]
-        scaling = self._store.scaling[self.root]
-        w[self._root.first :] = root_solution / (scaling if work.ndim == 1 else scaling[:, None])
-        with self._one_blas_thread(work):
-            self._substitution.backward(w)
-        self.n_solves += 1
-        self.seconds += time.perf_counter() - started
-        return self._substitution.leave(w)
 
     # ------------------------------------------------------------ figures
 
@@ -210,7 +171,7 @@ class Multifrontal:
 
     @property
     def factor_entries(self) -> int:
-        return self.layout.factor_size
+        return len(self._store.kept.parts) + len(self._root.panel)
 
     def close(self) -> None:
         self._crew.close()

@@ -8,6 +8,7 @@ import numpy as np
 
 from limbcli.fem.multifrontal import blas
 from limbcli.fem.multifrontal.dense import ALIGNED, STRIP, TILE
+from limbcli.fem.multifrontal.kept import make_kept
 from limbcli.fem.multifrontal.kernel import has_wide_vectors
 from limbcli.fem.multifrontal.plan import Layout
 from limbcli.fem.multifrontal.product import ROOM
@@ -19,7 +20,8 @@ _TINY = {True: 1e-6, False: 1e-8}  # of a pivot, next to its diagonal entry of 1
 class Store:
     """Arrays in the factor's precision.
 
-    panels, updates : pivot columns and update matrices of the fronts (see `Plan`)
+    kept : the factor, but for the last front
+    panels, updates : pivot columns of a front for each of two threads; update matrices (see `Plan`)
     values : the matrix, scaled; scaling (n,) : by equation number; sign (n,) : of the pivots, in order
     work, inverses : room for each of two threads
     """
@@ -29,9 +31,10 @@ class Store:
         self.plan = layout.plan
         self.blas = blas.addresses(single, has_wide_vectors())
         self.tiny = self.kind(_TINY[single])
-        self.panels = np.empty(
-            layout.factor_size + ALIGNED, dtype=self.kind
-        )  # the last vector may reach over
+        plan = layout.plan
+        self.kept = make_kept(n, int(plan.tile_at[-2]), int(plan.part_at[-2]), self.kind)
+        room = layout.panel_size + ALIGNED  # the last vector may reach over
+        self.panels = [np.empty(room, dtype=self.kind) for _ in range(2)]
         self.updates = np.empty(layout.update_size, dtype=self.kind)
         self.values = np.empty(n_values, dtype=self.kind)
         self.sign = np.ones(n, dtype=self.kind)
@@ -42,5 +45,13 @@ class Store:
 
     @property
     def memory_mb(self) -> float:
-        arrays = [self.panels, self.updates, self.values, self.sign, *self.work, *self.plan]
+        arrays: list[Any] = [
+            *self.kept,
+            *self.panels,
+            self.updates,
+            self.values,
+            self.sign,
+            *self.work,
+            *self.plan,
+        ]
         return sum(each.nbytes for each in arrays) / 2.0**20

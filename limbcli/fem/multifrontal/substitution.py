@@ -1,4 +1,4 @@
-"""Right-hand sides through a factor: subtrees on two threads, what is above them on one."""
+"""A right-hand side through a factor: subtrees on two threads, what is above them on one."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem.multifrontal import solve
+from limbcli.fem.multifrontal.kept import PAD
 from limbcli.fem.multifrontal.plan import Layout
 from limbcli.fem.multifrontal.sharing import Crew
 from limbcli.fem.multifrontal.store import Store
+from limbcli.fem.multifrontal.tiles import TILE
 
 
 class Substitution:
@@ -28,25 +30,19 @@ class Substitution:
         pivot_at = layout.plan.pivot_at
         for start, stop in self._mine[1]:
             self._of_second[pivot_at[start] : pivot_at[stop]] = True
-        self._rooms: list[Any] = []
+        lengths = (layout.largest_front + PAD, TILE)
+        self._rooms = [tuple(np.zeros(n, dtype=store.kind) for n in lengths) for _ in range(2)]
 
     def enter(self, rhs: Any) -> Any:
-        """Right-hand sides in the order of elimination, scaled."""
+        """Right-hand side (n,) in the order of elimination, scaled."""
         w = np.empty(rhs.shape, dtype=self.store.kind)
-        if rhs.ndim == 1:
-            solve.enter(self.layout.order, self.store.scaling, rhs, w)
-        else:
-            w[:] = (rhs * self.store.scaling[:, None])[self.layout.order]
+        solve.enter(self.layout.order, self.store.scaling, rhs, w)
         return w
 
     def leave(self, w: Any) -> Any:
-        """Solutions by equation number, unscaled."""
+        """Solution by equation number, unscaled."""
         out = np.empty(w.shape)
-        if w.ndim == 1:
-            solve.leave(self.layout.order, self.store.scaling, w, out)
-        else:
-            out[self.layout.order] = w
-            out *= self.store.scaling[:, None]
+        solve.leave(self.layout.order, self.store.scaling, w, out)
         return out
 
     def forward(self, w: Any) -> None:
@@ -54,36 +50,22 @@ class Substitution:
         other = np.zeros_like(w)
         other[self._of_second] = w[self._of_second]
         w[self._of_second] = 0
-        rooms = self._get_rooms(w)
-        tasks = [partial(self._forward, self._mine[k], each, rooms[k]) for k, each in enumerate((w, other))]
+        tasks = [partial(self._forward, self._mine[k], each, k) for k, each in enumerate((w, other))]
         self.crew.run(tasks)
         w += other
-        self._forward(self._top, w, rooms[0])
+        self._forward(self._top, w, 0)
 
     def backward(self, w: Any) -> None:
         """All fronts but the root's, whose part of w is known."""
-        rooms = self._get_rooms(w)
-        self._backward(self._top[::-1], w, rooms[0])
-        self.crew.run([partial(self._backward, self._mine[k], w, rooms[k]) for k in range(2)])
+        self._backward(self._top[::-1], w, 0)
+        self.crew.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
 
-    def _forward(self, ranges: list[tuple[int, int]], w: Any, room: Any) -> None:
-        store = self.store
+    def _forward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
+        store, room = self.store, self._rooms[thread]
         for start, stop in ranges:
-            if w.ndim == 1:
-                solve.forward(store.plan, start, stop, store.panels, store.sign, w, room)
-            else:
-                solve.forward_many(store.blas, store.plan, start, stop, store.panels, store.sign, w, room)
+            solve.forward(store.plan, start, stop, store.kept, store.sign, w, *room)
 
-    def _backward(self, ranges: list[tuple[int, int]], w: Any, room: Any) -> None:
-        store = self.store
+    def _backward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
+        store, room = self.store, self._rooms[thread]
         for start, stop in ranges:
-            if w.ndim == 1:
-                solve.backward(store.plan, start, stop, store.panels, w, room)
-            else:
-                solve.backward_many(store.blas, store.plan, start, stop, store.panels, w, room)
-
-    def _get_rooms(self, w: Any) -> list[Any]:
-        size = self.layout.largest_front * (w.shape[1] if w.ndim > 1 else 1)
-        if not self._rooms or len(self._rooms[0]) < size:
-            self._rooms = [np.empty(size, dtype=self.store.kind) for _ in range(2)]
-        return self._rooms
+            solve.backward(store.plan, start, stop, store.kept, w, *room)

@@ -15,6 +15,7 @@ from limbcli.fem.multifrontal.dense import (
     reduce_block,
     solve_block,
 )
+from limbcli.fem.multifrontal.kept import Kept, keep
 from limbcli.fem.multifrontal.numeric import gather_panel, gather_update
 from limbcli.fem.multifrontal.sharing import Crew
 from limbcli.fem.multifrontal.store import BLOCK, Store
@@ -28,23 +29,20 @@ class Top:
         self.blas, self.sign, self.tiny, self.work = store.blas, store.sign, store.tiny, store.work
         self.inverse = store.inverses[0]
 
-    def gather(self, s: int) -> None:
+    def gather(self, s: int, panel: Any) -> None:
         """The panel of front s before any arithmetic."""
         plan, store = self.store.plan, self.store
         p = int(plan.pivot_at[s + 1] - plan.pivot_at[s])
         r = int(plan.rows_at[s + 1] - plan.rows_at[s])
         edges = even_area(p, p + r)
         self.crew.run(
-            [
-                partial(gather_panel, plan, s, a, b, store.values, store.panels, store.updates)
-                for a, b in edges
-            ]
+            [partial(gather_panel, plan, s, a, b, store.values, panel, store.updates) for a, b in edges]
         )
 
-    def factor(self, s: int) -> int:
+    def factor(self, s: int, panel: Any) -> int:
         """The pivot columns of front s, once gathered; pivots made up for, or NOT_FINITE."""
-        plan, panels, made_up = self.store.plan, self.store.panels, 0
-        o, ld, first = int(plan.panel_at[s]), int(plan.ld[s]), int(plan.pivot_at[s])
+        plan, made_up = self.store.plan, 0
+        ld, first = int(plan.ld[s]), int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
         m = p + int(plan.rows_at[s + 1] - plan.rows_at[s])
         blas, sign, work, inverse = self.blas, self.sign, self.work, self.inverse
@@ -53,12 +51,12 @@ class Top:
             cut = min(max(_aligned((j0 + m) // 2), _aligned(j1)), m)
 
             def head(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
-                reduce_block(blas, panels, panels, o, ld, j0, j1, j0, cut, sign, first, work[0])
-                found = factor_diagonal(blas, panels, o, ld, j0, j1, sign, first, self.tiny, inverse, work[0])
+                reduce_block(blas, panel, panel, 0, ld, j0, j1, j0, cut, sign, first, work[0])
+                found = factor_diagonal(blas, panel, 0, ld, j0, j1, sign, first, self.tiny, inverse, work[0])
                 return int(found)
 
             def tail(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
-                reduce_block(blas, panels, panels, o, ld, j0, j1, cut, m, sign, first, work[1])
+                reduce_block(blas, panel, panel, 0, ld, j0, j1, cut, m, sign, first, work[1])
                 return 0
 
             found = self.crew.run([head, tail])[0] if j0 else head()
@@ -68,28 +66,38 @@ class Top:
             cut = min(_aligned((j1 + m) // 2), m)
             self.crew.run(
                 [
-                    partial(solve_block, blas, panels, panels, o, ld, j0, j1, a, b, sign, first, inverse, w)
+                    partial(solve_block, blas, panel, panel, 0, ld, j0, j1, a, b, sign, first, inverse, w)
                     for a, b, w in ((j1, cut, work[0]), (cut, m, work[1]))
                 ]
             )
         return made_up
 
-    def update(self, s: int) -> None:
+    def update(self, s: int, panel: Any) -> None:
         """The update matrix of front s, with what its children pass on."""
-        plan, panels, updates = self.store.plan, self.store.panels, self.store.updates
+        plan, updates = self.store.plan, self.store.updates
         first = int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
         r = int(plan.rows_at[s + 1] - plan.rows_at[s])
-        o, ld, u, ldu = (int(each[s]) for each in (plan.panel_at, plan.ld, plan.update_at, plan.ldu))
+        ld, u, ldu = (int(each[s]) for each in (plan.ld, plan.update_at, plan.ldu))
 
         def columns(a: int, b: int, work: Any) -> None:
             form_update(
-                self.blas, panels, o, ld, p, p + r, updates, u, ldu, a, b, BLOCK, self.sign, first, work
+                self.blas, panel, 0, ld, p, p + r, updates, u, ldu, a, b, BLOCK, self.sign, first, work
             )
             gather_update(plan, s, a, b, updates)
 
         edges = even_area(r, r)
         self.crew.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
+
+    def keep(self, s: int, panel: Any, kept: Kept, *, alone: bool = False) -> None:
+        """The panel of front s, once factored, taken over; alone : as the only one of `kept`."""
+        plan = self.store.plan
+        first = int(plan.pivot_at[s])
+        p = int(plan.pivot_at[s + 1]) - first
+        m = p + int(plan.rows_at[s + 1] - plan.rows_at[s])
+        where = (0, 0, 0) if alone else (int(plan.tile_at[s]), int(plan.part_at[s]), first)
+        run = partial(keep, kept, *where, panel, 0, int(plan.ld[s]), p, m)
+        self.crew.run([partial(run, half) for half in range(2)])
 
 
 def even_area(p: int, m: int) -> list[tuple[int, int]]:
