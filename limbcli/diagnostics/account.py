@@ -49,7 +49,7 @@ class Account:
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
         scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.ground.is_relative(state) else 1.0
-        told = self.ground.bench.reported(fitted, scale=scale)
+        told = self.ground.bench.reported(fitted, scale=scale, besides=self.ground.form_error(fitted))
         return Shrink(
             fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), told, percentile
         )

@@ -65,6 +65,7 @@ class Fitted:
     first (in logs), then the effects' in the order of the explanation
     values : of all parameters by name; at_bound : those that ended on a bound, or outside
     what is physically possible, in words
+    without : (n,) the same tissue's prediction without the effects; None where there are none
     """
 
     explanation: Explanation
@@ -76,6 +77,7 @@ class Fitted:
     at_bound: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     points: Mapping[str, str] = field(default_factory=dict)
+    without: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -125,8 +127,12 @@ class Bench(Protocol):
         """The same fit, its numbers out of a simulation of the model as fitted."""
         ...
 
-    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
-        """What is told of its parameters; `scale`: of the deviance, where the noise's level is not known."""
+    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
+        """What is told of its parameters.
+
+        scale : of the deviance, where the noise's level is not known; besides : covariance (n, n) of what
+        the data have to allow for beside their noise
+        """
         ...
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:

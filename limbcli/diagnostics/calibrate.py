@@ -1,6 +1,6 @@
 """One family of tests, one false-alarm rate: minimum-p adjustment by parametric bootstrap.
 
-Under "nothing is missing" the whitened residual is P e with e standard normal, so that
+Under "nothing is missing" the whitened residual is P e with e of unit deviation, so that
 every statistic's distribution, its suprema and sign rules included, is drawn without a
 single simulation of the tissue.
 
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.noise import unit_errors
 from limbcli.diagnostics.score import Score, Trial, score, statistics
 from limbcli.model import Array
 
@@ -81,7 +82,7 @@ def score_family(
 
     relative : the noise's level is not known; no test of the total.
     """
-    draws = rng.standard_normal((n_draws, len(state.residual)))
+    draws = unit_errors(rng, (n_draws, len(state.residual)))
     draws -= (draws @ state.basis) @ state.basis.T
     drawn_total = np.einsum("bi,bi->b", draws, draws)
     total = state.chi2

@@ -132,6 +132,9 @@ class _Run:
         if not Closing(self.ground, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
+        if best.family.smallest < ALPHA:
+            why = "one explanation fits, but it leaves something; it may not be all"
+            return self._finish("ambiguous", why, best, (best,))
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:
             why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"

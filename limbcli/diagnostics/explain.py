@@ -11,6 +11,7 @@ import numpy as np
 from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.noise import unit_errors
 from limbcli.diagnostics.score import Direction, Trial, score, statistics
 from limbcli.model import Array
 
@@ -84,7 +85,7 @@ def _allowed(
 ) -> float:  # fmt: skip
     shift = state.project(whiten(truth.fitted.prediction - base.prediction))
     form = _root(whiten(whiten(form_error).T))
-    draws = rng.standard_normal((_N_DRAWS, len(shift))) * np.sqrt(scale)
+    draws = unit_errors(rng, (_N_DRAWS, len(shift))) * np.sqrt(scale)
     draws = draws + rng.standard_normal((_N_DRAWS, len(shift))) @ form
     draws = state.project((draws + shift).T).T
     tangent = Trial("", (_tangent(truth, whiten),))

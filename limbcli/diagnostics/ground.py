@@ -12,12 +12,15 @@ from limbcli.diagnostics.bench import Bench, Data, Fitted
 from limbcli.diagnostics.calibrate import Family, score_family
 from limbcli.diagnostics.groups import group_trials
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.noise import correlated
 from limbcli.diagnostics.roughness import Roughness, roughness
 from limbcli.diagnostics.score import Trial
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 ALPHA = 0.05
 _ROUGH_P = 0.01
+_FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,20 @@ class Ground:
         return score_family(
             state, trials, rng=self.rng(1), relative=relative, n_draws=n_draws or self.n_draws, alpha=ALPHA
         )
+
+    def form_error(self, fitted: Fitted) -> Array:
+        """Covariance (n, n) of the error in an effect's form: a share of what the effects change in this
+        tissue, alike at neighbouring levels. Fibres, skin or fat in a limb are never just the model's."""
+        data = self.data
+        total = np.zeros((len(data), len(data)))
+        if fitted.without is None:
+            return total
+        change = _FORM_ERROR * np.abs(fitted.prediction - fitted.without)
+        for mask in data.channels().values():
+            part = correlated("form", np.where(mask, change, 0.0), data.order, correlation=_FORM_ALIKE,
+                              source="computed")  # fmt: skip
+            total += part.covariance
+        return total
 
     def parts(self, whiten: Whitener) -> list[Trial]:
         """One trial for each part of the data."""

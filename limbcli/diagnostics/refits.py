@@ -6,19 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, compare, joint_trial
 from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.noise import correlated
 from limbcli.diagnostics.score import Direction, Trial, score
 from limbcli.errors import LimbError
-from limbcli.model import Array
 
-_FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
 _HOPELESS = 30.0  # deviance behind the best stand-in: not worth a simulation
 _DRAWS = 4000  # enough for a test at 1 %
 
@@ -42,7 +37,7 @@ class Refits:
         found = self._refitted(several)
         relative = all(ground.is_relative(each.state) for each in found)
         refits = compare(
-            found, ground.base, ground.state, joint, ground.whiten, self._form_error, rng=ground.rng(2),
+            found, ground.base, ground.state, joint, ground.whiten, ground.form_error, rng=ground.rng(2),
             relative=relative,
         )  # fmt: skip
         self.known.update({each.explanation: each for each in refits})
@@ -105,7 +100,7 @@ class Refits:
     def _left_by(self, fitted: Fitted) -> Family:
         """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
         ground = self.ground
-        whiten = Whitener.of(ground.data.noise.covariance + self._form_error(fitted))
+        whiten = Whitener.of(ground.data.noise.covariance + ground.form_error(fitted))
 
         def anew(direction: Direction) -> Direction:
             return replace(direction, columns=whiten(ground.whiten.undo(direction.columns)))
@@ -119,14 +114,3 @@ class Refits:
             state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
             relative=ground.is_relative(ground.linearised(fitted)),
         )  # fmt: skip
-
-    def _form_error(self, fitted: Fitted) -> Array:
-        """Covariance (n, n) of an error that is a share of what the effects change, alike at neighbours."""
-        data = self.ground.data
-        change = _FORM_ERROR * np.abs(fitted.prediction - self.ground.base.prediction)
-        total = np.zeros((len(change), len(change)))
-        for mask in data.channels().values():
-            part = correlated("form", np.where(mask, change, 0.0), data.order, correlation=_FORM_ALIKE,
-                              source="computed")  # fmt: skip
-            total += part.covariance
-        return total

@@ -10,6 +10,7 @@ from scipy import stats
 
 from limbcli.diagnostics.bench import Mask
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.noise import EXCESS
 from limbcli.model import Array
 
 _DEGREE = 4
@@ -41,4 +42,14 @@ def roughness(
     wide = LinearFit.of(state.residual, np.hstack(columns))
     if wide.nu < _LEAST_NU:
         return None
-    return Roughness(wide.chi2 / wide.nu, wide.nu, float(stats.chi2.sf(wide.chi2, wide.nu)))
+    return Roughness(wide.chi2 / wide.nu, wide.nu, _p(wide))
+
+
+def _p(fit: LinearFit) -> float:
+    """Chance of so large a sum of squares of errors with long tails, as a scaled chi2 (Satterthwaite).
+
+    Mean nu, variance 2 nu + excess sum P_ii^2.
+    """
+    own = 1.0 - np.sum(fit.basis**2, axis=1)
+    scale = 1.0 + EXCESS * float(own @ own) / (2.0 * fit.nu)
+    return float(stats.chi2.sf(fit.chi2 / scale, fit.nu / scale))

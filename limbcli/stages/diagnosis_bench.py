@@ -14,9 +14,11 @@ import numpy as np
 
 from limbcli.diagnostics.bench import Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.estimates import Conditional, Reported, reported
+from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits
@@ -73,13 +75,15 @@ class SiteBench(Fits):
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
-        return self._each(explanation, combinations, start, thorough=True)[0][2]
+        deviance, points, fitted = self._each(explanation, combinations, start, thorough=True)[0]
+        return self.plausible(fitted, deviance, points)
 
-    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
+    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
         """Values with their intervals, from the profile over m."""
+        whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
         def walk(m: float, start: Mapping[str, float]) -> Conditional:
-            return self.at(fitted, m, start)
+            return self.at(fitted, m, start, whiten)
 
         found = reported(walk, fitted.values, M_BOUNDS, scale=scale)
         limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
@@ -100,7 +104,8 @@ class SiteBench(Fits):
             for k, each in enumerate(self.sites):
                 each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)
             before = fitted.prediction
-            fitted = self.best_fit(explanation, points, {})[1]
+            deviance, fitted = self.best_fit(explanation, points, {})
+            fitted = self.plausible(fitted, deviance, points)
             if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < 0.1:
                 break
         return fitted

@@ -29,6 +29,8 @@ from limbcli.units import kpa_from_mpa
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3
+_AS_WELL = 1.0  # deviance
+_NONE: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True)
@@ -153,11 +155,12 @@ class Fits:
 
     def best_fit(
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
-        thorough: bool = True,
+        thorough: bool = True, held: Mapping[str, float] = _NONE,
     ) -> tuple[float, Fitted]:  # fmt: skip
+        """Least squares from several starts; (deviance, fit). `held`: parameters that stay at a value."""
         slots = self.slots(explanation)
         parameters = [slot.parameter for slot in slots]
-        low, high = self.bounds(explanation)
+        low, high = self._around(held, explanation)
         scale = np.array([0.1, 0.3, *(abs(p.start - p.null) for p in parameters)])
         guesses = [
             [s.parameter.null + start.get(s.name, 0.0) or s.parameter.start for s in slots],
@@ -181,7 +184,39 @@ class Fits:
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
 
-    def at(self, fitted: Fitted, m: float, start: Mapping[str, float]) -> Conditional:
+    def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
+        """Where a size ran to its bound, and a plausible size fits as well: that fit; else as it is.
+
+        Flat least squares run to a bound by chance; that says nothing against the effect.
+        """
+        sizes = self._plausible_sizes(fitted)
+        if not sizes:
+            return fitted
+        explanation = fitted.explanation
+        again, other = self.best_fit(explanation, points, {}, held=sizes)
+        return other if not other.at_bound and again < deviance + _AS_WELL else fitted
+
+    def _plausible_sizes(self, fitted: Fitted) -> dict[str, float]:
+        """Of the parameters on a bound that is not the null: their plausible value on that side."""
+        sizes = {}
+        for slot in self.slots(fitted.explanation):
+            p, away = slot.parameter, fitted.values[slot.name] - slot.parameter.null
+            if any(text.startswith(slot.name + " ended on") for text in fitted.at_bound):
+                sizes[slot.name] = float(
+                    np.clip(p.null + np.sign(away) * abs(p.typical - p.null), p.low, p.high)
+                )
+        return sizes
+
+    def _around(self, held: Mapping[str, float], explanation: Explanation) -> tuple[Array, Array]:
+        """The bounds, closed in on what is held."""
+        low, high = self.bounds(explanation)
+        for k, slot in enumerate(self.slots(explanation)):
+            if slot.name in held:
+                room = 1e-4 * (slot.parameter.high - slot.parameter.low)
+                low[2 + k], high[2 + k] = held[slot.name] - room, held[slot.name] + room
+        return low, high
+
+    def at(self, fitted: Fitted, m: float, start: Mapping[str, float], whiten: Whitener) -> Conditional:
         """The best fit of the same explanation, at the same points of its grids, with m held."""
         explanation, points = fitted.explanation, self.points(fitted)
         slots = self.slots(explanation)
@@ -193,13 +228,13 @@ class Fits:
             return np.array([z[0], np.log(m), *z[1:]])
 
         found = least_squares(
-            lambda z: self.whiten(self.data.y - self.predict(full(z), explanation, points)),
+            lambda z: whiten(self.data.y - self.predict(full(z), explanation, points)),
             np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
             ftol=1e-5, xtol=1e-4,
             x_scale=np.array([0.1, *(abs(s.parameter.start - s.parameter.null) for s in slots)]),
         )  # fmt: skip
         names = ["c_kpa", *(s.name for s in slots)]
-        J = self.whiten(self._jacobian(full(found.x), explanation, points))[:, free]
+        J = whiten(self._jacobian(full(found.x), explanation, points))[:, free]
         spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
         values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
         values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
@@ -235,6 +270,7 @@ class Fits:
             explanation, self.predict(x, explanation, points), jacobian[:, free],
             ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
             tuple(self._on_bounds(x, slots)), notes, {"grid": label(points)},
+            self.predict(x[:2], (), ()) if explanation else None,
         )  # fmt: skip
 
     def _held(self, x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:

@@ -100,12 +100,13 @@ class Toy:
         names = ("c", "m", "k")
         values = dict(zip([*names, *explanation], theta.tolist(), strict=True))
         bound = tuple(f"{n} on its bound" for n in explanation if n in ONE_SIDED and values[n] <= 0)
-        return Fitted(explanation, J @ theta, J, names, values, explanation, bound)
+        without = BASE @ theta[:3] if explanation else None
+        return Fitted(explanation, J @ theta, J, names, values, explanation, bound, without=without)
 
     def verified(self, fitted: Fitted) -> Fitted:
         return fitted
 
-    def reported(self, fitted: Fitted, *, scale: float = 1.0) -> Reported:
+    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides=None) -> Reported:
         return Reported(fitted.values, fitted.values)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
