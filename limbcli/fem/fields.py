@@ -149,17 +149,25 @@ def spatial_tangent(system: System, state: State, number: int) -> Array:
     F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
     args = o.arguments()
     system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, CC), len(o.cells))
-    first, second = FIRST, SECOND
-    # push-forward of one symmetric pair: (ij) from (IJ)
-    push = np.zeros((*shape, 6, 6))
+    return pushed(F, CC)
+
+
+def pushed(F: Array, CC: Array) -> Array:
+    """Push-forward (..., 6, 6) of CC by F (..., 3, 3), over det F."""
+    push = pair_push(F, F)
+    return np.asarray(push @ CC @ np.swapaxes(push, -1, -2) / np.linalg.det(F)[..., None, None])
+
+
+def pair_push(A: Array, B: Array) -> Array:
+    """(..., 6, 6): component (ij) of A T B' by those (IJ) of a symmetric T, in Voigt order."""
+    push = np.zeros((*A.shape[:-2], 6, 6))
     for p in range(6):
         for q in range(6):
-            i, j, k, l = first[p], second[p], first[q], second[q]
-            push[..., p, q] = F[..., i, k] * F[..., j, l]
+            i, j, k, l = FIRST[p], SECOND[p], FIRST[q], SECOND[q]
+            push[..., p, q] = A[..., i, k] * B[..., j, l]
             if k != l:
-                push[..., p, q] += F[..., i, l] * F[..., j, k]
-    out = push @ CC @ np.swapaxes(push, -1, -2)
-    return np.asarray(out / np.linalg.det(F)[..., None, None])
+                push[..., p, q] += A[..., i, l] * B[..., j, k]
+    return push
 
 
 def _component(tensor: Array, k: int) -> Array:

@@ -13,11 +13,12 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem import contact_kernels, kernels
-from limbcli.fem.groups import Operands
+from limbcli.fem.groups import Group, Operands
 from limbcli.fem.penalty import penalty_derivative
 from limbcli.fem.state import State
 from limbcli.fem.system import System
 from limbcli.materials import Program
+from limbcli.materials.program import CurveAt
 from limbcli.model import Array, Curved
 
 
@@ -45,7 +46,8 @@ class Tied:
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
     """Where a body starts: `motion` (6) per unit theta, a translation (mm) and a rotation vector
-    about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y."""
+    about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y.
+    What turns it later turns this as well; the rotation that is logged counts from the start."""
 
     body: str
     motion: tuple[float, float, float, float, float, float]
@@ -113,11 +115,18 @@ def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]
 
 def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, Array]:
     nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
+    dt = system.model.steps[0].step_size
+
+    def at_first(name: str) -> float:
+        return system.curve_at(name, system.start.time)  # when penalties are set
+
     for number, found in programs(system, parameter).items():
         _add_internal(system, state, number, found, nodal)
+        group = system.groups[number]
+        change = group.material.change(parameter.name, len(group.cells), at_first, weights=parameter.weights)
         for pair in system.pairs:
             for patch in pair.patches:
-                deps = penalty_derivative(pair.contact, patch, system.groups, number, system.curve, found)
+                deps = penalty_derivative(pair.contact, patch, system.groups, number, at_first, change, dt)
                 if not deps.any():
                     continue
                 on_body = np.zeros(6)
@@ -144,22 +153,43 @@ def _add_internal(system: System, state: State, number: int, found: list[Program
             out += each
 
 
-def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array, Array]:
+def given_motions(system: System, state: State, parameter: Parameter) -> Array:
+    """Motions (n_bodies, 6) that a BodyMotion gives its body, as it stands now."""
+    motions = np.zeros((len(system.bodies), 6))
+    if not isinstance(parameter, BodyMotion):
+        return motions
     names = [body.name for body in system.bodies]
     if parameter.body not in names:
         raise SolveError(
             f"there is no rigid body {parameter.body!r}", where="derivative", fix=f"use one of {names}"
         )
-    motions = np.zeros((len(system.bodies), 6))
-    motions[names.index(parameter.body)] = parameter.motion
+    b = names.index(parameter.body)
+    motions[b, :3] = parameter.motion[:3]
+    motions[b, 3:] = state.bodies[b].turn @ np.asarray(parameter.motion[3:], dtype=float)
+    return motions
+
+
+def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array, Array]:
+    motions = given_motions(system, state, parameter)
     v = system.follow(state, motions)
     nodal, bodies = system.contact_times(state, v, motions)
     if v.any():
         nodal += system.tangent_times(state, v)
     system.gather_tied(state, nodal, bodies)
+    if v.any():
+        b = int(np.flatnonzero(motions.any(axis=1))[0])
+        bodies[b, 3:] += system.tied_turning(state, _nodal_forces(system, state), b) @ motions[b, 3:]
     if system.model.springs:
         bodies += (system.spring_stiffness(state) @ motions.ravel()).reshape(-1, 6)
     return nodal, bodies
+
+
+def _nodal_forces(system: System, state: State) -> Array:
+    """Internal and contact forces (n_points, 3), the contact as searched last."""
+    nodal, _, _ = system.internal(state)
+    for pair in system.pairs:
+        pair.force(system.center(pair.body, state), nodal, np.zeros(6))
+    return nodal
 
 
 def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array]:
@@ -207,6 +237,17 @@ def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Arra
             nodal += sign * part / (2.0 * parameter.step)
     system.gather_tied(state, nodal, bodies)
     return nodal, bodies
+
+
+def prestrain_change(group: Group, parameter: Prestrain, curve: CurveAt) -> Array:
+    """Change (3, 3) of the prestrain (1 - r) 1 + r F0 of a group that has one."""
+    assert group.material.prestrain is not None
+    F0, ramp = group.material.prestrain
+    on_curve = curve(ramp.curve) if isinstance(ramp, Curved) else 1.0
+    if parameter.direction is None:
+        return np.asarray(on_curve * (F0 - np.eye(3)))
+    r = ramp.value * on_curve if isinstance(ramp, Curved) else float(ramp)  # type: ignore[arg-type]
+    return np.asarray(r * np.asarray(parameter.direction, dtype=float))
 
 
 def nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limbcli.fem.groups import Group
+from limbcli.materials.differences import tangent_change
 from limbcli.materials.program import CurveAt, Program
 from limbcli.materials.stress import _evaluate, penalty_modulus
 from limbcli.model import Array, Contact, IntArray
@@ -58,30 +59,25 @@ def penalty_derivative(
     groups: Sequence[Group],
     number: int,
     curve: CurveAt,
-    programs: list[Program],
+    change: Array,
+    dt: float = 1.0,
 ) -> Array:
-    """d eps/d theta (n_facets,), where the law of group `number` changes as `programs` say.
-
-    At F = 1 the tangent does not depend on exponents, so only the linear programs count.
-    """
+    """d eps/d theta (n_facets,), where the law's numbers in group `number` move by `change`."""
     out = np.zeros(len(patch.facets))
     mine = patch.group == number
     if not (contact.auto_penalty and mine.any()):
         return out
     group, cells, n = groups[number], patch.cell[mine], patch.normals[mine]
     base = group.material.program(len(group.cells), curve)
-    h = 1e-4
-    total = np.zeros(int(mine.sum()))
     C0 = _identity_tangent(base, cells)
-    for program in programs:
-        if program.ops[0, 0] > 100:
-            continue
-        C1 = _identity_tangent(program, cells)
-        size = h * np.abs(C0).max() / max(np.abs(C1).max(), 1e-300)
-        # E is smooth in C: a five-point difference is exact to round-off
-        e = [penalty_modulus(C0 + k * size * C1, n) for k in (-2, -1, 1, 2)]
-        total += (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * size)
-    out[mine] = contact.penalty * patch.ratio[mine] * total
+    par, dpar = (each if len(each) == 1 else each[cells] for each in (base.par, change))
+    F = np.repeat(np.eye(3)[None], len(cells), axis=0)
+    C1 = tangent_change(base.ops, par, F, np.zeros_like(F), dpar)
+    size = 1e-4 * np.abs(C0).max() / max(np.abs(C1).max(), 1e-300)
+    # E is smooth in C: a five-point difference is exact to round-off
+    e = [penalty_modulus(C0 + k * size * C1, n) for k in (-2, -1, 1, 2)]
+    total = (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * size)
+    out[mine] = contact.penalty * patch.ratio[mine] * total * _stiffening(group, dt)
     return out
 
 

@@ -7,14 +7,22 @@ level, with the factor that is already there; K is the exact tangent of the conv
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial as partial_function
 
 import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.newton import Newton
-from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Prestrain, Shape, partial
+from limbcli.fem.parameters import (
+    BodyMotion,
+    LawParameter,
+    Parameter,
+    Prestrain,
+    Shape,
+    given_motions,
+    partial,
+)
 from limbcli.fem.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.fem.tangent import gmres
@@ -37,10 +45,15 @@ _ENOUGH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """du/dtheta (n_points, 3) and the derivative of the bodies' forces (n_bodies, 6)."""
+    """What an answer changes by.
+
+    displacement (n_points, 3) : du/dtheta; bodies (n_bodies, 6) : of the forces that hold the bodies
+    motions (n_bodies, 6) : of bodies that are free to move, translation and rotation
+    """
 
     displacement: Array
     bodies: Array
+    motions: Array
 
 
 def sensitivities(
@@ -60,9 +73,25 @@ def sensitivities(
             where="derivatives",
             fix="difference whole solves, as a session does",
         )
+    if any(pair.contact.augmented for pair in system.pairs) or any(h.any() for h in system.histories):
+        raise SolveError(
+            "the response depends on the way to it (augmented contact, or steps of a viscoelastic law)",
+            where="derivatives",
+            fix="difference whole solves, as a session does",
+        )
     loads = [partial(system, state, each) for each in parameters]
     newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces.nodal)
-    return [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
+    found = [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
+    given = [system.follow(state, given_motions(system, state, each)) for each in parameters]
+    return [replace(a, displacement=a.displacement + v) for a, v in zip(found, given, strict=True)]
+
+
+def reaction_changes(system: System, state: State, parameter: Parameter, sensitivity: Sensitivity) -> Array:
+    """Changes (n_points, 3) of the reactions at driven nodes."""
+    nodal, _ = partial(system, state, parameter)
+    v = sensitivity.displacement - system.follow(state, given_motions(system, state, parameter))
+    contact, _ = system.contact_times(state, v, sensitivity.motions)
+    return np.where(system.driven, nodal + system.tangent_times(state, v) + contact, 0.0)
 
 
 def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Array) -> Sensitivity:
@@ -72,7 +101,7 @@ def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Arr
     motions = system.motions(step)
     v = system.follow(state, motions)
     v[system.free] = step[: system.n_tissue]
-    return Sensitivity(v, bodies + _force_change(system, state, forces, v, motions))
+    return Sensitivity(v, bodies + _force_change(system, state, forces, v, motions), motions)
 
 
 def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.materials import dispatch
 from limbcli.materials.fiber import A0
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 
 def energy_density(operands: Any, F: Array) -> Array:
@@ -18,12 +18,37 @@ def energy_density(operands: Any, F: Array) -> Array:
     return program_energy(operands.ops, operands.par, F @ operands.base)
 
 
-def program_energy(ops: Array, par: Array, F: Array) -> Array:
+def program_energy(ops: IntArray, par: Array, F: Array) -> Array:
     """Sum over the leaves of a program; par (1 or n_cells, n), F (n_cells, n_gauss, 3, 3)."""
     C = np.swapaxes(F, -1, -2) @ F
     squares = np.maximum(np.linalg.eigvalsh(C), 1e-300)
+    return _energy(ops, par, C, squares, np.linalg.det(F))
+
+
+def program_energy_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: Array | None = None) -> Array:
+    """Change of `program_energy` along dF (as F) and dpar (as par), to round-off.
+
+    A complex step; principal squares move by r_i.dC r_i, whatever directions r_i belong to equal ones.
+
+    >>> ops, par = np.array([[3, 0, 0]]), np.array([[2.0, 5.0]])  # neo-Hookean
+    >>> program_energy_change(ops, par, np.eye(3)[None, None] * 1.1, np.eye(3)[None, None]).round(6)
+    array([[5.044507]])
+    """
+    h = 1e-30j
+    C = np.swapaxes(F, -1, -2) @ F
+    dC = np.swapaxes(F, -1, -2) @ dF
+    dC = dC + np.swapaxes(dC, -1, -2)
+    values, vectors = np.linalg.eigh(C)
+    squares = np.maximum(values, 1e-300) + h * np.einsum("...ji,...jk,...ki->...i", vectors, dC, vectors)
     J = np.linalg.det(F)
-    total = np.zeros(J.shape)
+    dJ = J * np.trace(np.linalg.solve(F, dF), axis1=-2, axis2=-1)
+    moved = par + 0j if dpar is None else par + h * dpar
+    return np.asarray(np.imag(_energy(ops, moved, C + h * dC, squares, J + h * dJ)) / abs(h))
+
+
+def _energy(ops: IntArray, par: Any, C: Any, squares: Any, J: Any) -> Array:
+    """Real, or complex for a complex step."""
+    total = np.zeros(J.shape, dtype=J.dtype)
     for law, off, extra in ops:
         p = par[:, off:, None]
         if law in (dispatch.OGDEN, dispatch.UNCOUPLED):
@@ -75,10 +100,12 @@ def _I4(p: Array, at: int, C: Array) -> Array:
 def _fiber(p: Array, C: Array) -> Array:
     a = _direction(p, A0, C)
     I4 = _I4(p, A0, C)
-    x = np.maximum(I4 - p[:, 4] ** 2, 0.0)
+    x = I4 - p[:, 4] ** 2
+    stretched = np.real(x) > 0.0
     alpha, beta = p[:, 1], p[:, 2]
     small = np.abs(alpha) < 1e-12
     safe = np.where(small, 1.0, alpha)
-    stretch = np.where(small, x**beta / beta, np.expm1(alpha * x**beta) / (safe * beta))
+    power = np.where(stretched, x, 1.0) ** beta
+    stretch = np.where(small, power * (1 + 0.5 * alpha * power), np.expm1(alpha * power) / safe) / beta
     D = np.einsum("egij,egj->egi", C - np.eye(3), a)
-    return np.where(p[:, 4] ** 2 < I4, p[:, 0] * stretch + 0.25 * p[:, 3] * (D**2).sum(-1), 0.0)
+    return np.where(stretched, p[:, 0] * stretch + 0.25 * p[:, 3] * (D**2).sum(-1), 0.0)

@@ -97,18 +97,29 @@ def add_fiber(par, off, sloped, C, A, S, CC, tangent):
 
 @njit(cache=True)
 def add_fiber_derivative(par, off, which, C, A, S):
-    """dS with respect to alpha (1) or beta (2)."""
+    """dS with respect to ALPHA, BETA, LAM0 or BAND."""
     ksi, alpha, beta = par[off], par[off + ALPHA], par[off + BETA]
+    lam0, band = par[off + LAM0], par[off + BAND]
     fibre_dyad(par, off + A0, A)
-    I4 = fibre_square(A, C)
-    x = I4 - par[off + LAM0] ** 2
+    x = fibre_square(A, C) - lam0 * lam0
     if x <= 0.0:
         return
     power = x**beta
     slope = ksi * x ** (beta - 1.0) * np.exp(alpha * power)
-    change = slope * power if which == ALPHA else slope * np.log(x) * (1.0 + alpha * power)
+    change, part = 0.0, 0.0
+    if which == ALPHA:
+        change = slope * power
+    elif which == BETA:
+        change = slope * np.log(x) * (1.0 + alpha * power)
+    elif which == LAM0:
+        change = -2.0 * lam0 * slope * (beta - 1.0 + alpha * beta * power) / x
+        part = -2.0 * lam0 / band if x < band else 0.0
+    elif x < band:
+        part = -x / (band * band)
     for p in range(6):
         S[p] += 2.0 * change * A[p]
+        if part != 0.0:
+            S[p] += part * par[off + MU] * (symmetric_product(A, C, p) - A[p])
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from limbcli.materials import dispatch
-from limbcli.materials.fiber import JUMP
+from limbcli.materials.fiber import ALPHA, BAND, BETA, JUMP, LAM0
 from limbcli.materials.ogden import MAX_TERMS
 
 Values = Mapping[str, Any]
@@ -53,7 +53,7 @@ def _exponents(kernel: int) -> dict[int, tuple[int, int]]:
     return {2 + 2 * k: (kernel, k) for k in range(MAX_TERMS)}
 
 
-_FIXED = (0, 0)  # a number that is no parameter, or that only switches
+_FIXED = (0, 0)  # a number that is no parameter
 
 _OGDEN: dict[str, float | None] = {"kappa": None, "c1": None, "m1": None}
 _OGDEN |= {f"{letter}{k}": 0.0 for k in range(2, MAX_TERMS + 1) for letter in "cm"}
@@ -95,7 +95,7 @@ LEAVES: Mapping[str, Law] = {
         dispatch.FIBER,
         {"ksi": None, "alpha": 0.0, "beta": 2.0, "mu": 0.0, "lam0": 1.0, "band": JUMP},
         lambda v: [v["ksi"], v["alpha"], v["beta"], v["mu"], v["lam0"], v["band"]],
-        {1: (dispatch.FIBER_D, 1), 2: (dispatch.FIBER_D, 2), 4: _FIXED, 5: _FIXED},
+        {k: (dispatch.FIBER_D, k) for k in (ALPHA, BETA, LAM0, BAND)},
         fiber=True,
     ),
     "active_contraction": Law(dispatch.CONTRACTION, {"T0": None}, lambda v: [v["T0"]], fiber=True),

@@ -85,6 +85,10 @@ class Compiled:
                 where=f"derivative with respect to {self.name}.{parameter}",
                 fix=f"use one of {', '.join(known)}",
             )
+        if name == "fiber":
+            raise _problem(
+                self.name, "a fibre's direction is no number to differentiate by", "difference whole solves"
+            )
         return found[0], name
 
     def derivative(
@@ -95,6 +99,22 @@ class Compiled:
         weights (n_cells,): the parameter moves by weights * theta, cell by cell (a map
         coefficient); None: by theta everywhere.
         """
+        leaf, numbers, slopes = self._slopes(parameter, curve, weights)
+        return _derivative_programs(leaf, _columns(leaf, numbers), slopes, n_cells)
+
+    def change(self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None) -> Array:
+        """d(par)/d(parameter), shaped as the numbers of `program` (1 or n_cells, n_numbers)."""
+        mine, _, slopes = self._slopes(parameter, curve, weights)
+        columns: list[Any] = []
+        for leaf in self.leaves:
+            own = slopes if leaf is mine else []
+            columns += [*own, *[0.0] * (leaf.n_slots - len(own))]
+        return _stack(columns, n_cells)
+
+    def _slopes(
+        self, parameter: str, curve: CurveAt, weights: Array | None
+    ) -> tuple[Leaf, dict[str, Any], list[Any]]:
+        """The leaf with the parameter, its parameters' values, and how fast its slots change."""
         leaf, name = self.find(parameter)
         numbers = _numbers(leaf, curve)
         step = 1e-30
@@ -102,9 +122,7 @@ class Compiled:
         if isinstance(leaf.parameters[name], Curved):
             factor = np.asarray(factor) * curve(leaf.parameters[name].curve)  # type: ignore[union-attr]
         changed = leaf.law.slots({**numbers, name: numbers[name] + 1j * step * factor})
-        slots = _columns(leaf, numbers)
-        slopes = [np.imag(each) / step for each in changed]
-        return _derivative_programs(leaf, slots, slopes, n_cells)
+        return leaf, numbers, [np.imag(each) / step for each in changed]
 
 
 def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cells: int) -> list[Program]:

@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.fem.analysis import Analysis, Snapshot
-from limbcli.fem.field_derivatives import cell_field_derivatives
-from limbcli.fem.fields import cell_fields
+from limbcli.fem.analysis import Analysis
 from limbcli.fem.newton import Settings
-from limbcli.fem.parameters import Tied
 from limbcli.fem.rigid import rotation_matrix
 from limbcli.fem.sensitivity import (
     BodyMotion,
@@ -25,7 +22,7 @@ from limbcli.fem.sensitivity import (
     sensitivities,
 )
 from limbcli.materials import ogden_type
-from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, Material
+from limbcli.model import Curved, ElementMap, LimbModel, Material
 from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)
@@ -156,101 +153,6 @@ def test_force_by_parameter_with_tet10() -> None:
         return model.with_material("tissue", PLAIN.with_parameters(m1=value + h))
 
     check(small("tet10"), LawParameter("tissue", "m1"), change, 1e-3)
-
-
-@pytest.mark.parametrize("rates", [{"c1": 1.0}, {"m1": 1.0}, {"kappa": 1.0}, {"m1": 1.0, "m2": -1.0}])
-def test_cell_fields_by_law_parameter(rates: dict[str, float]) -> None:
-    """J, F and stresses of every cell against central differences of whole solves; of tied ones too."""
-    fields = ("J", "Fxx", "Fzx", "sz", "sxy", "Ez", "z")
-    h = 1e-4 * abs(PLAIN.parameters[next(iter(rates))])
-
-    def solved(change: float) -> tuple[Analysis, Snapshot]:
-        numbers = {name: PLAIN.parameters[name] + rate * change for name, rate in rates.items()}
-        analysis = Analysis(small("tet4", PLAIN.with_parameters(**numbers)), TIGHT)
-        return analysis, analysis.run()[-1]
-
-    analysis, last = solved(0.0)
-    parameter = Tied(tuple((LawParameter("tissue", name), rate) for name, rate in rates.items()))
-    (found,) = sensitivities(analysis.newton, last.state, last.forces, [parameter])
-    exact = cell_field_derivatives(analysis.system, last.state, 0, fields, parameter, found)
-    sides = []
-    for sign in (1, -1):
-        other, end = solved(sign * h)
-        sides.append(cell_fields(other.system, end.state, 0, fields))
-    numeric = (sides[0] - sides[1]) / (2 * h)
-    np.testing.assert_allclose(
-        exact / abs(numeric).max(axis=0), numeric / abs(numeric).max(axis=0), atol=1e-5
-    )
-
-
-def shape_case() -> tuple[Shape, Callable[[float], LimbModel]]:
-    """Depths of the nodes in proportion."""
-    model = small()
-    directions = np.zeros_like(model.mesh.points)
-    tissue = np.unique(model.mesh.block("tissue").cells)
-    directions[tissue, 2] = model.mesh.points[tissue, 2] / 8.0
-
-    def moved(h: float) -> LimbModel:
-        return replace(model, mesh=replace(model.mesh, points=model.mesh.points + h * directions))
-
-    return Shape(directions), moved
-
-
-def prestrain_case() -> tuple[Prestrain, Callable[[float], LimbModel]]:
-    F0 = tuple(np.diag([1.04, 1.02, 0.96]).ravel().tolist())
-
-    def moved(h: float) -> LimbModel:
-        return small(material=Material("prestrain", {"F0": F0, "ramp": 0.7 + h}, (PLAIN,)))
-
-    return Prestrain("tissue"), moved
-
-
-def region_case() -> tuple[LawParameter, Callable[[float], LimbModel]]:
-    """Two blocks of one material each with its own stiffness: the lower one's is moved."""
-    model = small()
-    tissue = model.mesh.block("tissue")
-    deep = model.mesh.points[tissue.cells].mean(axis=1)[:, 2] < -4.0
-    blocks = (
-        Block("tissue", tissue.kind, tissue.cells[~deep]),
-        *(each for each in model.mesh.blocks if each.name != "tissue"),
-        Block("deep", tissue.kind, tissue.cells[deep]),
-    )
-
-    def moved(h: float) -> LimbModel:
-        law = PLAIN.with_parameters(c1=PLAIN.parameters["c1"] + h)
-        return replace(
-            model,
-            mesh=replace(model.mesh, blocks=blocks),
-            materials={**model.materials, "tissue": PLAIN, "own": law},
-            domains=(*model.domains, Domain("deep", "own")),
-        )
-
-    return LawParameter("own", "c1", block="deep"), moved
-
-
-@pytest.mark.parametrize(("case", "h"), [(shape_case, 1e-3), (prestrain_case, 1e-4), (region_case, 1e-6)])
-def test_force_and_cell_fields_by_places_prestrain_and_a_regions_stiffness(
-    case: Callable[[], tuple], h: float
-) -> None:
-    """Against central differences of whole solves, in every group of cells."""
-    parameter, moved = case()
-    fields = ("J", "Fxx", "Fzx", "sz", "sxy", "Ez")
-
-    def solved(change: float) -> tuple[Analysis, Snapshot]:
-        analysis = Analysis(moved(change), TIGHT)
-        return analysis, analysis.run()[-1]
-
-    analysis, last = solved(0.0)
-    (found,) = sensitivities(analysis.newton, last.state, last.forces, [parameter])
-    ends = [solved(sign * h) for sign in (1, -1)]
-    force = (ends[0][1].forces.bodies - ends[1][1].forces.bodies)[0, 2] / (2 * h)
-    assert found.bodies[0, 2] == pytest.approx(force, rel=1e-5)
-    for number in range(len(analysis.system.groups)):
-        exact = cell_field_derivatives(analysis.system, last.state, number, fields, parameter, found)
-        up, down = (cell_fields(other.system, end.state, number, fields) for other, end in ends)
-        numeric = (up - down) / (2 * h)
-        scale = abs(numeric).max(axis=0)
-        np.testing.assert_allclose(exact / scale, numeric / scale, atol=1e-5)
 
 
 def test_a_session_knows_the_ramp_of_a_prestrain() -> None:

@@ -10,7 +10,8 @@ import pytest
 from limbcli.errors import SolveError
 from limbcli.feb.records import read_records
 from limbcli.materials import LAWS, compile_material, ogden_type
-from limbcli.materials.energy import program_energy
+from limbcli.materials.differences import tangent_change
+from limbcli.materials.energy import program_energy, program_energy_change
 from limbcli.materials.fiber import JUMP
 from limbcli.materials.program import jumping
 from limbcli.materials.stress import _evaluate, cauchy_stress, penalty_modulus, second_piola_kirchhoff
@@ -121,13 +122,13 @@ def test_stress_does_not_see_a_rotation(name: str, states: np.ndarray, rng: np.r
         ("ogden_uncoupled", "c2"), ("ogden_uncoupled", "m1"),
         ("holmes_mow", "mu"), ("holmes_mow", "lambda"), ("holmes_mow", "beta"),
         ("fiber_exp_pow", "ksi"), ("fiber_exp_pow", "alpha"), ("fiber_exp_pow", "beta"),
-        ("fiber_exp_pow", "mu"),
+        ("fiber_exp_pow", "mu"), ("fiber_exp_pow", "lam0"),
         ("active_contraction", "T0"),
     ],
 )  # fmt: skip
 def test_parameter_derivative_of_stress(name: str, parameter: str, states: np.ndarray) -> None:
-    material = MATERIALS[name]
-    value = material.parameters[parameter]
+    material = {**MATERIALS, "sheared": SHEARED}[name]
+    value = {"lam0": 1.0, "band": JUMP, **material.parameters}[parameter]
     h = 1e-5 * max(abs(value), 1e-3)
     up, down = (
         second_piola_kirchhoff(material.with_parameters(**{parameter: value + s * h}), states)[0]
@@ -140,6 +141,41 @@ def test_parameter_derivative_of_stress(name: str, parameter: str, states: np.nd
         total += S if each.factor is None else S * each.factor[:, None]
     numeric = ((up - down) / (2 * h))[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
     np.testing.assert_allclose(total, numeric, atol=1e-6 * abs(numeric).max())
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_changes_of_energy_and_tangent_are_their_differences(
+    name: str, states: np.ndarray, rng: np.random.Generator
+) -> None:
+    """Along a random change of F and of the law's numbers together."""
+    p = program(MATERIALS[name], 1)
+    dF, par = rng.standard_normal(states.shape), p.par
+    dpar = par * rng.uniform(-1, 1, par.shape)
+    if name == "mooney_rivlin":
+        dpar[:, [2, 4]] = 0.0  # exponents of 2, computed as such
+    h = 2e-5
+    ends = [(states + s * h * dF, par + s * h * dpar) for s in (1, -1)]
+    up, down = (program_energy(p.ops, q, F[:, None]) for F, q in ends)
+    energy = program_energy_change(p.ops, par, states[:, None], dF[:, None], dpar)
+    np.testing.assert_allclose(energy, (up - down) / (2 * h), rtol=1e-6, atol=1e-6 * abs(energy).max())
+    tangents = []
+    for F, q in ends:
+        S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
+        _evaluate(F, p.ops, q, S, CC, True)
+        tangents.append(CC)
+    change = tangent_change(p.ops, par, states, dF, dpar)
+    numeric = (tangents[0] - tangents[1]) / (2 * h)
+    np.testing.assert_allclose(change, numeric, atol=1e-6 * max(abs(numeric).max(), 1e-12))
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.4])
+def test_energy_change_by_alpha_holds_at_none(alpha: float, states: np.ndarray) -> None:
+    p = program(MATERIALS["fiber_exp_pow"].with_parameters(alpha=alpha), 1)
+    dpar = np.zeros_like(p.par)
+    dpar[0, 1] = 1.0
+    up, down = (program_energy(p.ops, p.par + s * 1e-5 * dpar, states[:, None]) for s in (1, -1))
+    exact = program_energy_change(p.ops, p.par, states[:, None], 0 * states[:, None], dpar)
+    np.testing.assert_allclose(exact, (up - down) / 2e-5, atol=1e-8 * abs(exact).max())
 
 
 def test_squares_need_no_principal_stretches(rng: np.random.Generator) -> None:
@@ -263,6 +299,17 @@ def test_sloped_tangent_in_the_band_is_exact(rng: np.random.Generator) -> None:
     up, down = (second_piola_kirchhoff(SHEARED, F + sign * dF)[0] for sign in (1, -1))
     expected = np.einsum("nijkl,nkl->nij", CC[:, VOIGT][:, :, :, VOIGT], E)
     np.testing.assert_allclose((up - down) / (2 * h), expected, atol=1e-5 * abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["band", "lam0", "beta", "mu"])
+def test_parameter_derivative_of_stress_within_the_band(name: str) -> None:
+    F = sheared(1 + 0.5 * JUMP)
+    test_parameter_derivative_of_stress("sheared", name, F)
+
+
+def test_a_fibres_direction_is_no_number() -> None:
+    with pytest.raises(SolveError, match="direction"):
+        compile_material(SHEARED, "m").derivative("fiber", 1, lambda name: 1.0)
 
 
 def test_fibre_that_engages_later_starts_from_nothing() -> None:
