@@ -61,7 +61,7 @@ class Shape:
 
     directions: Array
     step: float = 1e-4
-    _systems: dict[int, Any] = field(default_factory=dict)
+    _systems: dict[float, tuple[list[Group], System]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,15 +205,14 @@ def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array
 
 
 def moved_system(system: System, parameter: Shape, sign: float) -> System:
-    key = hash((id(system), sign, id(system.groups)))
-    if key not in parameter._systems:
+    groups, moved = parameter._systems.get(sign, (None, None))
+    if moved is None or groups is not system.groups:  # other laws, or another model
         mesh = system.model.mesh
         points = mesh.points + sign * parameter.step * parameter.directions
         model = replace(system.model, mesh=replace(mesh, points=points))
-        parameter._systems[key] = System(
-            model, supports=system.supports, drives=system.drives, threads=system.threads.n
-        )
-    return parameter._systems[key]  # type: ignore[no-any-return]
+        moved = System(model, supports=system.supports, drives=system.drives, threads=system.threads.n)
+        parameter._systems[sign] = (system.groups, moved)
+    return moved
 
 
 def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Array, Array]:

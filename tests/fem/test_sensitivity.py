@@ -129,6 +129,20 @@ def test_force_by_thickness() -> None:
     check(model, Shape(directions), change, 1e-3)
 
 
+def test_a_thickness_is_one_of_the_laws_that_are_there_now() -> None:
+    """What a Shape keeps from one solve is not used for another law."""
+    directions = np.zeros_like(small().mesh.points)
+    directions[:, 2] = small().mesh.points[:, 2] / 8.0
+    kept = Shape(directions)
+    analysis = Analysis(small(), TIGHT)
+    for stiffer in (1.0, 2.0, 4.0):
+        analysis.model = small(material=ogden_type(c=0.0052 * stiffer, f_kappa=7.3, m=3.1))
+        last = analysis.run()[-1]
+        found, fresh = sensitivities(analysis.newton, last.state, last.forces, [kept, Shape(directions)])
+        np.testing.assert_allclose(found.bodies, fresh.bodies, rtol=1e-9, atol=1e-12)
+    analysis.close()
+
+
 @pytest.mark.parametrize("what", ["ramp", "ramp on a curve", "F0"])
 def test_force_by_prestrain(what: str, rng: np.random.Generator) -> None:
     F0 = np.diag([1.04, 1.02, 0.96]) + 0.01 * rng.standard_normal((3, 3))
