@@ -23,6 +23,8 @@ from limbcli.diagnostics.refits import Refits
 from limbcli.diagnostics.verdict import Diagnosis, Word
 from limbcli.progress import SILENT, Progress
 
+LEFT = ALPHA  # a name leaves nothing that would be detected
+
 
 def diagnose(
     bench: Bench, *, max_effects: int = 3, seed: int = 7, n_draws: int = N_DRAWS, propose: bool = True,
@@ -132,7 +134,7 @@ class _Run:
         if not Closing(self.ground, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
-        if best.family.smallest < ALPHA:
+        if best.family.smallest < LEFT:
             why = "one explanation fits, but it leaves something; it may not be all"
             return self._finish("ambiguous", why, best, (best,))
         failed = [name for name in promising if name in self.not_evaluated]

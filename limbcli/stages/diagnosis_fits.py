@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Fitted
-from limbcli.diagnostics.estimates import Conditional
+from limbcli.diagnostics.estimates import WITHIN, Conditional
 from limbcli.diagnostics.linear import Whitener
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Curves, Reading
@@ -29,7 +29,6 @@ from limbcli.units import kpa_from_mpa
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3
-_AS_WELL = 1.0  # deviance
 _NONE: Mapping[str, float] = {}
 
 
@@ -185,7 +184,7 @@ class Fits:
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
 
     def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
-        """Where a size ran to its bound, and a plausible size fits as well: that fit; else as it is.
+        """Where a size ran to its bound and a plausible one lies within its interval: the fit with that one.
 
         Flat least squares run to a bound by chance; that says nothing against the effect.
         """
@@ -194,7 +193,7 @@ class Fits:
             return fitted
         explanation = fitted.explanation
         again, other = self.best_fit(explanation, points, {}, held=sizes)
-        return other if not other.at_bound and again < deviance + _AS_WELL else fitted
+        return other if not other.at_bound and again < deviance + WITHIN else fitted
 
     def _plausible_sizes(self, fitted: Fitted) -> dict[str, float]:
         """Of the parameters on a bound that is not the null: their plausible value on that side."""

@@ -11,8 +11,8 @@ from limbcli.diagnostics.bench import Fitted, Proposal
 from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
-from limbcli.stages.diagnosis_data import Extra
 from limbcli.stages.diagnosis_fits import Fits
+from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 
 See = Callable[[Curves, Reading, Protocol], Array]

@@ -25,7 +25,7 @@ from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_data import ModelError
+from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA = 100.0
@@ -39,6 +39,7 @@ _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.15, 0.02)  # mm, fraction: surfaces that were given are taken for better
+_USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
 
 
@@ -229,15 +230,19 @@ class Numerics:
         return [*errors, ModelError("model: mesh", tie.mesh_error, speeds, correlation=_ALIKE)]
 
     def _geometry(self) -> list[ModelError]:
-        """What the surfaces' own error does: to the depth at first touch, and to the force as a whole."""
+        """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
+        strains, and to the force as a whole."""
         spacing = read_spacing(self.out)
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
             touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
+        thick = self.book.curves(2.0).thickness
+        strain = touch / thick if np.isfinite(thick) and thick > 0 else touch / _USUAL_THICKNESS
         n = len(self.levels)
         none = np.zeros((n, len(self.book.windows.depths)))
         return [
             ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
+            ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
 

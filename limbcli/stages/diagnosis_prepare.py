@@ -28,9 +28,11 @@ from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_data import Extra, ModelError, SiteData, site_data
+from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
+from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.stages.diagnosis_numerics import F_KAPPA, USUAL_C, Intervention, Numerics
+from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.mesh import read_limb, site_position

@@ -23,8 +23,10 @@ from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import Extra, ModelError, site_data
+from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_menu import ROTATE, items
+from limbcli.stages.diagnosis_noise import ModelError
+from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 
 USUAL = (6.5, 4.0)  # c in kPa, m
@@ -149,6 +151,7 @@ class Case:
         none = np.zeros((n, len(fitted.windows.depths)))
         errors = [
             ModelError("model: mesh", np.full(n, 0.01), none, correlation=0.8),
+            ModelError("model: strain by the thickness", np.zeros(n), none, strain=0.5 / reduced.HEIGHT),
             ModelError("model: gain of the force by the geometry", np.full(n, 0.05), none),
         ]
         site = site_data(

@@ -129,3 +129,14 @@ def test_rates_over_many_data_sets(rng):
             total, inside = total + 1, inside + ((name,) in found.confidence_set)
     assert right / max(right + wrong, 1) >= 0.9
     assert inside / total >= 0.95 - 2 * np.sqrt(0.95 * 0.05 / total)
+
+
+def test_no_name_where_something_is_left(rng, monkeypatch):
+    """The one explanation that fits leaves something at the level of detection: perhaps it is not all."""
+    case = toy.make(rng, {"wave": 6.0})
+    assert run(case).verdict == "named"
+    monkeypatch.setattr("limbcli.diagnostics.engine.LEFT", 1.01)
+    found = run(case)
+    assert found.verdict == "ambiguous"
+    assert found.confidence_set == (("wave",),)
+    assert "leaves something" in found.reason

@@ -14,8 +14,9 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
 from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import GAIN_OF_SPEEDS, site_data
+from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_joint import joined, slices
+from limbcli.stages.diagnosis_noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis_site import SiteCurves
 
 

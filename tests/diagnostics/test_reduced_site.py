@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
@@ -176,3 +177,31 @@ def test_false_alarms_on_the_reduced_model(rng):
     ]
     alarms = sum(run(levels(rng), names=names).verdict in ("named", "ambiguous") for _ in range(8))
     assert alarms <= 2
+
+
+def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng):
+    """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
+    the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
+    points[0]["fat_thickness_mm"] = 10.0
+    the_bench.fit((), {})
+    ran = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 2.9995})[1]
+    usual = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 1.0})[0]
+    assert ran.at_bound
+    settled = the_bench.plausible(ran, usual - 3.0, points)
+    assert not settled.at_bound
+    assert settled.values[fat] == pytest.approx(1.0, abs=1e-3)
+    assert the_bench.plausible(ran, usual - 5.0, points) is ran
+
+
+def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
+    fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
+    the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
+    base = the_bench.fit((), {})
+    ground = Ground(the_bench, base, 7, 500)
+    fitted = the_bench.fit(("anisotropy",), {})
+    widths = []
+    for besides in (None, ground.form_error(fitted)):
+        low, high = the_bench.reported(fitted, besides=besides).intervals["m"]
+        widths.append(np.log(high / low))
+    assert widths[1] > 1.05 * widths[0]
+    assert not ground.form_error(base).any()

@@ -78,3 +78,14 @@ def test_family_is_calibrated(rng, relative):
         family = score_family(state, trials, rng=np.random.default_rng(7), relative=relative, n_draws=800)
         below += family.smallest < 0.05
     assert below / 150 <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 150)
+
+
+def test_readings_with_long_tails_raise_no_more_false_alarms(rng):
+    """Two-sided exponential errors of the stated deviation: what normal draws would flag at 1 % too often."""
+    n, J = 24, np.ones((24, 1))
+    parts = [Trial(str(k), (Direction(np.eye(n)[:, 6 * k : 6 * k + 6], (0,) * 6),)) for k in range(4)]
+    errors = rng.laplace(size=(400, n)) / np.sqrt(2)
+    states = [LinearFit.of(each, J) for each in errors]
+    p = [score_family(s, parts, rng=np.random.default_rng(7), n_draws=2000).smallest for s in states]
+    assert np.mean(np.array(p) < 0.01) < 0.02
+    assert np.mean(np.array(p) < 0.05) < 0.05 + 2 * np.sqrt(0.05 * 0.95 / len(p))

@@ -11,8 +11,9 @@ from limbcli.case import Noise
 from limbcli.effects.reading import Curves, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_data import ModelError, depth_slopes, site_data
+from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_holds import HeldForces
+from limbcli.stages.diagnosis_noise import ModelError, depth_slopes
 from limbcli.stages.diagnosis_windows import Windows
 
 N = 6
@@ -92,6 +93,17 @@ def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert added == pytest.approx(np.outer(0.4 * slope, 0.4 * slope))
     assert np.linalg.matrix_rank(added, tol=1e-9) == 1
+
+
+def test_doubt_about_the_thickness_moves_levels_by_their_depth():
+    none = np.zeros((N, 10))
+    thick = ModelError("thickness", np.zeros(N), none, strain=0.02)
+    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[thick])
+    without = site_data("p1", levels(), Noise(), windows=Windows())
+    depth = np.array([with_error.protocol.depth[row.level] for row in with_error.rows])
+    shift = 0.02 * depth * depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
+    added = with_error.data.noise.covariance - without.data.noise.covariance
+    assert added == pytest.approx(np.outer(shift, shift))
 
 
 def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():

@@ -1,0 +1,107 @@
+"""The measurement of a site, channel by channel: rows, values and the own deviation of each reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.case import Noise as StatedNoise
+from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.model import Array, IntArray
+from limbcli.stages.diagnosis_holds import HeldForces
+from limbcli.stages.diagnosis_windows import Windows
+
+MAP_ERROR = 0.015  # of a part's mean speed, from level to level (assumed)
+TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
+THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
+_FEWEST_SPEEDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One datum: channel, level, part of the window (or -1)."""
+
+    channel: str
+    level: int
+    part: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """A further measurement: its name, what a model says of it, what was measured and one deviation (n,)."""
+
+    name: str
+    see: Callable[[Curves, Reading, Protocol], Array]
+    y: Array
+    deviation: Array
+
+
+Stacked = tuple[list[Row], list[float], list[float]]
+
+
+def force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
+    """Every level but those at 0 N and 0 mm, which are so by definition."""
+    used = [k for k in range(len(protocol)) if protocol.force[k] != 0.0 or protocol.depth[k] != 0.0]
+    return (
+        [Row("force", k) for k in used],
+        [float(protocol.force[k]) for k in used],
+        [noise.force] * len(used),
+    )
+
+
+def speed_rows(
+    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None
+) -> Stacked:
+    rows: list[Row] = []
+    y: list[float] = []
+    own: list[float] = []
+    if maps is not None and len(maps) == len(levels):
+        for level, number in enumerate(keep.tolist()):
+            means, counts = windows.log_means(maps[number])
+            for part in range(1, len(means)):
+                if np.isfinite(means[part]):
+                    rows.append(Row("map", level, part))
+                    y.append(float(means[part]))
+                    own.append(
+                        float(np.hypot(MAP_ERROR, noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
+                    )
+        return rows, y, own
+    speeds = levels.swe_mean_m_per_s[keep]
+    if np.isfinite(speeds).sum() < _FEWEST_SPEEDS:
+        return rows, y, own
+    for level in np.flatnonzero(np.isfinite(speeds)).tolist():
+        pixels = levels.swe_pixels[int(keep[level])]
+        cells = max(pixels, 1.0) if np.isfinite(pixels) else 1.0
+        rows.append(Row("swe", int(level), 0))
+        y.append(float(np.log(speeds[level])))
+        own.append(float(np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(cells))))
+    return rows, y, own
+
+
+def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
+    travel = levels.probe_travel[keep]
+    used = [int(k) for k in np.flatnonzero(np.isfinite(travel))]
+    return [Row("travel", k) for k in used], [float(travel[k]) for k in used], [TRAVEL_DEVIATION] * len(used)
+
+
+def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
+    first = levels.skin_bone[int(keep[0])] if len(keep) else np.nan
+    if not np.isfinite(first):
+        return [], [], []
+    return [Row("skin-bone", 0)], [float(first)], [THICKNESS_DEVIATION]
+
+
+def hold_rows(held: HeldForces | None) -> Stacked:
+    if held is None:
+        return [], [], []
+    return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
+
+
+def extra_rows(extras: Sequence[Extra]) -> Stacked:
+    rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
+    y = [float(value) for each in extras for value in each.y]
+    return rows, y, [float(value) for each in extras for value in each.deviation]
