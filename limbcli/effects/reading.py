@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.effects.monotone import Monotone
 from limbcli.model import Array
+from limbcli.monotone import Monotone
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,19 +19,6 @@ def test_values_and_slopes_equal_scipy(shape, rng):
     np.testing.assert_allclose(sample.slopes, twin(places, 1), rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.parametrize("monotone", [True, False])
-def test_derivative_with_respect_to_the_curve_is_that_of_differences(monotone, rng):
-    knots = np.cumsum(rng.uniform(0.2, 1.0, 9))
-    values = np.cumsum(rng.uniform(0.1, 1.0, 9)) if monotone else rng.standard_normal(9)
-    places = np.r_[knots[0], rng.uniform(knots[0], knots[-1], 30), knots[-1]]
-    weights = pchip_sample(knots, values, places).weights
-    step = 1e-6
-    for k in range(len(knots)):
-        move = step * np.eye(9)[k]
-        up, down = (pchip_sample(knots, values + s * move, places).values for s in (1, -1))
-        np.testing.assert_allclose(weights[:, k], (up - down) / (2 * step), atol=1e-7)
-
-
 def test_a_knot_is_reproduced_exactly(rng):
     knots = np.arange(5.0)
     values = rng.standard_normal(5)
