@@ -15,7 +15,7 @@ from typing import Any
 
 from limbcli import case_schema as schema
 from limbcli.errors import CaseError
-from limbcli.problems import Problem, raise_errors
+from limbcli.problems import Problem, checked
 
 CASE_FILE = "case.toml"
 
@@ -111,10 +111,7 @@ class Case:
         CaseError
             With every problem of case.toml and every file missing.
         """
-        case, problems = read_case(folder)
-        raise_errors(problems, CaseError)
-        assert case is not None
-        return case
+        return checked(*read_case(folder), CaseError)
 
     def site(self, name: str) -> Site:
         """One site by name.

@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 from limbcli.errors import LimbError
 
 AnyError = TypeVar("AnyError", bound=LimbError)
+Checked = TypeVar("Checked")
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,17 @@ def raise_errors(problems: Iterable[Problem], family: type[AnyError]) -> None:
         fix="mend them all, then `limbcli check CASE` to be sure",
         **facts,
     )
+
+
+def checked(value: Checked | None, problems: Iterable[Problem], family: type[AnyError]) -> Checked:
+    """What a check found good; raises as `raise_errors` does.
+
+    >>> checked(3, [Problem("a", "b", "c", severity="warning")], LimbError)
+    3
+    """
+    raise_errors(problems, family)
+    assert value is not None
+    return value
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ A map is in the probe's frame: `lateral` along its long side from its centre,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,9 @@ import numpy as np
 from limbcli import units
 from limbcli.errors import MeasurementError
 from limbcli.files import atomic_file
-from limbcli.measurement.tables import RawTable, read_table
+from limbcli.measurement.tables import RawTable, problem, read_table
 from limbcli.model import Array
-from limbcli.problems import Problem, raise_errors
+from limbcli.problems import Problem, checked, raise_errors
 
 COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
@@ -147,10 +147,7 @@ def read_map(path: Path) -> SweMap:
     MeasurementError
         With every problem of the file and its line.
     """
-    swe, problems = check_map(path)
-    raise_errors(problems, MeasurementError)
-    assert swe is not None
-    return swe
+    return checked(*check_map(path), MeasurementError)
 
 
 def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
@@ -176,7 +173,7 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
     for path in expected:
         if not path.is_file():
             fix = "write a file a row of levels.csv, or leave swe_maps out of the site"
-            problems.append(_problem(f"the map {path.name} is missing", folder, fix))
+            problems.append(problem(f"the map {path.name} is missing", folder, fix))
             continue
         swe, found = check_map(path)
         problems += found
@@ -185,7 +182,7 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
     for path in sorted(folder.glob("*")):
         if path not in expected and not path.name.startswith("."):
             fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
-            problems.append(_problem(f"{path.name} belongs to no level", folder, fix))
+            problems.append(problem(f"{path.name} belongs to no level", folder, fix))
     return maps, problems
 
 
@@ -199,7 +196,7 @@ def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
         return []
     what = f"the map reaches {half:g} mm to the side; the probe's image ends at {probe_length / 2:g} mm"
     fix = "lateral_mm is in mm from the probe's centre, not pixels nor from the image's edge"
-    return [_problem(what, swe.path or Path("shear-wave map"), fix)]
+    return [problem(what, swe.path or Path("shear-wave map"), fix)]
 
 
 def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
@@ -214,7 +211,7 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
         return []
     what = f"the map's mean speed is {own:.2f} m/s, that of levels.csv {mean_m_per_s:.2f} m/s"
     fix = "one of them is not in m/s, of another level, or of another region of interest"
-    return [replace(_problem(what, swe.path or Path("shear-wave map"), fix), severity="warning")]
+    return [problem(what, swe.path or Path("shear-wave map"), fix, warning=True)]
 
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
@@ -229,11 +226,6 @@ def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
     return swe, problems
 
 
-def _problem(what: str, path: Path, fix: str, *, line: int | None = None) -> Problem:
-    where = f"{path}, line {line}" if line else str(path)
-    return Problem(what, where, fix, family="measurement")
-
-
 def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
     rules: Sequence[tuple[str, Array, float, float, str]] = (
         ("lateral_mm", swe.lateral, -_MAX_LATERAL, _MAX_LATERAL, "mm from the probe's centre, not pixels"),
@@ -246,10 +238,10 @@ def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
         rows = np.flatnonzero((values < low) | (values > high))
         for k in rows[:_SHOWN]:
             what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
-            problems.append(_problem(what, path, f"it is in {fix}", line=table.lines[k]))
+            problems.append(problem(what, path, f"it is in {fix}", line=table.lines[k]))
         if len(rows) > _SHOWN:
             what = f"and {len(rows) - _SHOWN} more values of {name} like these"
-            problems.append(_problem(what, path, f"it is in {fix}"))
+            problems.append(problem(what, path, f"it is in {fix}"))
     return problems
 
 
@@ -262,4 +254,4 @@ def _check_repeats(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
     k = int(again[0])
     first_pixel = f"lateral {swe.lateral[k]:g}, depth {swe.depth[k]:g}"
     what = f"{len(again)} pixels stand more than once (first: {first_pixel})"
-    return [_problem(what, path, "keep one reading a pixel", line=table.lines[k])]
+    return [problem(what, path, "keep one reading a pixel", line=table.lines[k])]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.indentation import Trace
+from limbcli.measurement.trace import Trace
 from limbcli.model import Array
 
 _FEWEST_SAMPLES = 3

@@ -1,4 +1,4 @@
-"""The force-depth measurement: `levels.csv` and `trace.csv`, read and checked.
+"""The force-depth measurement: `levels.csv` (and `trace.csv`), read and checked.
 
 A reading that cannot be true (a depth in cm, a force in grams, a repeated level)
 stops with its line; one that is merely unusual is a warning.
@@ -6,90 +6,44 @@ stops with its line; one that is merely unusual is a warning.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.measurement.level_checks import (
+    check_columns,
+    check_count,
+    check_order,
+    check_phase,
+    check_plausible,
+    check_swe,
+    check_values,
+)
+from limbcli.measurement.levels import Levels
 from limbcli.measurement.tables import RawTable, read_table
-from limbcli.model import Array
-from limbcli.problems import Problem, raise_errors
-from limbcli.units import mpa_from_pa
+from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
+from limbcli.problems import Problem, checked
+
+__all__ = [
+    "OPTIONAL",
+    "REQUIRED",
+    "TEXTS",
+    "TRACE_OPTIONAL",
+    "TRACE_REQUIRED",
+    "Levels",
+    "Trace",
+    "check_levels",
+    "check_trace",
+    "check_values",
+    "doubts_about_levels",
+    "read_levels",
+    "read_trace",
+]
 
 REQUIRED = ("force_n", "depth_mm")
 OPTIONAL = ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm")
 TEXTS = ("phase",)
-TRACE_REQUIRED = ("time_s", "force_n")
-TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
-
-# What a probe pressed on a calf by hand can give. Indentation of residual limbs: stiffness
-# 0.3 to 8 N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).
-_MAX_FORCE = 150.0
-_MAX_DEPTH = 60.0
-_STIFFNESS_LOW, _STIFFNESS_HIGH = 0.04, 40.0
-_STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.2, 8.0
-_PUNCH_LENGTH = 260.0
-_RATIO_LOW, _RATIO_HIGH = 0.2, 10.0
-_RATIO_UNUSUAL_LOW, _RATIO_UNUSUAL_HIGH = 0.4, 6.0
-_SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
-_SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
-_TOLERATED_DEPTH_DROP = 1.0
-_TOLERATED_FORCE_DROP = 1.0
-_SILENT_FORCE_DROP = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """One measurement, a row per force level, in the order measured; all arrays (n_levels,).
-
-    force N, compression positive; depth mm since level 0; swe_* m/s and pixel counts,
-    hold s, probe travel and skin-bone distance mm, NaN where not measured; phase
-    "load" or "unload".
-    """
-
-    force: Array
-    depth: Array
-    swe_mean_m_per_s: Array
-    swe_sd_m_per_s: Array
-    swe_pixels: Array
-    phase: tuple[str, ...]
-    hold: Array
-    probe_travel: Array
-    skin_bone: Array
-    path: Path
-
-    def __len__(self) -> int:
-        return len(self.force)
-
-    @property
-    def loading(self) -> np.ndarray:
-        """(n_levels,) bool: the levels of the loading phase."""
-        return np.array([each == "load" for each in self.phase])
-
-    @property
-    def has_swe(self) -> bool:
-        return bool(np.isfinite(self.swe_mean_m_per_s).any())
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """The load-cell record: time s, force N and, where recorded, depth and travel mm, acceleration g."""
-
-    time: Array
-    force: Array
-    depth: Array | None
-    probe_travel: Array | None
-    acceleration_g: Array | None
-    path: Path
-
-    def since(self, time_s: float) -> Trace:
-        """The part of the record after a time."""
-        late = self.time > time_s
-        parts = (self.depth, self.probe_travel, self.acceleration_g)
-        depth, travel, acceleration = (None if each is None else each[late] for each in parts)
-        return Trace(self.time[late], self.force[late], depth, travel, acceleration, self.path)
 
 
 def read_levels(path: Path) -> Levels:
@@ -100,10 +54,7 @@ def read_levels(path: Path) -> Levels:
     MeasurementError
         With every problem of the file and its line.
     """
-    levels, problems = check_levels(path)
-    raise_errors(problems, MeasurementError)
-    assert levels is not None
-    return levels
+    return checked(*check_levels(path), MeasurementError)
 
 
 def doubts_about_levels(path: Path) -> tuple[str, ...]:
@@ -118,14 +69,14 @@ def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
     if table is None or any(each.severity == "error" for each in problems):
         return None, problems
     levels = _levels(table, path)
-    problems += _check_count(levels, path)
-    problems += _check_phase(levels, table, path)
-    problems += _check_columns(levels, table, path)
+    problems += check_count(levels, path)
+    problems += check_phase(levels, table, path)
+    problems += check_columns(levels, table, path)
     if not any(each.severity == "error" for each in problems):
-        speeds = _check_swe(levels, table, path)
+        speeds = check_swe(levels, table, path)
         trusted = not any(each.severity == "error" for each in speeds)
-        problems += _check_order(levels, table, path)
-        problems += _check_plausible(levels, path, speed_is_possible=trusted)
+        problems += check_order(levels, table, path)
+        problems += check_plausible(levels, path, speed_is_possible=trusted)
         problems += speeds
     return levels, problems
 
@@ -145,223 +96,3 @@ def _levels(table: RawTable, path: Path) -> Levels:
         skin_bone=table.numbers.get("skin_bone_mm", missing),
         path=path,
     )
-
-
-def _problem(what: str, path: Path, fix: str, *, line: int | None = None, warning: bool = False) -> Problem:
-    where = f"{path}, line {line}" if line else str(path)
-    return Problem(what, where, fix, severity="warning" if warning else "error", family="measurement")
-
-
-def _check_count(levels: Levels, path: Path) -> list[Problem]:
-    n = int(levels.loading.sum())
-    if len(levels) == 1:
-        fix = "measure in steps of about 2 N; a curve needs at least three levels"
-        return [_problem("there is one level only", path, fix)]
-    if n < 3:
-        fix = "a curve with two parameters needs at least three levels of loading"
-        return [_problem(f"there are {n} levels of loading only", path, fix)]
-    return []
-
-
-def _check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    return [
-        _problem(f"phase is {name!r}", path, "write `load` or `unload`", line=line)
-        for name, line in zip(levels.phase, table.lines, strict=True)
-        if name not in ("load", "unload")
-    ]
-
-
-# What no level can have: column, least, most, what it is and the usual slip.
-_POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
-    ("force_n", -0.5, _MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
-     "or a tare missing?"),
-    ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
-    ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
-    ("swe_pixels", 1.0, 1e7, "pixels"),
-    ("hold_s", 0.0, 3600.0, "s; is the time in milliseconds?"),
-    ("skin_bone_mm", 0.5, 150.0, "mm"),
-)  # fmt: skip
-
-
-def check_values(
-    columns: Mapping[str, Array | Sequence[float]], path: Path, *, lines: list[int] | None = None
-) -> list[Problem]:
-    """Values that no level can have, cell by cell.
-
-    columns : by their name in levels.csv, (n_levels,) each
-    lines : of the file, one a level, where there is a file
-    """
-    problems = []
-    for name, low, high, meaning in _POSSIBLE:
-        values = np.asarray(columns.get(name, ()), dtype=float)
-        for k in np.flatnonzero((values < low) | (values > high)):
-            what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
-            what += "" if lines else f" (level {k})"
-            problems.append(_problem(what, path, f"correct it ({meaning})", line=lines[k] if lines else None))
-    return problems
-
-
-def _check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    columns = {
-        "force_n": levels.force, "depth_mm": levels.depth, "swe_sd_m_per_s": levels.swe_sd_m_per_s,
-        "swe_pixels": levels.swe_pixels, "hold_s": levels.hold, "skin_bone_mm": levels.skin_bone,
-    }  # fmt: skip
-    return check_values(columns, path, lines=table.lines)
-
-
-def _check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    problems = []
-    for phase, sign in (("load", 1.0), ("unload", -1.0)):
-        rows = np.array([k for k, each in enumerate(levels.phase) if each == phase], dtype=int)
-        force, depth = sign * levels.force[rows], sign * levels.depth[rows]
-        lines = [table.lines[k] for k in rows]
-        for k in range(1, len(rows)):
-            place = f"line {lines[k - 1]} to {lines[k]}"
-            if force[k] == force[k - 1] and depth[k] == depth[k - 1]:
-                problems.append(
-                    _problem(f"the level of {place} is repeated", path, "keep one", line=lines[k])
-                )
-            elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP and depth[k] > depth[k - 1]:
-                fix = "rows stand in the order measured; mark unloading with phase = unload"
-                what = f"the force falls while the depth grows ({place}, phase {phase})"
-                problems.append(_problem(what, path, fix, line=lines[k]))
-            elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP:
-                fix = "sort the rows in the order measured; mark unloading with phase = unload"
-                what = f"the levels are not in order of force ({place}, phase {phase})"
-                problems.append(_problem(what, path, fix, line=lines[k]))
-            elif sign > 0 and force[k] < force[k - 1] - _SILENT_FORCE_DROP and depth[k] > depth[k - 1]:
-                what = f"the force falls by {force[k - 1] - force[k]:.2g} N while the depth grows ({place})"
-                fix = "check the reading, or measure this level again"
-                problems.append(_problem(what, path, fix, line=lines[k], warning=True))
-            elif depth[k] < depth[k - 1] - _TOLERATED_DEPTH_DROP:
-                fix = "check the depth reading of these levels"
-                what = (
-                    f"the depth shrinks by {depth[k - 1] - depth[k]:.1f} mm while the force grows ({place})"
-                )
-                problems.append(_problem(what, path, fix, line=lines[k], warning=True))
-    return problems
-
-
-def _check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
-    """Wrong units show in the stiffness: cm make it ten times too high, kgf ten times too low."""
-    problems = []
-    span_depth = float(np.ptp(levels.depth[levels.loading]))
-    span_force = float(np.ptp(levels.force[levels.loading]))
-    if span_force <= 0 or span_depth <= 0:
-        fix = "check both columns; the depth is counted from level 0"
-        return [_problem("force or depth does not grow over the levels", path, fix)]
-    stiffness = span_force / span_depth
-    expected = _expected_stiffness(levels) if speed_is_possible else np.nan
-    problems += _check_stiffness(stiffness, expected, path)
-    if levels.force[0] > 2.0 or levels.depth[0] > 2.0:
-        fix = "level 0 is first touch: about 0 N and 0 mm"
-        what = f"the first level is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
-        problems.append(_problem(what, path, fix, warning=True))
-    return problems
-
-
-def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
-    """Against what limbs give, and against what this tissue's own wave speed lets expect (NaN: unknown)."""
-    text = f"force over depth is {stiffness:.3g} N/mm"
-    stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
-    soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
-    ratio = stiffness / expected
-    if np.isfinite(ratio):
-        stiff_fix += ", swe_mean_m_per_s in m/s"
-        soft_fix += ", swe_mean_m_per_s in m/s (is it a modulus in kPa?)"
-    if stiffness > _STIFFNESS_HIGH or ratio > _RATIO_HIGH:
-        return [_problem(f"{text}; no limb{_than(ratio)} is that stiff", path, stiff_fix)]
-    if stiffness < _STIFFNESS_LOW or ratio < _RATIO_LOW:
-        return [_problem(f"{text}; no limb{_than(ratio)} is that soft", path, soft_fix)]
-    unusual = not _STIFFNESS_UNUSUAL_LOW <= stiffness <= _STIFFNESS_UNUSUAL_HIGH
-    if unusual or ratio > _RATIO_UNUSUAL_HIGH or ratio < _RATIO_UNUSUAL_LOW:
-        fix = "check the units (N, mm, m/s); kgf, cm and kPa are the usual slips"
-        return [_problem(f"{text}, which is unusual{_than(ratio)}", path, fix, warning=True)]
-    return []
-
-
-def _expected_stiffness(levels: Levels) -> float:
-    """N/mm of a flat probe on tissue of the modulus that level 0's wave speed gives; NaN without.
-
-    F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue
-    (linear elastic, bonded to bone).
-    """
-    speed = float(levels.swe_mean_m_per_s[0])
-    return mpa_from_pa(1000.0 * speed**2) * _PUNCH_LENGTH
-
-
-def _than(ratio: float) -> str:
-    return f" ({ratio:.2g} times what its shear-wave speed lets expect)" if np.isfinite(ratio) else ""
-
-
-def _check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    speed = levels.swe_mean_m_per_s
-    problems = []
-    if not levels.has_swe:
-        fix = "add swe_mean_m_per_s, or give `fit` the stiffness with --c-kpa"
-        return [_problem("there is no shear-wave speed at any level", path, fix, warning=True)]
-    for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
-        unit = "is it in cm/s?" if speed[k] > _SPEED_HIGH_M_PER_S else "is it in kPa, or a masked value?"
-        what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
-        what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
-        problems.append(_problem(what, path, f"the column is in m/s ({unit})", line=table.lines[k]))
-    if speed[0] > _SPEED_UNUSUAL_M_PER_S:
-        what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
-        fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"
-        problems.append(_problem(what, path, fix, line=table.lines[0], warning=True))
-    if not np.isfinite(speed[0]):
-        fix = "c comes from the speed at level 0; measure it, or give `fit` --c-kpa"
-        problems.append(
-            _problem("level 0 has no shear-wave speed", path, fix, line=table.lines[0], warning=True)
-        )
-    n_missing = int(np.isnan(speed).sum())
-    if 0 < n_missing < len(speed):
-        what = f"{n_missing} of {len(speed)} levels have no shear-wave speed"
-        problems.append(_problem(what, path, "they are left out of the SWE figures", warning=True))
-    return problems
-
-
-def read_trace(path: Path) -> Trace:
-    """Read and check `trace.csv`.
-
-    Raises
-    ------
-    MeasurementError
-        With every problem of the file and its line.
-    """
-    trace, problems = check_trace(path)
-    raise_errors(problems, MeasurementError)
-    assert trace is not None
-    return trace
-
-
-def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
-    """The trace, where it can be used, and every problem."""
-    table, problems = read_table(path, required=TRACE_REQUIRED, optional=TRACE_OPTIONAL)
-    if table is None or any(each.severity == "error" for each in problems):
-        return None, problems
-    time = table.numbers["time_s"]
-    for k in np.flatnonzero(np.diff(time) <= 0)[:3]:
-        what = f"time_s does not grow ({time[k]:g} then {time[k + 1]:g} s)"
-        problems.append(
-            _problem(what, path, "sort by time; remove repeated samples", line=table.lines[k + 1])
-        )
-    if np.abs(table.numbers["force_n"]).max() > _MAX_FORCE:
-        what = f"force_n reaches {np.abs(table.numbers['force_n']).max():g} N"
-        problems.append(_problem(what, path, "the column is in N (is it in grams?)"))
-    accelerations = [f"accel_{axis}_g" for axis in "xyz"]
-    present = [name for name in accelerations if name in table.numbers]
-    if present and len(present) < len(accelerations):
-        missing = sorted(set(accelerations) - set(present))
-        problems.append(_problem(f"{', '.join(missing)} is missing", path, "give all three axes or none"))
-    trace = Trace(
-        time=time,
-        force=table.numbers["force_n"],
-        depth=table.numbers.get("depth_mm"),
-        probe_travel=table.numbers.get("probe_travel_mm"),
-        acceleration_g=np.column_stack([table.numbers[n] for n in accelerations])
-        if len(present) == len(accelerations)
-        else None,
-        path=path,
-    )
-    return trace, problems

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from limbcli.measurement.bmode import BoneLine
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.holds import Hold
-from limbcli.measurement.indentation import Trace
+from limbcli.measurement.trace import Trace
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 
 _COLUMNS = 5

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.indentation import Trace
+from limbcli.measurement.trace import Trace
 from limbcli.model import Array
 from limbcli.problems import suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM

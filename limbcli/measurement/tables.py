@@ -42,14 +42,14 @@ def read_table(
     rows = list(csv.reader(io.StringIO(content)))
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
     if not numbered:
-        return None, [_problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
+        return None, [problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
     header = [cell.strip() for cell in numbered[0][1]]
     problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
     if any(each.severity == "error" for each in problems):
         return None, problems
     body = numbered[1:]
     if not body:
-        return None, [_problem("the table has a header but no rows", path, "add the measured rows")]
+        return None, [problem("the table has a header but no rows", path, "add the measured rows")]
     cells, found = _check_width(body, len(header), path)
     problems += found
     numbers: dict[str, Array] = {}
@@ -63,29 +63,30 @@ def read_table(
         more = len(found) - _SHOWN_PER_FILE
         found = [
             *found[:_SHOWN_PER_FILE],
-            _problem(f"and {more} more cells like these", path, "mend them all"),
+            problem(f"and {more} more cells like these", path, "mend them all"),
         ]
     columns = {name: [row[j].strip() for _, row in cells] for j, name in enumerate(header) if name in texts}
     return RawTable(numbers, columns, [line for line, _ in cells]), problems + found
 
 
-def _problem(what: str, path: Path, fix: str, *, line: int | None = None) -> Problem:
+def problem(what: str, path: Path, fix: str, *, line: int | None = None, warning: bool = False) -> Problem:
+    """Something wrong with a file, or merely unusual, at a line."""
     where = f"{path}, line {line}" if line else str(path)
-    return Problem(what, where, fix, family="measurement")
+    return Problem(what, where, fix, severity="warning" if warning else "error", family="measurement")
 
 
 def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     try:
         content = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        return None, [_problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
+        return None, [problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
     except FileNotFoundError:
         fix = "put it there; `limbcli measure CASE --write` makes levels.csv from the instruments' files"
-        return None, [_problem("the file is not there", path, fix)]
+        return None, [problem("the file is not there", path, fix)]
     except OSError as error:
-        return None, [_problem(f"the file cannot be read ({error.strerror})", path, "check name and rights")]
+        return None, [problem(f"the file cannot be read ({error.strerror})", path, "check name and rights")]
     if "\0" in content:
-        return None, [_problem("the file is binary, not CSV", path, "export it as comma-separated text")]
+        return None, [problem("the file is binary, not CSV", path, "export it as comma-separated text")]
     return content, []
 
 
@@ -94,18 +95,18 @@ def _check_header(
 ) -> list[Problem]:
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         fix = "separate with commas (and write decimals with a point)"
-        return [_problem("the columns are not separated by commas", path, fix, line=1)]
+        return [problem("the columns are not separated by commas", path, fix, line=1)]
     problems = []
     for name in header:
         if name not in known:
             what = f"unknown column {name!r}" if name else "a column without a name"
-            problems.append(_problem(what, path, suggestion(name, known), line=1))
+            problems.append(problem(what, path, suggestion(name, known), line=1))
     for name in sorted({each for each in header if header.count(each) > 1}):
-        problems.append(_problem(f"column {name!r} stands twice", path, "keep one of them", line=1))
+        problems.append(problem(f"column {name!r} stands twice", path, "keep one of them", line=1))
     for name in required:
         if name not in header:
             fix = f"add it; its name carries the unit ({name.rsplit('_', 1)[-1]})"
-            problems.append(_problem(f"column {name!r} is missing", path, fix, line=1))
+            problems.append(problem(f"column {name!r} is missing", path, fix, line=1))
     return problems
 
 
@@ -119,7 +120,7 @@ def _check_width(
             continue
         fix = "one cell a column; write decimals with a point, not a comma"
         what = f"the row has {len(row)} cells, the header {width}"
-        problems.append(_problem(what, path, fix, line=line))
+        problems.append(problem(what, path, fix, line=line))
     return good, problems[:_SHOWN_PER_FILE]
 
 
@@ -137,9 +138,9 @@ def _numbers(
         except ValueError:
             what = f"{name} is {cell!r}, not a number" if cell else f"{name} is empty"
             fix = "write a number with a decimal point, without its unit"
-            problems.append(_problem(what, path, fix, line=line))
+            problems.append(problem(what, path, fix, line=line))
             continue
         if not np.isfinite(values[k]):
             fix = "leave the cell empty" if may_be_empty else "remove the row, or measure it again"
-            problems.append(_problem(f"{name} is {cell}", path, fix, line=line))
+            problems.append(problem(f"{name} is {cell}", path, fix, line=line))
     return values, problems

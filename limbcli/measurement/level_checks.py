@@ -1,0 +1,199 @@
+"""What the levels of an indentation cannot be, and what is merely unusual of them.
+
+Every check gives its problems with line and usual slip; wrong units show in the stiffness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.measurement.levels import Levels
+from limbcli.measurement.tables import RawTable, problem
+from limbcli.model import Array
+from limbcli.problems import Problem
+from limbcli.units import mpa_from_pa
+
+# What a probe pressed on a calf by hand can give. Indentation of residual limbs: stiffness
+# 0.3 to 8 N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).
+MAX_FORCE = 150.0
+_MAX_DEPTH = 60.0
+_STIFFNESS_LOW, _STIFFNESS_HIGH = 0.04, 40.0
+_STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.2, 8.0
+_PUNCH_LENGTH = 260.0
+_RATIO_LOW, _RATIO_HIGH = 0.2, 10.0
+_RATIO_UNUSUAL_LOW, _RATIO_UNUSUAL_HIGH = 0.4, 6.0
+_SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
+_SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
+_TOLERATED_DEPTH_DROP = 1.0
+_TOLERATED_FORCE_DROP = 1.0
+_SILENT_FORCE_DROP = 0.3
+
+
+def check_count(levels: Levels, path: Path) -> list[Problem]:
+    n = int(levels.loading.sum())
+    if len(levels) == 1:
+        fix = "measure in steps of about 2 N; a curve needs at least three levels"
+        return [problem("there is one level only", path, fix)]
+    if n < 3:
+        fix = "a curve with two parameters needs at least three levels of loading"
+        return [problem(f"there are {n} levels of loading only", path, fix)]
+    return []
+
+
+def check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    return [
+        problem(f"phase is {name!r}", path, "write `load` or `unload`", line=line)
+        for name, line in zip(levels.phase, table.lines, strict=True)
+        if name not in ("load", "unload")
+    ]
+
+
+# What no level can have: column, least, most, what it is and the usual slip.
+_POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
+    ("force_n", -0.5, MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
+     "or a tare missing?"),
+    ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
+    ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
+    ("swe_pixels", 1.0, 1e7, "pixels"),
+    ("hold_s", 0.0, 3600.0, "s; is the time in milliseconds?"),
+    ("skin_bone_mm", 0.5, 150.0, "mm"),
+)  # fmt: skip
+
+
+def check_values(
+    columns: Mapping[str, Array | Sequence[float]], path: Path, *, lines: list[int] | None = None
+) -> list[Problem]:
+    """Values that no level can have, cell by cell.
+
+    columns : by their name in levels.csv, (n_levels,) each
+    lines : of the file, one a level, where there is a file
+    """
+    problems = []
+    for name, low, high, meaning in _POSSIBLE:
+        values = np.asarray(columns.get(name, ()), dtype=float)
+        for k in np.flatnonzero((values < low) | (values > high)):
+            what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
+            what += "" if lines else f" (level {k})"
+            problems.append(problem(what, path, f"correct it ({meaning})", line=lines[k] if lines else None))
+    return problems
+
+
+def check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    columns = {
+        "force_n": levels.force, "depth_mm": levels.depth, "swe_sd_m_per_s": levels.swe_sd_m_per_s,
+        "swe_pixels": levels.swe_pixels, "hold_s": levels.hold, "skin_bone_mm": levels.skin_bone,
+    }  # fmt: skip
+    return check_values(columns, path, lines=table.lines)
+
+
+def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    problems = []
+    for phase, sign in (("load", 1.0), ("unload", -1.0)):
+        rows = np.array([k for k, each in enumerate(levels.phase) if each == phase], dtype=int)
+        force, depth = sign * levels.force[rows], sign * levels.depth[rows]
+        lines = [table.lines[k] for k in rows]
+        for k in range(1, len(rows)):
+            place = f"line {lines[k - 1]} to {lines[k]}"
+            if force[k] == force[k - 1] and depth[k] == depth[k - 1]:
+                problems.append(problem(f"the level of {place} is repeated", path, "keep one", line=lines[k]))
+            elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP and depth[k] > depth[k - 1]:
+                fix = "rows stand in the order measured; mark unloading with phase = unload"
+                what = f"the force falls while the depth grows ({place}, phase {phase})"
+                problems.append(problem(what, path, fix, line=lines[k]))
+            elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP:
+                fix = "sort the rows in the order measured; mark unloading with phase = unload"
+                what = f"the levels are not in order of force ({place}, phase {phase})"
+                problems.append(problem(what, path, fix, line=lines[k]))
+            elif sign > 0 and force[k] < force[k - 1] - _SILENT_FORCE_DROP and depth[k] > depth[k - 1]:
+                what = f"the force falls by {force[k - 1] - force[k]:.2g} N while the depth grows ({place})"
+                fix = "check the reading, or measure this level again"
+                problems.append(problem(what, path, fix, line=lines[k], warning=True))
+            elif depth[k] < depth[k - 1] - _TOLERATED_DEPTH_DROP:
+                fix = "check the depth reading of these levels"
+                what = (
+                    f"the depth shrinks by {depth[k - 1] - depth[k]:.1f} mm while the force grows ({place})"
+                )
+                problems.append(problem(what, path, fix, line=lines[k], warning=True))
+    return problems
+
+
+def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
+    """Wrong units show in the stiffness: cm make it ten times too high, kgf ten times too low."""
+    problems = []
+    span_depth = float(np.ptp(levels.depth[levels.loading]))
+    span_force = float(np.ptp(levels.force[levels.loading]))
+    if span_force <= 0 or span_depth <= 0:
+        fix = "check both columns; the depth is counted from level 0"
+        return [problem("force or depth does not grow over the levels", path, fix)]
+    stiffness = span_force / span_depth
+    expected = _expected_stiffness(levels) if speed_is_possible else np.nan
+    problems += _check_stiffness(stiffness, expected, path)
+    if levels.force[0] > 2.0 or levels.depth[0] > 2.0:
+        fix = "level 0 is first touch: about 0 N and 0 mm"
+        what = f"the first level is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
+        problems.append(problem(what, path, fix, warning=True))
+    return problems
+
+
+def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
+    """Against what limbs give, and against what this tissue's own wave speed lets expect (NaN: unknown)."""
+    text = f"force over depth is {stiffness:.3g} N/mm"
+    stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
+    soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
+    ratio = stiffness / expected
+    if np.isfinite(ratio):
+        stiff_fix += ", swe_mean_m_per_s in m/s"
+        soft_fix += ", swe_mean_m_per_s in m/s (is it a modulus in kPa?)"
+    if stiffness > _STIFFNESS_HIGH or ratio > _RATIO_HIGH:
+        return [problem(f"{text}; no limb{_than(ratio)} is that stiff", path, stiff_fix)]
+    if stiffness < _STIFFNESS_LOW or ratio < _RATIO_LOW:
+        return [problem(f"{text}; no limb{_than(ratio)} is that soft", path, soft_fix)]
+    unusual = not _STIFFNESS_UNUSUAL_LOW <= stiffness <= _STIFFNESS_UNUSUAL_HIGH
+    if unusual or ratio > _RATIO_UNUSUAL_HIGH or ratio < _RATIO_UNUSUAL_LOW:
+        fix = "check the units (N, mm, m/s); kgf, cm and kPa are the usual slips"
+        return [problem(f"{text}, which is unusual{_than(ratio)}", path, fix, warning=True)]
+    return []
+
+
+def _expected_stiffness(levels: Levels) -> float:
+    """N/mm of a flat probe on tissue of the modulus that level 0's wave speed gives; NaN without.
+
+    F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue
+    (linear elastic, bonded to bone).
+    """
+    speed = float(levels.swe_mean_m_per_s[0])
+    return mpa_from_pa(1000.0 * speed**2) * _PUNCH_LENGTH
+
+
+def _than(ratio: float) -> str:
+    return f" ({ratio:.2g} times what its shear-wave speed lets expect)" if np.isfinite(ratio) else ""
+
+
+def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    speed = levels.swe_mean_m_per_s
+    problems = []
+    if not levels.has_swe:
+        fix = "add swe_mean_m_per_s, or give `fit` the stiffness with --c-kpa"
+        return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
+    for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
+        unit = "is it in cm/s?" if speed[k] > _SPEED_HIGH_M_PER_S else "is it in kPa, or a masked value?"
+        what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
+        what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
+        problems.append(problem(what, path, f"the column is in m/s ({unit})", line=table.lines[k]))
+    if speed[0] > _SPEED_UNUSUAL_M_PER_S:
+        what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
+        fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"
+        problems.append(problem(what, path, fix, line=table.lines[0], warning=True))
+    if not np.isfinite(speed[0]):
+        fix = "c comes from the speed at level 0; measure it, or give `fit` --c-kpa"
+        problems.append(
+            problem("level 0 has no shear-wave speed", path, fix, line=table.lines[0], warning=True)
+        )
+    n_missing = int(np.isnan(speed).sum())
+    if 0 < n_missing < len(speed):
+        what = f"{n_missing} of {len(speed)} levels have no shear-wave speed"
+        problems.append(problem(what, path, "they are left out of the SWE figures", warning=True))
+    return problems
