@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Fitted
 from limbcli.diagnostics.estimates import WITHIN, Conditional
-from limbcli.diagnostics.linear import Whitener
+from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import FitError
@@ -186,24 +186,28 @@ class Fits:
     def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
         """Where a size ran to its bound and a plausible one lies within its interval: the fit with that one.
 
-        Flat least squares run to a bound by chance; that says nothing against the effect.
+        Flat least squares run to a bound by chance; that says nothing against the effect. They are flat where
+        no size, however large, would fit much better, to first order.
         """
-        sizes = self._plausible_sizes(fitted)
-        if not sizes:
-            return fitted
-        explanation = fitted.explanation
-        again, other = self.best_fit(explanation, points, {}, held=sizes)
-        return other if not other.at_bound and again < deviance + WITHIN else fitted
+        for share in (0.0, 0.5):
+            sizes = self._plausible_sizes(fitted, share)
+            if not sizes:
+                break
+            again, other = self.best_fit(fitted.explanation, points, {}, held=sizes)
+            left = LinearFit.of(self.whiten(self.data.y - other.prediction), self.whiten(other.jacobian)).chi2
+            if not other.at_bound and again < min(deviance, left) + WITHIN:
+                return other
+        return fitted
 
-    def _plausible_sizes(self, fitted: Fitted) -> dict[str, float]:
-        """Of the parameters on a bound that is not the null: their plausible value on that side."""
+    def _plausible_sizes(self, fitted: Fitted, share: float) -> dict[str, float]:
+        """Of the parameters on a bound that is not the null: their plausible value on that side, or that share
+        of the way on to the bound."""
         sizes = {}
         for slot in self.slots(fitted.explanation):
-            p, away = slot.parameter, fitted.values[slot.name] - slot.parameter.null
+            p, value = slot.parameter, fitted.values[slot.name]
             if any(text.startswith(slot.name + " ended on") for text in fitted.at_bound):
-                sizes[slot.name] = float(
-                    np.clip(p.null + np.sign(away) * abs(p.typical - p.null), p.low, p.high)
-                )
+                usual = np.clip(p.null + np.sign(value - p.null) * abs(p.typical - p.null), p.low, p.high)
+                sizes[slot.name] = float(usual + share * (value - usual))
         return sizes
 
     def _around(self, held: Mapping[str, float], explanation: Explanation) -> tuple[Array, Array]:
