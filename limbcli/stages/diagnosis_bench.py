@@ -21,7 +21,7 @@ from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits
+from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, Slot
 from limbcli.stages.diagnosis_menu import menu
 from limbcli.stages.diagnosis_numerics import Tie
 from limbcli.stages.diagnosis_site import Book, SiteCurves, only_febio
@@ -117,7 +117,7 @@ class SiteBench(Fits):
         found, problem = [], None
         for point in effect.grid:
             try:
-                columns = [self.column(fitted, effect, slot, point) for slot in slots]
+                columns = [self._column(fitted, effect, slot, point) for slot in slots]
             except SolveError as error:  # the other points may do
                 problem = error
                 continue
@@ -132,6 +132,26 @@ class SiteBench(Fits):
         return menu(self, fits)
 
     # ------------------------------------------------------------
+
+    def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
+        """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
+        p, old = slot.parameter, fitted.explanation
+        points = [*self.points(fitted), point]
+        explanation = (*old, effect.name)
+        slots = self.slots(explanation)
+        values = {s.name: s.parameter.null for s in slots} | dict(fitted.values)
+        x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
+        x += [values[s.name] for s in slots]
+        k = 2 + [s.name for s in slots].index(slot.name)
+        step = 0.02 * (p.start - p.null)
+        up, down = np.array(x), np.array(x)
+        up[k] += step
+        if not p.sign:
+            down[k] -= step
+        for each in self.sites:
+            each.inherit(old, points[:-1], explanation, points)
+        moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+        return np.asarray(moved / (up[k] - down[k]))
 
     def _fit_base(self) -> Fitted:
         for m in _M_START:

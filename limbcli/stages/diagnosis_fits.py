@@ -130,26 +130,6 @@ class Fits:
             columns.append(change / (2 * _DIFFERENCE * size))
         return np.stack(columns, axis=1)
 
-    def column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
-        """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
-        p, old = slot.parameter, fitted.explanation
-        points = [*self.points(fitted), point]
-        explanation = (*old, effect.name)
-        slots = self.slots(explanation)
-        values = {s.name: s.parameter.null for s in slots} | dict(fitted.values)
-        x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
-        x += [values[s.name] for s in slots]
-        k = 2 + [s.name for s in slots].index(slot.name)
-        step = 0.02 * (p.start - p.null)
-        up, down = np.array(x), np.array(x)
-        up[k] += step
-        if not p.sign:
-            down[k] -= step
-        for each in self.sites:
-            each.inherit(old, points[:-1], explanation, points)
-        moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
-        return np.asarray(moved / (up[k] - down[k]))
-
     # ------------------------------------------------------------ fits
 
     def best_fit(
@@ -200,8 +180,7 @@ class Fits:
         return fitted
 
     def _plausible_sizes(self, fitted: Fitted, share: float) -> dict[str, float]:
-        """Of the parameters on a bound that is not the null: their plausible value on that side, or that share
-        of the way on to the bound."""
+        """Of the parameters on a bound: their plausible value on that side, or that share of the way on."""
         sizes = {}
         for slot in self.slots(fitted.explanation):
             p, value = slot.parameter, fitted.values[slot.name]
