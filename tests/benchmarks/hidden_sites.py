@@ -4,7 +4,8 @@
 
 CASE must have been segmented, meshed and run into OUT. The measurement is simulated on --truth (the case
 itself by default; for a phantom its true surfaces) with a mesh of its own, and every arm is one
-line of <work>/sites.jsonl. A summary of verdicts ends the run.
+line of <work>/sites.jsonl. A summary of verdicts ends the run. Several sites are simulated with the same
+hidden effects; those that share a place (two orientations) are diagnosed together.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from limbcli.stages.synth import SynthOptions, synth
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
 anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2
-nonlinearity=0.9 tilt=7 friction=0.3"""
+nonlinearity=0.9 tilt=7 friction=0.3 thickness=0.1 force-gain=1.08 depth-gain=1.05"""
 TISSUE = KnownTissue(8.0, 80.0, 6.0)
 
 
@@ -43,22 +44,23 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
     begun = time.perf_counter()
     protocol = Protocol(max_force=options.max_force_n)
     synth(
-        source, out=work / "truth-out", out_case=made, sites=[options.site],
+        source, out=work / "truth-out", out_case=made, sites=options.site,
         options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0),
     )  # fmt: skip
     simulated, processor = time.perf_counter(), time.process_time()
     trial = work / "case"
     shutil.rmtree(trial, ignore_errors=True)
     shutil.copytree(options.case, trial)
-    shutil.rmtree(trial / options.site, ignore_errors=True)
-    shutil.copytree(made / options.site, trial / options.site)
+    for site in options.site:
+        shutil.rmtree(trial / site, ignore_errors=True)
+        shutil.copytree(made / site, trial / site)
     out = work / "out"
     if not out.is_dir():
         shutil.copytree(options.out, out, ignore=shutil.ignore_patterns("fit", "report", "diagnose"))
-    found = diagnose(Case.open(trial), out=out, sites=[options.site], options=DiagnoseOptions())[0].data
+    found = diagnose(Case.open(trial), out=out, sites=options.site, options=DiagnoseOptions())[0].data
     kept = work / "kept" / f"{arm}-{seed}.json"
     kept.parent.mkdir(exist_ok=True)
-    shutil.copyfile(out / "diagnose" / options.site / "diagnosis.json", kept)
+    shutil.copyfile(out / "diagnose" / options.site[0] / "diagnosis.json", kept)
     truth = sorted(each.name for each in hidden)
     first, last = found["shrink"][0], found["shrink"][-1]
     ranked = sorted(found["candidates"], key=lambda c: c["p_adjusted"])
@@ -90,7 +92,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--site", default="p1")
+    parser.add_argument("--site", nargs="+", default=["p1"])
     parser.add_argument("--max-force-n", type=float, default=12.0)
     parser.add_argument("--arms", nargs="*", default=ARMS.split())
     parser.add_argument("--seed", type=int, default=100)
