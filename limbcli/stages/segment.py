@@ -26,13 +26,12 @@ from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
-from limbcli.imaging.surface import SMOOTH, ClosedSurface, read_surface, surface_of, write_surface
+from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
-from limbcli.meshing.mending import skin_and_bones
-from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
+from limbcli.stages.segment_surfaces import from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
 LABELS = "labels.nii.gz"
@@ -97,7 +96,7 @@ def segment(
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.skin is not None:
-            _from_surfaces(case, writer)
+            from_surfaces(case, writer)
         elif case.imaging.labels is not None:
             _from_labels(case, case.imaging.labels, options, writer, progress)
         elif case.imaging.mri is not None:
@@ -206,7 +205,7 @@ def _write(
     for number, (name, bone) in enumerate(zip(names, found.bones, strict=True), 2):
         surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth)
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
-    _write_surfaces(surfaces, writer)
+    write_surfaces(surfaces, writer)
     _tell_markers(found, lowered, writer)
     _tell_layers(case, found, surfaces["skin"], writer)
     verdict = _tell_quality(found, names, writer)
@@ -254,78 +253,3 @@ def _tell_quality(found: Segmentation, names: tuple[str, ...], writer: StageWrit
     for finding in quality.findings:
         writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; look at contact-sheet.png")
     return quality.verdict
-
-
-def _from_surfaces(case: Case, writer: StageWriter) -> None:
-    assert case.imaging.skin is not None
-    writer.data["source"] = "surfaces"
-    writer.data["markers"] = []
-    given = [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]
-    for name, path in given:
-        writer.used(name, path)
-    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in given}
-    if not case.imaging.bones:
-        surfaces = _bodies(surfaces["skin"], case.imaging.skin, writer)
-    paths = dict(given)
-    surfaces = {
-        name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
-        for name, each in surfaces.items()
-    }
-    _write_surfaces(surfaces, writer)
-
-
-def _bodies(surface: ClosedSurface, path: Path, writer: StageWriter) -> dict[str, ClosedSurface]:
-    """Skin and bones out of one file that holds them all."""
-    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
-    if not bones:
-        raise CaseError(
-            "the skin's file holds one body only, and no bones are named",
-            where=str(path),
-            fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
-        )
-    writer.summary.append(
-        f"{path.name} holds {1 + len(bones)} bodies: the largest is the skin, the others bones"
-    )
-    named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
-    return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
-
-
-def _bone_names(case: Case) -> list[str]:
-    """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
-    names: list[str] = []
-    for number, path in enumerate(case.imaging.bones, 1):
-        known = [each for each in ("tibia", "fibula", "femur", "patella") if each in path.stem.lower()]
-        name = f"bone_{known[0] if len(known) == 1 else number}"
-        names.append(name if name not in names else f"bone_{number}")
-    return names
-
-
-def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
-    size = np.ptp(surface.points, axis=0).max()
-    if not 5.0 < size < 2000.0:
-        raise CaseError(
-            f"the surface `{name}` is {size:.3g} mm across",
-            where=str(path),
-            fix="save it in mm (patient LPS frame)",
-            size_mm=float(size),
-        )
-    return surface
-
-
-def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
-    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
-    if not surface.is_closed:
-        writer.warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
-    if surface.volume < 0:
-        surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
-        writer.warnings.append(f"the normals of {path.name} pointed inward and were turned")
-    return surface
-
-
-def _write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
-    volumes = {}
-    for name, surface in surfaces.items():
-        write_surface(writer.file(name, f"{name}.ply"), surface)
-        volumes[name] = surface.volume / 1e3
-        writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
-    writer.data["volume_cm3"] = volumes

@@ -31,6 +31,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
+from limbcli.stages.synth_case import case_table, copy_imaging
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
@@ -96,10 +97,11 @@ def synth(
     chosen = case.selected(sites)
     measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
     with atomic_folder(out_case) as work:
-        _copy_imaging(case, work)
+        copy_imaging(case, work)
         for each in measured:
             write_readings(work / each.site, each.readings)
-        (work / CASE_FILE).write_text(toml(_case_table(case, measured)), encoding="utf-8")
+        table = case_table(case, {each.site: each.law for each in measured})
+        (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
     with atomic_file(truth_file(out_case)) as path:
         path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
     return _result(case, out_case, measured)
@@ -212,51 +214,6 @@ def noise_law(noise: Noise) -> NoiseLaw:
 
 
 # ---------------------------------------------------------------- what is written
-
-
-def _copy_imaging(case: Case, work: Path) -> None:
-    """Images, labels and surfaces under the names that case.toml gives them."""
-    table = case.raw["imaging"]
-    for name in [*(table[key] for key in ("mri", "labels", "skin") if key in table), *table.get("bones", [])]:
-        source, target = case.folder / name, work / _inside(name)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir():
-            shutil.copytree(source, target)
-        else:
-            shutil.copyfile(source, target)
-
-
-def _inside(name: str) -> Path:
-    """A path of case.toml as a path within the new folder.
-
-    >>> _inside("../other/mri").as_posix(), _inside("mri").as_posix()
-    ('mri', 'mri')
-    """
-    path = Path(name)
-    return Path(path.name) if path.is_absolute() or ".." in path.parts else path
-
-
-def _case_table(case: Case, measured: list[SiteMeasurement]) -> dict[str, Any]:
-    table = {key: value for key, value in case.raw.items() if key != "site"}
-    imaging = dict(table["imaging"])
-    for key in ("mri", "labels", "skin"):
-        if key in imaging:
-            imaging[key] = _inside(imaging[key]).as_posix()
-    if "bones" in imaging:
-        imaging["bones"] = [_inside(each).as_posix() for each in imaging["bones"]]
-    by_name = {each.site: each for each in measured}
-    sites = [
-        measured_site(raw, by_name[raw["name"]].law) for raw in case.raw["site"] if raw["name"] in by_name
-    ]
-    return {**table, "imaging": imaging, "site": sites}
-
-
-def measured_site(raw: Mapping[str, Any], law: NoiseLaw) -> dict[str, Any]:
-    """A [[site]] table with the measured files' names and the noise they were read with."""
-    name = raw["name"]
-    kept = {key: value for key, value in raw.items() if key not in ("levels", "trace", "swe_maps", "noise")}
-    files = {"levels": f"{name}/levels.csv", "trace": f"{name}/trace.csv", "swe_maps": f"{name}/swe"}
-    return {**kept, **files, "noise": {**vars(law), "source": "spec"}}
 
 
 def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[str, Any]:

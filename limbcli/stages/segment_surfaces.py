@@ -1,0 +1,91 @@
+"""Surfaces instead of an image: closed or open, one body a file or all in one; and the surfaces' files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.meshing.mending import skin_and_bones
+from limbcli.meshing.surfaces import Triangles
+from limbcli.results import StageWriter
+
+
+def from_surfaces(case: Case, writer: StageWriter) -> None:
+    """The case's own surfaces, checked and written under the usual names."""
+    assert case.imaging.skin is not None
+    writer.data["source"] = "surfaces"
+    writer.data["markers"] = []
+    given = [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]
+    for name, path in given:
+        writer.used(name, path)
+    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in given}
+    if not case.imaging.bones:
+        surfaces = _bodies(surfaces["skin"], case.imaging.skin, writer)
+    paths = dict(given)
+    surfaces = {
+        name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
+        for name, each in surfaces.items()
+    }
+    write_surfaces(surfaces, writer)
+
+
+def _bodies(surface: ClosedSurface, path: Path, writer: StageWriter) -> dict[str, ClosedSurface]:
+    """Skin and bones out of one file that holds them all."""
+    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
+    if not bones:
+        raise CaseError(
+            "the skin's file holds one body only, and no bones are named",
+            where=str(path),
+            fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
+        )
+    writer.summary.append(
+        f"{path.name} holds {1 + len(bones)} bodies: the largest is the skin, the others bones"
+    )
+    named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
+    return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
+
+
+def _bone_names(case: Case) -> list[str]:
+    """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
+    names: list[str] = []
+    for number, path in enumerate(case.imaging.bones, 1):
+        known = [each for each in ("tibia", "fibula", "femur", "patella") if each in path.stem.lower()]
+        name = f"bone_{known[0] if len(known) == 1 else number}"
+        names.append(name if name not in names else f"bone_{number}")
+    return names
+
+
+def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
+    size = np.ptp(surface.points, axis=0).max()
+    if not 5.0 < size < 2000.0:
+        raise CaseError(
+            f"the surface `{name}` is {size:.3g} mm across",
+            where=str(path),
+            fix="save it in mm (patient LPS frame)",
+            size_mm=float(size),
+        )
+    return surface
+
+
+def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
+    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
+    if not surface.is_closed:
+        writer.warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
+    if surface.volume < 0:
+        surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
+        writer.warnings.append(f"the normals of {path.name} pointed inward and were turned")
+    return surface
+
+
+def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
+    """skin.ply, bone_*.ply, and their volumes."""
+    volumes = {}
+    for name, surface in surfaces.items():
+        write_surface(writer.file(name, f"{name}.ply"), surface)
+        volumes[name] = surface.volume / 1e3
+        writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
+    writer.data["volume_cm3"] = volumes
