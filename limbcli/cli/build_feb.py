@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, CKpaOpt, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 
 
@@ -14,10 +14,7 @@ def command(
     case: CaseArg,
     out: OutOpt = None,
     site: SiteOpt = None,
-    c_kpa: Annotated[
-        float | None,
-        typer.Option("--c-kpa", help="c = 2 mu by hand; default: from SWE at level 0.", show_default=False),
-    ] = None,
+    c_kpa: CKpaOpt = None,
     f_kappa: Annotated[float, typer.Option("--f-kappa", min=0.01, max=1000, help="kappa' / c.")] = 100.0,
     m: Annotated[float, typer.Option("--m", min=1, max=100, help="Exponent of the law.")] = 2.0,
     layer: Annotated[

@@ -31,3 +31,7 @@ TemplatesOpt = Annotated[
     Path | None,
     typer.Option("--templates", metavar="DIR", help="Your own templates, used before ours."),
 ]
+CKpaOpt = Annotated[
+    float | None,
+    typer.Option("--c-kpa", help="c = 2 mu by hand; default: from SWE at level 0.", show_default=False),
+]

@@ -54,6 +54,11 @@ class Outcome:
     def label(self) -> str:
         return f"{self.stage} {self.site}" if self.site else self.stage
 
+    @property
+    def usable(self) -> StageResult | None:
+        """The result, unless a later run failed."""
+        return None if self.status == "failed" else self.result
+
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:

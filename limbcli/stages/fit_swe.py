@@ -8,6 +8,7 @@ where there are any.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from limbcli.measurement.elastography import SweMap, check_map, check_mean, chec
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.problems import errors_of
-from limbcli.reporting.figures.speed_maps import LevelMaps, Pixels, speed_maps
+from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
@@ -55,7 +56,7 @@ def leave_speeds(
         return
     _leave_table(found, levels, writer)
     for level, each in zip(found.levels, found.maps, strict=True):
-        write_map(writer.file(f"swe_level_{level:02d}", f"{FOLDER}/{map_file_name(int(level))}"), each)
+        write_map(writer.file(f"swe_level_{level:02d}", map_file(Path(FOLDER), int(level)).as_posix()), each)
     predicted = PredictedSpeeds(found.force, levels.depth[found.levels], found.mean_m_per_s)
     loading = levels.loading & np.isfinite(levels.swe_mean_m_per_s)
     readings = None
@@ -66,19 +67,11 @@ def leave_speeds(
         )  # fmt: skip
     wave_speed(readings, predicted=predicted).savefig(writer.file("swe_picture", "swe.png"))
     shown = [
-        LevelMaps(int(k), float(levels.force[k]), _pixels(one), _pixels(other) if other else None)
+        LevelMaps(int(k), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
     speed_maps(shown).savefig(writer.file("swe_maps_picture", "swe-maps.png"))
     _tell(found, levels, writer)
-
-
-def map_file_name(level: int) -> str:
-    return f"level_{level:02d}.csv"
-
-
-def _pixels(swe: SweMap) -> Pixels:
-    return Pixels(swe.lateral, swe.depth, swe.speed_m_per_s)
 
 
 def _predict(

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
-from limbcli.reporting.figures.speed_maps import LevelMaps, Pixels, chosen_levels, speed_maps
+from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_words, wave_speed
 
@@ -28,8 +29,8 @@ def curve(key: str, factor: float) -> SimulatedCurve:
 
 def maps(n: int, *, measured: bool) -> list[LevelMaps]:
     lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(-3.0, 4), np.arange(2.0, 8)))
-    own = Pixels(lateral, depth, 2.0 + 0.1 * depth)
-    other = Pixels(lateral[5:], depth[5:], 1.7 + 0.1 * depth[5:]) if measured else None
+    own = SweMap(lateral, depth, 2.0 + 0.1 * depth)
+    other = SweMap(lateral[5:], depth[5:], 1.7 + 0.1 * depth[5:]) if measured else None
     return [LevelMaps(k, 2.0 * k, own, other) for k in range(n)]
 
 

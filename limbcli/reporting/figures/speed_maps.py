@@ -11,20 +11,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from limbcli.model import Array
+from limbcli.measurement.elastography import SweMap
 from limbcli.reporting.figures.style import QUIET, bare, new_figure, style
 
 SPEED_MAP, DIFFERENCE_MAP = "viridis", "RdBu_r"
 MOST_LEVELS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Pixels:
-    """lateral, depth (mm) and speed_m_per_s of a map, all (n_pixels,)."""
-
-    lateral: Array
-    depth: Array
-    speed_m_per_s: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +24,8 @@ class LevelMaps:
 
     level: int
     force: float
-    predicted: Pixels
-    measured: Pixels | None = None
+    predicted: SweMap
+    measured: SweMap | None = None
 
 
 def chosen_levels(levels: Sequence[LevelMaps]) -> list[LevelMaps]:
@@ -81,11 +72,11 @@ def _height(shown: Sequence[LevelMaps]) -> float:
     return min(5.4 / len(shown) * deep / max(wide, 1.0), 2.4)
 
 
-def _all(levels: Sequence[LevelMaps]) -> list[Pixels]:
+def _all(levels: Sequence[LevelMaps]) -> list[SweMap]:
     return [each.predicted for each in levels] + [each.measured for each in levels if each.measured]
 
 
-def _difference(level: LevelMaps) -> Pixels | None:
+def _difference(level: LevelMaps) -> SweMap | None:
     """Predicted less measured on the pixels that both have."""
     if level.measured is None:
         return None
@@ -95,15 +86,15 @@ def _difference(level: LevelMaps) -> Pixels | None:
     both = np.isfinite(measured)
     if not both.any():
         return None
-    return Pixels(own.lateral[both], own.depth[both], own.speed_m_per_s[both] - measured[both])
+    return SweMap(own.lateral[both], own.depth[both], own.speed_m_per_s[both] - measured[both])
 
 
-def _places(pixels: Pixels) -> list[tuple[float, float]]:
+def _places(pixels: SweMap) -> list[tuple[float, float]]:
     at = np.round(np.stack([pixels.lateral, pixels.depth], axis=1), 4)
     return [(float(x), float(z)) for x, z in at]
 
 
-def _panel(axes: Axes, pixels: Pixels | None, norm: Normalize, colours: str) -> None:
+def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str) -> None:
     bare(axes)
     if pixels is None:
         axes.text(0.5, 0.5, "no map", ha="center", va="center", color=QUIET, transform=axes.transAxes)
@@ -119,7 +110,7 @@ def _panel(axes: Axes, pixels: Pixels | None, norm: Normalize, colours: str) -> 
     axes.autoscale_view()
 
 
-def _spacing(pixels: Pixels) -> float:
+def _spacing(pixels: SweMap) -> float:
     """Distance of neighbouring pixels, mm: the smallest step that occurs along either axis."""
     steps = [np.diff(np.unique(np.round(each, 4))) for each in (pixels.lateral, pixels.depth)]
     every = np.concatenate(steps)

@@ -14,9 +14,10 @@ def convergence(page: Page, site: SiteMaterial) -> Reportlet:
     """The search's misfit and parameters by iteration; the solver's residuals where recorded."""
     key = f"convergence-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
-    if outcome.result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder(key, TITLE, outcome)
-    view = read_fit_view(outcome.result)
+    view = read_fit_view(result)
     pictures = []
     if view.walks:
         alt = f"Misfit and parameters of site {site.name} over the iterations of the search."
@@ -42,10 +43,10 @@ PROFILES_TITLE = "How firmly do the data hold each parameter?"
 
 def profiles(page: Page, site: SiteMaterial) -> Reportlet | None:
     """The profile likelihoods that the fit drew, or None where it drew none."""
-    outcome = page.outcomes.of("fit", site.name)
-    if outcome.result is None or outcome.status == "failed" or "profiles" not in outcome.result.files:
+    result = page.outcomes.of("fit", site.name).usable
+    if result is None or "profiles" not in result.files:
         return None
-    path = outcome.result.path("profiles")
+    path = result.path("profiles")
     if not path.is_file():
         return None
     alt = f"Profile likelihood of each parameter of site {site.name}; the shaded range is its 95 % interval."

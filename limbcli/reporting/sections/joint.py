@@ -21,9 +21,10 @@ def joint(page: Page) -> Reportlet | None:
     outcome = page.outcomes.maybe("fit-joint")
     if outcome is None:
         return None
-    if outcome.result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder("fit-joint", TITLE, outcome)
-    result, data = outcome.result, outcome.result.data
+    data = result.data
     locks = "tet4" in str(data.get("element", ""))
     estimates = read_estimates(data.get("parameters", {}), locks=locks)
     sites = ", ".join(map(str, data.get("sites", [])))

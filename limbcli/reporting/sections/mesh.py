@@ -13,8 +13,8 @@ def mesh(page: Page, site: SiteMaterial) -> Reportlet:
     """The mesh stage's picture and quality figures."""
     key = f"mesh-{site.name}"
     outcome = page.outcomes.of("mesh", site.name)
-    result = outcome.result
-    if result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder(key, TITLE, outcome)
     path = result.folder / result.files.get("picture", "mesh.png")
     alt = (

@@ -21,9 +21,10 @@ def elements(page: Page, site: SiteMaterial) -> Reportlet | None:
     outcome = page.outcomes.maybe("fit-elements", site.name)
     if outcome is None:
         return None
-    if outcome.result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder(key, ELEMENTS_TITLE, outcome)
-    found = outcome.result.data.get("elements", {})
+    found = result.data.get("elements", {})
     rows = tuple(_element_row(name, each) for name, each in found.items())
     names = head("element", "unknowns", "f_κ [–]", "m [–]", "f_κ at m = 2 [–]", "R² [–]", "RMSE [N]")
     alt = (
@@ -34,14 +35,14 @@ def elements(page: Page, site: SiteMaterial) -> Reportlet | None:
         key,
         ELEMENTS_TITLE,
         site=site.name,
-        pictures=_picture(outcome.result, f"elements-{site.name}", alt),
+        pictures=_picture(result, f"elements-{site.name}", alt),
         tables=(Table(f"The same mesh in two elements at site {site.name}", (names,), rows),),
         look_for="dotted curves that lie together and right-hand curves that are flat: then the element "
         "does not matter",
         bad="a tet4 curve that rises with f_κ where tet10's is flat. It locks, and the f_κ fitted with it "
         "sets how stiff the mesh is, not how compressible the tissue",
-        notes=outcome.result.summary,
-        warned=outcome.result.warnings,
+        notes=result.summary,
+        warned=result.warnings,
     )
 
 
@@ -63,9 +64,9 @@ def mesh_study(page: Page, site: SiteMaterial) -> Reportlet | None:
     outcome = page.outcomes.maybe("mesh-study", site.name)
     if outcome is None:
         return None
-    if outcome.result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder(key, STUDY_TITLE, outcome)
-    result = outcome.result
     rows = tuple(plain_rows(result.data))
     error = result.data.get("numerical_error_fraction")
     alt = f"Site {site.name}: force at full depth over element size and over the margin of the model."

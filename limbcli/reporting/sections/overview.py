@@ -111,7 +111,8 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     stages = [page.outcomes.of("segment")]
     stages += [each for each in page.outcomes.all if each.site == site.name]
     pills = tuple(_pill(each) for each in stages)
-    if outcome.result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
             sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.what})."
@@ -119,7 +120,7 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
         following = next(each for each in stages if each.status != "done")
         sentence = f"No parameters yet: {following.stage} has not been run."
         return SiteGlance(site.name, site.place, "missing", sentence, (), pills, following.command)
-    view = read_fit_view(outcome.result)
+    view = read_fit_view(result)
     facts = _facts(view)
     moods = {each.mood for each in facts}
     mood: Mood = "warning" if "warning" in moods else "fine"

@@ -16,8 +16,8 @@ _HANDLED = {"markers"}
 def segmentation(page: Page) -> Reportlet:
     """Contact sheet, markers and the segmentation's own figures."""
     outcome = page.outcomes.of("segment")
-    result = outcome.result
-    if result is None or outcome.status == "failed":
+    result = outcome.usable
+    if result is None:
         return placeholder(KEY, TITLE, outcome)
     sheet = result.folder / result.files.get("contact_sheet", "contact-sheet.png")
     pictures: tuple[Picture, ...] = ()

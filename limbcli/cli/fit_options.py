@@ -1,0 +1,47 @@
+"""Options of `fit`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+CDeviationOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--c-deviation-fraction",
+        help="Standard deviation of c, relative; default: from the SWE noise.",
+        show_default=False,
+    ),
+]
+StiffnessMapOpt = Annotated[
+    bool, typer.Option("--stiffness-map", help="c element by element, from the SWE map of level 0.")
+]
+ToleranceOpt = Annotated[float, typer.Option(help="Of cost and parameters, relative.")]
+MaxIterationsOpt = Annotated[int, typer.Option(min=1, help="Of each step.")]
+IntervalsOpt = Annotated[bool, typer.Option(help="95 % intervals by profile likelihood.")]
+TimeLimitOpt = Annotated[
+    float | None, typer.Option("--time-limit-s", help="Of each FEBio run.", show_default=False)
+]
+ObjectiveOpt = Annotated[
+    str,
+    typer.Option(help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue."),
+]
+LawOpt = Annotated[
+    str,
+    typer.Option(help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow."),
+]
+CompareLawsOpt = Annotated[
+    bool, typer.Option("--compare-laws", help="Joint only: every law, by the error of left-out levels.")
+]
+GainDeviationOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--gain-deviation-fraction",
+        help="Numerical error of the force to allow for; default: mesh study, else by element and size.",
+        show_default=False,
+    ),
+]
+CompareElementOpt = Annotated[
+    bool, typer.Option("--compare-element", help="tet4 and tet10 side by side on the same mesh.")
+]
