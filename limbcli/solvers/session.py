@@ -14,18 +14,18 @@ import numpy as np
 
 import limbcli
 from limbcli.errors import SolveError
-from limbcli.model import Array, ElementMap, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, ElementMap, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
+from limbcli.solvers.session_watch import Parameter, Rows, Watch, key_of
 
 if TYPE_CHECKING:
-    from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.analysis import Snapshot
     from limbcli.fem.parameters import LawParameter, Prestrain, Tied
     from limbcli.fem.warm import WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
-Parameter = tuple[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,7 @@ class SessionResult:
     """One solve.
 
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
+    field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     differenced : the gradients are central differences of whole solves, because the response
         depends on the way the load went (viscoelastic law, friction, augmented contact)
     """
@@ -50,6 +51,7 @@ class SessionResult:
     must_points: MustPoints
     force_gradient: Mapping[Parameter, Array] = field(default_factory=dict)
     differenced: bool = False
+    field_gradient: Mapping[Parameter, Mapping[str, Table]] = field(default_factory=dict)
 
 
 class ReferenceSession:
@@ -84,6 +86,7 @@ class ReferenceSession:
         wrt: Sequence[Parameter] = (),
         weights: Mapping[Parameter, Array] | None = None,
         records: bool = False,
+        field_gradients: bool = False,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -92,74 +95,65 @@ class ReferenceSession:
         weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
             theta moves by 1: their derivative is by theta
         records : also fill the node and element tables that the model asks for
+        field_gradients : fill them, and differentiate all that they hold by `wrt`
 
         Raises
         ------
         SolveError
             If a level is not reached; the session can be used further.
         """
-        from limbcli.fem import sensitivity
-        from limbcli.fem.fields import record_rows
         from limbcli.fem.warm import Solved
 
         model = model2 if model2 is not None else self.model
         if wrt and path_dependent(model):
-            return self._differenced(model, wrt, records)
+            return self._differenced(model, wrt, records, field_gradients)
         moved = dict(weights or {})
         self._analysis.model = model
         warm = self._warm_start(model, wrt, moved)
         started = time.monotonic()
-        asked = self._records(model, records)
-        rows: dict[str, list[tuple[IntArray, Array]]] = {r.file: [] for r in asked}
-        gradients: dict[Parameter, list[float]] = {tuple(each): [] for each in wrt}  # type: ignore[misc]
-        slopes: dict[float, dict[Parameter, Array]] = {}
-
-        def visit(running: Analysis, snapshot: Snapshot) -> None:
-            system, state = running.system, snapshot.state
-            for record in asked:
-                rows[record.file].append(record_rows(system, state, snapshot.forces, record))
-            if gradients and snapshot.must:
-                pairs: list[sensitivity.Parameter] = [
-                    _law_parameter(each, moved.get(each), model) for each in gradients
-                ]
-                found = sensitivity.sensitivities(running.newton, state, snapshot.forces, pairs)
-                b = [body.name for body in system.bodies].index(self.body)
-                for name, each in zip(gradients, found, strict=True):
-                    gradients[name].append(-float(each.bodies[b, 2]))
-                    slopes.setdefault(state.time, {})[name] = each.displacement
-
-        snapshots = self._analysis.run(visit, guesses=warm.guess)
+        asked = self._records(model, records or field_gradients)
+        parameters = {(each[0], each[1]): _law_parameter(each, moved.get(each), model) for each in wrt}
+        watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
+        snapshots = self._analysis.run(watch, guesses=warm.guess)
         self.model = model
         warm.keep(
             Solved(
                 _values(model, wrt, moved),
                 {s.state.time: s.state for s in snapshots if s.must},
-                slopes,
+                watch.slopes,
                 tuple(o.lame for o in self._analysis.system.operands),
             )
         )
-        simulation = self._simulation(snapshots, asked, rows, time.monotonic() - started)
+        simulation = self._simulation(snapshots, asked, watch.rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
         points = MustPoints(
             simulation.times[must],
             simulation.probe_depth(self.body)[must],
             simulation.probe_force(self.body)[must],
         )
-        return SessionResult(simulation, points, {k: np.array(v) for k, v in gradients.items()})
+        gradients = {name: np.array(each) for name, each in watch.forces.items()}
+        return SessionResult(simulation, points, gradients, field_gradient=watch.field_gradient())
 
     def close(self) -> None:
         self._analysis.close()
 
-    def _differenced(self, model: LimbModel, wrt: Sequence[Parameter], records: bool) -> SessionResult:
+    def _differenced(
+        self, model: LimbModel, wrt: Sequence[Parameter], records: bool, fields: bool
+    ) -> SessionResult:
         """The solve, with gradients by central differences of 1e-3 of each parameter."""
         gradients: dict[Parameter, Array] = {}
+        tables: dict[Parameter, dict[str, Table]] = {}
         for name in wrt:
-            forces = []
+            ends = []
             for sign in (1.0, -1.0):
                 changed, step = _nudged(model, name, sign * _DIFFERENCE)
-                forces.append(self.solve(changed).must_points.forces)
-            gradients[tuple(name)] = (forces[0] - forces[1]) / (2 * step)  # type: ignore[index]
-        return replace(self.solve(model, records=records), force_gradient=gradients, differenced=True)
+                ends.append(self.solve(changed, records=fields))
+            up, down = ends
+            key = (name[0], name[1])
+            gradients[key] = (up.must_points.forces - down.must_points.forces) / (2 * step)
+            tables[key] = _table_differences(up, down, 2 * step) if fields else {}
+        found = self.solve(model, records=records or fields)
+        return replace(found, force_gradient=gradients, field_gradient=tables, differenced=True)
 
     def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
         from limbcli.fem.fields import BODY_FIELDS
@@ -172,13 +166,13 @@ class ReferenceSession:
         self,
         snapshots: list[Snapshot],
         asked: list[LogRecord],
-        rows: dict[str, list[tuple[IntArray, Array]]],
+        rows: dict[str, Rows],
         seconds: float,
     ) -> Simulation:
         times = np.array([s.state.time for s in snapshots])
         tables: dict[str, dict[str, Table]] = {"rigid_body": {}, "node": {}, "element": {}}
         for record in asked:
-            key = str(record.items) if record.kind == "rigid_body" else record.file
+            key = key_of(record)
             values = np.stack([each for _, each in rows[record.file]])
             items = np.zeros(1, dtype=np.int64) if record.kind == "rigid_body" else rows[record.file][0][0]
             tables[record.kind][key] = Table(record.fields, times, items, values)
@@ -204,6 +198,18 @@ class ReferenceSession:
         self._warm = self._warm or WarmStart()
         self._warm.at(_values(model, wrt, weights))
         return self._warm
+
+
+def _table_differences(up: SessionResult, down: SessionResult, width: float) -> dict[str, Table]:
+    """Differences of all tables at the levels, over `width`."""
+    found: dict[str, Table] = {}
+    for kind in ("rigid", "nodes", "elements"):
+        for key, one in getattr(up.simulation, kind).items():
+            other = getattr(down.simulation, kind)[key]
+            levels = np.isin(one.times, up.must_points.times)
+            change = (one.values[levels] - other.values[levels]) / width
+            found[key] = Table(one.fields, one.times[levels], one.items, change)
+    return found
 
 
 def tied_parts(name: str) -> list[tuple[str, float]]:

@@ -33,6 +33,7 @@ from limbcli.model import (
     Step,
     Support,
 )
+from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)
 PLAIN = ogden_type(c=0.0052, f_kappa=7.3, m=3.1)
@@ -350,3 +351,36 @@ def test_a_response_that_depends_on_the_way_is_refused(why: str) -> None:
         last = analysis.run()[-1]
         with pytest.raises(SolveError, match="depends on the way"):
             sensitivities(analysis.newton, last.state, last.forces, [LawParameter("tissue", "c1")])
+
+
+@pytest.mark.parametrize("law", ["fibres", "viscoelastic"])
+def test_a_session_differentiates_all_that_is_logged(law: str) -> None:
+    """Exactly, or by differences where the response depends on the way, and says which."""
+    material, name = LAWS[law][0], "0.c1" if law == "fibres" else "c1"
+    records = (
+        LogRecord("element", ("sed", "s1", "cxxyy"), "cells.csv", np.array([3, 8])),
+        LogRecord("node", ("ux", "z"), "nodes.csv"),
+    )
+    model = replace(
+        punch(depth=0.6, levels=3, n=(3, 2, 2), material=material),
+        records=records,
+        steps=(Step(n_steps=3, step_size=1 / 3, must_points=(0.5,)),),
+    )
+    h = 1e-3 * value(material, name)
+    with closing(ReferenceSession(model, threads=1, tolerance=1e-11)) as session:
+        ends = [
+            session.solve(model.with_material("tissue", moved(material, name, step)), records=True)
+            for step in (h, -h)
+        ]
+        result = session.solve(model, wrt=[("tissue", name)], field_gradients=True)
+    assert result.differenced == (law == "viscoelastic")
+    found = result.field_gradient["tissue", name]
+    assert set(found) == {"cells.csv", "nodes.csv", "probe"}
+    assert found["cells.csv"].times.tolist() == result.must_points.times.tolist()
+    assert found["probe"].column("Fz")[:, 0] == pytest.approx(-result.force_gradient["tissue", name])
+    for kind, key in (("elements", "cells.csv"), ("nodes", "nodes.csv"), ("rigid", "probe")):
+        up, down = (getattr(each.simulation, kind)[key] for each in ends)
+        levels = np.isin(up.times, found[key].times)
+        numeric = (up.values - down.values)[levels] / (2 * h)
+        scale = abs(numeric).max(axis=(0, 1)) + 1e-3 * abs(numeric).max()
+        np.testing.assert_allclose(found[key].values / scale, numeric / scale, atol=1e-5)

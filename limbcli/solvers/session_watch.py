@@ -1,0 +1,88 @@
+"""What a session takes down at every converged time: records, and derivatives at the levels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from limbcli.model import Array, IntArray, LogRecord
+from limbcli.solvers.base import Table
+
+if TYPE_CHECKING:
+    from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.sensitivity import Parameter as Differentiable
+
+Parameter = tuple[str, str]
+Rows = list[tuple[IntArray, Array]]
+
+
+class Watch:
+    """Called with every converged state of an analysis.
+
+    rows : (ids, values) of each record, time by time
+    forces : d(force)/d(parameter) on the body at the levels; slopes : du/d(parameter) by time
+    fields : of each record, where asked for
+    """
+
+    def __init__(
+        self,
+        asked: list[LogRecord],
+        parameters: Mapping[Parameter, Differentiable],
+        body: str,
+        *,
+        of_fields: bool,
+    ):
+        self.asked, self.parameters, self.body = asked, parameters, body
+        self.rows: dict[str, Rows] = {each.file: [] for each in asked}
+        self.forces: dict[Parameter, list[float]] = {name: [] for name in parameters}
+        self.slopes: dict[float, dict[Parameter, Array]] = {}
+        self._fields: dict[Parameter, dict[str, list[Array]]] = {
+            name: {each.file: [] for each in asked if of_fields} for name in parameters
+        }
+        self._times: list[float] = []
+
+    def __call__(self, running: Analysis, snapshot: Snapshot) -> None:
+        from limbcli.fem.fields import record_rows
+
+        for record in self.asked:
+            rows = record_rows(running.system, snapshot.state, snapshot.forces, record)
+            self.rows[record.file].append(rows)
+        if self.parameters and snapshot.must:
+            self._differentiate(running, snapshot)
+
+    def _differentiate(self, running: Analysis, snapshot: Snapshot) -> None:
+        from limbcli.fem.field_derivatives import record_derivatives
+        from limbcli.fem.sensitivity import sensitivities
+
+        system, state = running.system, snapshot.state
+        self._times.append(state.time)
+        found = sensitivities(running.newton, state, snapshot.forces, list(self.parameters.values()))
+        b = [body.name for body in system.bodies].index(self.body)
+        for (name, parameter), each in zip(self.parameters.items(), found, strict=True):
+            self.forces[name].append(-float(each.bodies[b, 2]))
+            self.slopes.setdefault(state.time, {})[name] = each.displacement
+            for record in self.asked:
+                if record.file in self._fields[name]:
+                    _, values = record_derivatives(system, state, record, parameter, each)
+                    self._fields[name][record.file].append(values)
+
+    def field_gradient(self) -> dict[Parameter, dict[str, Table]]:
+        """d(field)/d(parameter) at the levels: tables by record file, of bodies by their names."""
+        times = np.array(self._times)
+        return {
+            name: {
+                key_of(record): Table(
+                    record.fields, times, self.rows[record.file][0][0], np.stack(found[record.file])
+                )
+                for record in self.asked
+                if found.get(record.file)
+            }
+            for name, found in self._fields.items()
+        }
+
+
+def key_of(record: LogRecord) -> str:
+    """Under which name a record's table is found."""
+    return str(record.items) if record.kind == "rigid_body" else record.file
