@@ -26,9 +26,9 @@ from limbcli.stages.diagnosis_menu import menu
 from limbcli.stages.diagnosis_numerics import Tie
 from limbcli.stages.diagnosis_site import Book, SiteCurves, only_febio
 
-_M_START = (2.0, 5.0)
-_SETTLED = 0.03  # of m, between the estimate and the nearest solved value
-_MAX_NODES = 4
+_M_START = (2.0, 5.0, 10.0)
+_SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
+_MAX_NODES = 5
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
@@ -76,6 +76,8 @@ class SiteBench(Fits):
             quick = self._each(explanation, combinations, start, thorough=False)
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
         deviance, points, fitted = self._each(explanation, combinations, start, thorough=True)[0]
+        if self._reaches(fitted.values["m"]):
+            deviance, fitted = self.best_fit(explanation, points, start)
         return self.plausible(fitted, deviance, points)
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
@@ -168,6 +170,13 @@ class SiteBench(Fits):
             each.m_reference = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
         self.base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
+
+    def _reaches(self, m: float) -> bool:
+        """Solve at an m beyond all that are solved; whether that was needed and done."""
+        nodes = self._nodes()
+        if np.log(m / max(nodes)) < _BEYOND or len(nodes) >= _MAX_NODES:
+            return False
+        return self._solve_node(float(round(m, 3)))
 
     def _solve_node(self, m: float) -> bool:
         solved = [each.solve_node(m) for each in self.sites]

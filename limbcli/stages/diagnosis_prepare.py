@@ -109,7 +109,7 @@ def turned_by_90(
     curves = SiteCurves(known.site, book, known.effects, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     try:
-        for m in nearest[:2]:
+        for m in nearest[:3]:
             curves.solve_node(m)
         curves.m_reference = min(curves.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     finally:

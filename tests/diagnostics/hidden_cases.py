@@ -167,7 +167,7 @@ class Case:
 
     def _turned(self) -> SiteCurves:
         turned = self.curves(self.levels, ALONG)
-        for m in (2.0, 5.0):
+        for m in (2.0, 5.0, 10.0):
             turned.solve_node(m)
         return turned
 

@@ -205,3 +205,23 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
         widths.append(np.log(high / low))
     assert widths[1] > 1.05 * widths[0]
     assert not ground.form_error(base).any()
+
+
+def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
+    """m 2, 5 and 10 are solved; from 1 to 9 the rest follows."""
+    the_bench = bench(levels(rng), names=("force-zero",))
+    one = the_bench.sites[0]
+    for m in (2.0, 5.0, 10.0):
+        one.solve_node(m)
+    for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
+        c = one.book.c
+        true, between = one.book.curves(m), one.curves(c, m, (), {}, ())
+        assert between.force[1:] == pytest.approx(true.force[1:], rel=5e-3)
+        assert between.log_speed == pytest.approx(true.log_speed, abs=5e-3)
+
+
+def test_a_fit_beyond_the_solved_exponents_has_one_of_its_own(rng):
+    the_bench = bench(levels(rng, m=14.0), names=("force-zero",))
+    fitted = the_bench.fit((), {})
+    assert fitted.values["m"] == pytest.approx(14.0, rel=0.1)
+    assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.sites[0].nodes) < 0.1
