@@ -97,17 +97,23 @@ def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, 
 
 def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
     """Derivative programs by group; raises where no region is made of the material."""
-    found = {
-        number: group.material.derivative(
-            parameter.name, len(group.cells), system.curve, weights=parameter.weights
-        )
-        for number, group in enumerate(system.groups)
-        if group.material.name == parameter.material and parameter.block in (None, group.block)
-    }
+    where = f"derivative with respect to {parameter.material}.{parameter.name}"
+    found = {}
+    for number, group in enumerate(system.groups):
+        if group.material.name != parameter.material or parameter.block not in (None, group.block):
+            continue
+        n, weights = len(group.cells), parameter.weights
+        if weights is not None and len(weights) != n:
+            raise SolveError(
+                f"{len(weights)} weights for the {n} cells of block {group.block!r}",
+                where=where,
+                fix="give a weight to each cell of one block, and name the block",
+            )
+        found[number] = group.material.derivative(parameter.name, n, system.curve, weights=weights)
     if not found:
         raise SolveError(
             f"no region is made of {parameter.material!r}",
-            where=f"derivative with respect to {parameter.material}.{parameter.name}",
+            where=where,
             fix=f"use one of {sorted({g.material.name for g in system.groups})}",
         )
     return found

@@ -353,6 +353,23 @@ def test_a_response_that_depends_on_the_way_is_refused(why: str) -> None:
             sensitivities(analysis.newton, last.state, last.forces, [LawParameter("tissue", "c1")])
 
 
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        (LawParameter("tissue", "c1", weights=np.ones(3)), "3 weights for the 72 cells"),
+        (LawParameter("fat", "c1"), "no region is made of 'fat'"),
+        (LawParameter("tissue", "q"), "no parameters 'q'"),
+        (BodyMotion("bone", (1.0, 0, 0, 0, 0, 0)), "no rigid body 'bone'"),
+        (Prestrain("tissue"), "has a prestrain"),
+    ],
+)
+def test_a_parameter_that_is_not_there_is_refused_by_name(parameter: Parameter, words: str) -> None:
+    with closing(Analysis(small(), Settings(threads=1))) as analysis:
+        last = analysis.run()[-1]
+        with pytest.raises(SolveError, match=words):
+            sensitivities(analysis.newton, last.state, last.forces, [parameter])
+
+
 @pytest.mark.parametrize("law", ["fibres", "viscoelastic"])
 def test_a_session_differentiates_all_that_is_logged(law: str) -> None:
     """Exactly, or by differences where the response depends on the way, and says which."""
