@@ -58,11 +58,11 @@ class ElementLoops:
         return _total(parts)
 
     def stiffness(self, state: State) -> Array:
-        """Upper triangle of the elastic tangent of the tissue's unknowns (without contact), its symmetric
-        part."""
-        parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
+        """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
+        contact; its symmetric part."""
+        parts = [np.zeros((len(self.pattern.high), 3, 3)) for _ in range(self.threads.n)]
         for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
-            args = (*o.arguments(), *self._mixed(state, k), pairs, self.pattern.slots)
+            args = (*o.arguments(), *self._mixed(state, k), pairs)
             self._add(kernels.tangent, state, o, args, parts)
         return _total(parts)
 

@@ -252,16 +252,15 @@ def tangent_times(
 
 @njit(cache=True, nogil=True)
 def tangent(
-    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, pairs, slots, values
+    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, pairs, blocks
 ):
-    """values (nnz of the upper triangle) += element tangents.
+    """blocks (n_pairs, 3, 3) += element tangents.
 
     volumes (n_cells, n_gauss): volume ratios that the pressures are taken at instead of det F;
     without cells, det F. lame (1 or n_cells): pressure per volume change.
 
     pairs (n_cells, n_nodes (n_nodes + 1) / 2): number of the node pair, times two, plus
-    one where the pair is stored the other way round; slots (n_pairs, 3, 3): place of
-    each entry in `values`, or -1.
+    one where the pair is stored the other way round.
     """
     work = workspace()
     n_nodes = cells.shape[1]
@@ -297,14 +296,12 @@ def tangent(
         for b in range(n_nodes):
             for a in range(b + 1):
                 code = pairs[e, b * (b + 1) // 2 + a]
-                pair = code // 2
-                swapped = code % 2 == 1
+                low, high = (b, a) if code % 2 == 1 else (a, b)
+                block = blocks[code // 2]
                 for i in range(3):
                     for k in range(3):
-                        slot = slots[pair, k, i] if swapped else slots[pair, i, k]
-                        if slot >= 0:
-                            first = VOIGT[i, k] * WIDTH
-                            values[slot] += K[a, first + b] if i <= k else K[b, first + a]
+                        first = VOIGT[i, k] * WIDTH
+                        block[i, k] += K[low, first + high] if i <= k else K[high, first + low]
 
 
 @njit(cache=True)
