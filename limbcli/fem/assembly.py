@@ -36,20 +36,29 @@ class Threads:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Upper triangle of the stiffness matrix in CSR, and where node pairs go in it.
+    """Pairs of nodes with a block of the stiffness matrix, and its upper triangle in CSR.
 
-    slots (n_pairs, 3, 3): place in the values, or -1; pairs: one array per list of cells
-    given, (n_cells, n (n + 1) / 2): 2 * pair + swapped, for a <= b row by row of b.
+    first (n_points + 1,), high (n_pairs,) : pairs by their lower node, in order, and the higher node of each
+    slots (n_pairs, 3, 3) : place of a block's entry in the CSR values, or -1; sources : the other way round
+    pairs : one array per list of cells given, (n_cells, n (n + 1) / 2): 2 * pair + swapped, for a <= b
+        row by row of b
     """
 
     indptr: IntArray
     indices: IntArray
     slots: NDArray[np.int32]
+    sources: IntArray
+    first: IntArray
+    high: NDArray[np.int32]
     pairs: tuple[NDArray[np.int32], ...]
 
     @property
     def n(self) -> int:
         return len(self.indptr) - 1
+
+    def values(self, blocks: Array) -> Array:
+        """Upper triangle of the unknowns' matrix from the blocks (n_pairs, 3, 3) of all pairs."""
+        return np.take(blocks.ravel(), self.sources)
 
     def matrix(self, values: Array) -> sparse.csr_matrix:
         """The full symmetric matrix."""
@@ -66,7 +75,12 @@ def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern
     codes = [_pair_codes(cells, n_points) for cells in cell_lists]
     keys = np.concatenate([low * n_points + high for low, high, _ in codes] or [np.zeros(0, dtype=np.int64)])
     unique, inverse = np.unique(keys, return_inverse=True)
-    slots, indptr, indices = _slots(unique // n_points, unique % n_points, equations)
+    low, high = unique // max(n_points, 1), unique % max(n_points, 1)
+    slots, indptr, indices = _slots(low, high, equations)
+    sources = np.empty(len(indices), dtype=np.int64)
+    kept = np.flatnonzero(slots.ravel() >= 0)
+    sources[slots.ravel()[kept]] = kept
+    first = np.searchsorted(low, np.arange(n_points + 1))
     pairs, at = [], 0
     for cells, (_, _, swapped) in zip(cell_lists, codes, strict=True):
         n_pairs = cells.shape[1] * (cells.shape[1] + 1) // 2
@@ -74,7 +88,7 @@ def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern
         part = 2 * inverse[at : at + size] + swapped
         pairs.append(np.ascontiguousarray(part.reshape(len(cells), n_pairs), dtype=np.int32))
         at += size
-    return Pattern(indptr, indices, slots, tuple(pairs))
+    return Pattern(indptr, indices, slots, sources, first, high.astype(np.int32), tuple(pairs))
 
 
 def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, IntArray]:

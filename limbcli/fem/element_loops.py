@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.fem import kernels
+from limbcli.fem import kernels, wide_kernels
 from limbcli.fem.assembly import Pattern, Threads
 from limbcli.fem.groups import Group, Operands
 from limbcli.fem.state import State
@@ -36,7 +36,7 @@ class ElementLoops:
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         worst, place = np.inf, (-1, -1)
         for k, o in enumerate(self.operands):
-            found = self._add(kernels.internal_force, state, o, o.arguments(), parts)
+            found = self._add(wide_kernels.internal_force, state, o, o.arguments(), parts)
             low, cell = min(found)
             if low < worst:
                 worst, place = low, (k, cell)
@@ -58,12 +58,12 @@ class ElementLoops:
         return _total(parts)
 
     def stiffness(self, state: State) -> Array:
-        """Upper triangle of the elastic tangent of the tissue's unknowns (without contact), its symmetric
-        part."""
-        parts = [np.zeros(len(self.pattern.indices)) for _ in range(self.threads.n)]
+        """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
+        contact; its symmetric part."""
+        parts = [np.zeros((len(self.pattern.high), 3, 3)) for _ in range(self.threads.n)]
         for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
-            args = (*o.arguments(), *self._mixed(state, k), pairs, self.pattern.slots)
-            self._add(kernels.tangent, state, o, args, parts)
+            args = (*o.arguments(), *self._mixed(state, k), pairs)
+            self._add(wide_kernels.tangent, state, o, args, parts)
         return _total(parts)
 
     def tangent_times(self, state: State, v: Array) -> Array:

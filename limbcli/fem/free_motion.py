@@ -80,6 +80,6 @@ def _resistance(tangent: Tangent, state: State, v: Array) -> float:
     system = tangent.system
     step = np.zeros(system.n_unknowns)
     step[: system.n_tissue] = v[system.free]
-    diagonal = tangent.upper.diagonal()
+    diagonal = tangent.diagonal()
     most = float((diagonal * step[: system.n_tissue] ** 2).sum())
     return float(step @ tangent.times(state, step)) / most if most > 0 else 1.0

@@ -1,4 +1,6 @@
-"""Compiled element loops: internal force, tangent, tangent times a vector.
+"""Compiled element loops, point by point: volumes, tangent times a vector, state of stress.
+
+Those that a simulation spends its time in, internal force and tangent, are in `wide_kernels`.
 
 All run over a range of cells and release the interpreter's lock, so that two
 threads can share the work. `u` is (n_points, 3); F = base + sum u (x) grad N, where
@@ -16,8 +18,6 @@ from numba import njit
 
 from limbcli.materials.dispatch import second_piola, workspace
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, right_cauchy_green
-
-WIDTH = 12  # at least the nodes of a cell, and a multiple of four
 
 
 @njit(cache=True)
@@ -141,64 +141,6 @@ def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force
         _scatter(pushes, cells[e], force)
 
 
-@njit(cache=True)
-def _tangent9(F, S, CC, weight, A, T):
-    """A[iJ, kL] = weight dP_iJ/dF_kL from S and CC."""
-    for i in range(3):
-        for j in range(3):
-            for q in range(6):
-                T[3 * i + j, q] = (
-                    F[i, 0] * CC[VOIGT[0, j], q] + F[i, 1] * CC[VOIGT[1, j], q] + F[i, 2] * CC[VOIGT[2, j], q]
-                )
-    for p in range(9):
-        for k in range(3):
-            for l in range(3):
-                q = 3 * k + l
-                if q < p:
-                    continue
-                value = (
-                    T[p, VOIGT[0, l]] * F[k, 0] + T[p, VOIGT[1, l]] * F[k, 1] + T[p, VOIGT[2, l]] * F[k, 2]
-                )
-                if p // 3 == k:
-                    value += S[VOIGT[p % 3, l]]
-                A[p, q] = weight * value
-                A[q, p] = weight * value
-
-
-@njit(cache=True, nogil=True)
-def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, history, force):
-    """force (n_points, 3) += integral of P grad N."""
-    work = workspace()
-    F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
-    P = np.empty((3, 3))
-    worst, place = 1e300, -1
-    has_history = history.shape[0] == cells.shape[0]
-    own = np.empty((cells.shape[1], 3))
-    pushes = np.empty((cells.shape[1], 3))
-    for e in range(start, stop):
-        _gather(u, cells[e], own)
-        row = e if par.shape[0] > 1 else 0
-        pushes[:] = 0.0
-        for g in range(weight.shape[1]):
-            _gradient(own, grad[e, g], base, F)
-            J = second_piola(F, ops, par[row], S, CC, False, work)
-            if worst > J:
-                worst, place = J, e
-            w = weight[e, g]
-            for q in range(6):
-                S[q] *= scale
-                if has_history:
-                    S[q] += history[e, g, q]
-            for i in range(3):
-                for j in range(3):
-                    P[i, j] = w * (
-                        F[i, 0] * S[VOIGT[0, j]] + F[i, 1] * S[VOIGT[1, j]] + F[i, 2] * S[VOIGT[2, j]]
-                    )
-            _add_force(P, grad[e, g], pushes)
-        _scatter(pushes, cells[e], force)
-    return worst, place
-
-
 @njit(cache=True, nogil=True)
 def tangent_times(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
@@ -248,83 +190,6 @@ def tangent_times(
                     P[i, j] = w * value
             _add_force(P, grad[e, g], pushes)
         _scatter(pushes, cells[e], force)
-
-
-@njit(cache=True, nogil=True)
-def tangent(
-    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, pairs, slots, values
-):
-    """values (nnz of the upper triangle) += element tangents.
-
-    volumes (n_cells, n_gauss): volume ratios that the pressures are taken at instead of det F;
-    without cells, det F. lame (1 or n_cells): pressure per volume change.
-
-    pairs (n_cells, n_nodes (n_nodes + 1) / 2): number of the node pair, times two, plus
-    one where the pair is stored the other way round; slots (n_pairs, 3, 3): place of
-    each entry in `values`, or -1.
-    """
-    work = workspace()
-    n_nodes = cells.shape[1]
-    F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
-    A, T = np.empty((9, 9)), np.empty((9, 6))
-    G, D = np.zeros((3, WIDTH)), np.zeros((3, 6 * WIDTH))
-    K = np.empty((n_nodes, 6 * WIDTH))
-    C, C_inv = np.empty(6), np.empty(6)
-    has_history = history.shape[0] == cells.shape[0]
-    mixed = volumes.shape[0] == cells.shape[0]
-    own = np.empty((n_nodes, 3))
-    for e in range(start, stop):
-        _gather(u, cells[e], own)
-        row = e if par.shape[0] > 1 else 0
-        K[:] = 0.0
-        for g in range(weight.shape[1]):
-            _gradient(own, grad[e, g], base, F)
-            J = second_piola(F, ops, par[row], S, CC, True, work)
-            if mixed:
-                stiffness = lame[e if lame.shape[0] > 1 else 0]
-                _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, C_inv, S, CC)
-            for q in range(6):
-                S[q] *= scale
-                if has_history:
-                    S[q] += history[e, g, q]
-                for r in range(6):
-                    CC[q, r] *= scale
-            _tangent9(F, S, CC, weight[e, g], A, T)
-            for a in range(n_nodes):
-                for j in range(3):
-                    G[j, a] = grad[e, g, a, j]
-            _add_products(G, A, D, K)
-        for b in range(n_nodes):
-            for a in range(b + 1):
-                code = pairs[e, b * (b + 1) // 2 + a]
-                pair = code // 2
-                swapped = code % 2 == 1
-                for i in range(3):
-                    for k in range(3):
-                        slot = slots[pair, k, i] if swapped else slots[pair, i, k]
-                        if slot >= 0:
-                            first = VOIGT[i, k] * WIDTH
-                            values[slot] += K[a, first + b] if i <= k else K[b, first + a]
-
-
-@njit(cache=True)
-def _add_products(G, A, D, K):
-    """K[a, (ik, b)] += sum over j, l of G[j, a] A[ij, kl] G[l, b], for i <= k.
-
-    Long rows, with zeros beyond the nodes, so that the loops over them become vector instructions.
-    """
-    for i in range(3):
-        for k in range(i, 3):
-            first = VOIGT[i, k] * WIDTH
-            for j in range(3):
-                p = 3 * i + j
-                x, y, z = A[p, 3 * k], A[p, 3 * k + 1], A[p, 3 * k + 2]
-                for b in range(WIDTH):
-                    D[j, first + b] = x * G[0, b] + y * G[1, b] + z * G[2, b]
-    for a in range(K.shape[0]):
-        x, y, z = G[0, a], G[1, a], G[2, a]
-        for t in range(6 * WIDTH):
-            K[a, t] += x * D[0, t] + y * D[1, t] + z * D[2, t]
 
 
 @njit(cache=True, nogil=True)

@@ -60,6 +60,7 @@ class Kinematics:
         self.n_tissue = int(free.sum())
         self.equations[free] = np.arange(self.n_tissue)
         self.free = free
+        self._places = np.flatnonzero(free)
         self.rigid: list[tuple[int, int]] = [(b, k) for b, body in enumerate(self.bodies) for k in body.free]
         if self.n_tissue + len(self.rigid) == 0:
             self.n_tissue = 0
@@ -91,6 +92,16 @@ class Kinematics:
                 if value is not None:
                     self._prescribed_values.append(found[-1])
         return found
+
+    def spread(self, x: Array) -> Array:
+        """Values (n_tissue,) of the tissue's unknowns as (n_points, 3), 0 elsewhere."""
+        out = np.zeros_like(self.X)
+        out.ravel()[self._places] = x
+        return out
+
+    def collect(self, nodal: Array) -> Array:
+        """Those of (n_points, 3) that belong to the tissue's unknowns (n_tissue,)."""
+        return np.take(nodal.ravel(), self._places)
 
     @property
     def n_unknowns(self) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem import contact_kernels, kernels
+from limbcli.fem import contact_kernels, wide_kernels
 from limbcli.fem.groups import Group, Operands
 from limbcli.fem.penalty import penalty_derivative
 from limbcli.fem.state import State
@@ -152,7 +152,7 @@ def _add_internal(system: System, state: State, number: int, found: list[Program
         parts = [np.zeros_like(out) for _ in range(system.threads.n)]
 
         def task(worker: int, start: int, stop: int, args: Any = args, parts: Any = parts) -> None:
-            kernels.internal_force(start, stop, state.u, *args, parts[worker])
+            wide_kernels.internal_force(start, stop, state.u, *args, parts[worker])
 
         system.threads.run(task, len(operands.cells))
         for each in parts:
@@ -238,7 +238,7 @@ def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Arra
         for sign in (1.0, -1.0):
             o = nudged(system, k, parameter, sign * parameter.step)
             part = np.zeros_like(nodal)
-            kernels.internal_force(0, len(o.cells), state.u, *o.arguments(), part)
+            wide_kernels.internal_force(0, len(o.cells), state.u, *o.arguments(), part)
             nodal += sign * part / (2.0 * parameter.step)
     system.gather_tied(state, nodal, bodies)
     return nodal, bodies

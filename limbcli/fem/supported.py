@@ -38,10 +38,10 @@ def _refused(what: str, where: str) -> SolveError:
 
 def warm_up(progress: Progress) -> None:
     """Tell listeners, once, that the kernels are about to be compiled on this machine."""
-    from limbcli.fem import kernels
+    from limbcli.fem import wide_kernels
 
-    folder = Path(kernels.__file__).parent
-    stats = kernels.internal_force.stats
-    cached = any((folder / "__pycache__").glob("kernels.internal_force*.nbi"))
+    folder = Path(wide_kernels.__file__).parent
+    stats = wide_kernels.internal_force.stats
+    cached = any((folder / "__pycache__").glob("wide_kernels.internal_force*.nbi"))
     if not cached and not stats.cache_hits:
         progress.event("compile", what="the reference solver's kernels (about a minute, once)")

@@ -222,10 +222,9 @@ class System(RigidLoads, ElementLoops):
             return out
         n = self.n_tissue
         own = self.motions(step)
-        v = self.follow(state, own)
-        v[self.free] = step[:n]
+        v = self.follow(state, own) + self.spread(step[:n])
         nodal, bodies = self.contact_times(state, v, own if motions is None else own + motions)
-        out[:n] = nodal[self.free]
+        out[:n] = self.collect(nodal)
         for k, (b, dof) in enumerate(self.rigid):
             out[n + k] = bodies[b, dof]
         return out

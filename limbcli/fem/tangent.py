@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
 
@@ -31,14 +30,15 @@ _FEW = 0.01  # of the touching points changed: not worth a new root
 class Tangent:
     """Elastic tangent assembled at `state`, with the border of the rigid unknowns.
 
+    blocks (n_pairs, 3, 3) : of all pairs of nodes, see `assembly.Pattern`
     columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
     corner (n_rigid, n_rigid) : springs and the turning of tied forces, and those elastic forces
-    jumps : the elastic tangent is not symmetric; `upper` is its symmetric part
+    jumps : the elastic tangent is not symmetric; `blocks` are of its symmetric part
     """
 
     system: System
     state: State
-    upper: sparse.csr_matrix
+    blocks: Array
     columns: Array
     corner: Array
     jumps: bool = False
@@ -53,13 +53,9 @@ class Tangent:
         n = system.n_tissue
         x = step[:n]
         out = np.zeros_like(step)
-        if self.jumps:
-            v = np.zeros_like(self.state.u)
-            v[system.free] = x
-            elastic = system.tangent_times(self.state, v)
-            out[:n] = elastic[system.free]
-        else:
-            out[:n] = self._times_tissue(x)
+        v = system.spread(x)
+        elastic = system.tangent_times(self.state, v) if self.jumps else self._times_blocks(v)
+        out[:n] = system.collect(elastic)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
             if self.jumps:
@@ -71,27 +67,39 @@ class Tangent:
         out[n:] += self.corner @ step[n:]
         return out
 
-    def _times_tissue(self, x: Array) -> Array:
-        """The symmetric matrix of the tissue's unknowns times x, rows shared by the threads."""
-        upper, threads = self.upper, self.system.threads
-        parts = [np.zeros_like(x) for _ in range(threads.n)]
+    def _times_blocks(self, v: Array) -> Array:
+        """The symmetric matrix of all pairs of nodes times v (n_points, 3), pairs shared by the threads."""
+        pattern, threads = self.system.pattern, self.system.threads
+        parts = [np.zeros_like(v) for _ in range(threads.n)]
 
         def task(worker: int, begin: int, end: int) -> None:
-            upper_times(begin, end, upper.indptr, upper.indices, upper.data, x, parts[worker])
+            rows = np.searchsorted(pattern.first, [begin, end])
+            flat = (each.reshape(-1) for each in (self.blocks, v, parts[worker]))
+            blocks_times(rows[0], rows[1], pattern.first, pattern.high, *flat)
 
-        threads.run(task, len(x))
+        threads.run(task, len(pattern.high))
         for each in parts[1:]:
             parts[0] += each
         return parts[0]
 
+    def upper(self) -> Array:
+        """Upper triangle of the unknowns' matrix, its values in CSR (see `assembly.Pattern`)."""
+        return self.system.pattern.values(self.blocks)
+
+    def diagonal(self) -> Array:
+        """Diagonal (n_tissue,) of the unknowns' matrix."""
+        first = self.system.pattern.first
+        nodes = np.flatnonzero(np.diff(first))  # each comes first in its own row
+        nodal = np.zeros_like(self.state.u)
+        nodal[nodes] = np.einsum("nii->ni", self.blocks[first[nodes]])
+        return self.system.collect(nodal)
+
 
 def assemble(system: System, state: State, nodal: Array) -> Tangent:
     """The tangent at a state; `nodal` are the forces there."""
-    values = system.stiffness(state)
-    shape = (system.n_tissue, system.n_tissue)
-    upper = sparse.csr_matrix((values, system.pattern.indices, system.pattern.indptr), shape=shape)
+    blocks = system.stiffness(state)
     columns, corner = _border(system, state, nodal)
-    return Tangent(system, state, upper, columns, corner, system.jumps)
+    return Tangent(system, state, blocks, columns, corner, system.jumps)
 
 
 def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
@@ -133,7 +141,7 @@ class Inverse:
         root = getattr(linear, "root", None)
         self.n_root = 0 if root is None or not system.pairs else len(root)
         if self.n:
-            linear.factor(system.add_contact(state, tangent.upper.data))
+            linear.factor(system.add_contact(state, tangent.upper()))
         if self.n_root:
             places = np.full(self.n + 1, -1, dtype=np.int64)
             places[root] = np.arange(self.n_root)
@@ -209,32 +217,44 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def upper_times(begin, end, indptr, indices, data, x, out):  # type: ignore[no-untyped-def]
-    """out += rows of the upper triangle in CSR, and their mirror images, times x."""
-    for row in range(begin, end):
-        total = 0.0
-        for k in range(indptr[row], indptr[row + 1]):
-            column = indices[k]
-            total += data[k] * x[column]
-            if column != row:
-                out[column] += data[k] * x[row]
-        out[row] += total
+def blocks_times(begin, end, first, high, blocks, v, out):  # type: ignore[no-untyped-def]
+    """out += the blocks of the lower nodes begin..end, and their mirror images, times v; all flat."""
+    for low in range(begin, end):
+        at = 3 * low
+        x, y, z = v[at], v[at + 1], v[at + 2]
+        a = b = c = 0.0
+        for k in range(first[low], first[low + 1]):
+            o, q = 3 * high[k], 9 * k
+            xx, xy, xz = blocks[q], blocks[q + 1], blocks[q + 2]
+            yx, yy, yz = blocks[q + 3], blocks[q + 4], blocks[q + 5]
+            zx, zy, zz = blocks[q + 6], blocks[q + 7], blocks[q + 8]
+            p, r, s = v[o], v[o + 1], v[o + 2]
+            a += xx * p + xy * r + xz * s
+            b += yx * p + yy * r + yz * s
+            c += zx * p + zy * r + zz * s
+            if o != at:
+                out[o] += xx * x + yx * y + zx * z
+                out[o + 1] += xy * x + yy * y + zy * z
+                out[o + 2] += xz * x + yz * y + zz * z
+        out[at] += a
+        out[at + 1] += b
+        out[at + 2] += c
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def orthogonalise(V, n, w, h):  # type: ignore[no-untyped-def]
-    """Take the first n rows of V out of w, twice; h gets the coefficients. Returns the norm left.
+    """Take the first n rows of V out of w, one after the other; h gets the coefficients. The norm left.
 
+    Once is enough for GMRES (Paige, Rozloznik and Strakos 2006, SIAM J. Matrix Anal. Appl. 28, 264-284).
     A plain loop: the threads of a BLAS are no help on vectors of this length.
     """
-    for _ in range(2):
-        for j in range(n):
-            dot = 0.0
-            for i in range(len(w)):
-                dot += V[j, i] * w[i]
-            h[j] += dot
-            for i in range(len(w)):
-                w[i] -= dot * V[j, i]
+    for j in range(n):
+        dot = 0.0
+        for i in range(len(w)):
+            dot += V[j, i] * w[i]
+        h[j] = dot
+        for i in range(len(w)):
+            w[i] -= dot * V[j, i]
     total = 0.0
     for i in range(len(w)):
         total += w[i] * w[i]
