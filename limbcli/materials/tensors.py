@@ -66,6 +66,26 @@ def square6(A, B):
 
 
 @njit(cache=True)
+def _rotation(app, aqq, apq):
+    """Tangent, cosine and sine of the Jacobi rotation that makes the off-diagonal apq vanish."""
+    theta = 0.5 * (aqq - app) / apq
+    t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    if theta < 0.0:
+        t = -t
+    c = 1.0 / np.sqrt(t * t + 1.0)
+    return t, c, t * c
+
+
+@njit(cache=True)
+def _turn(vectors, p, q, c, s):
+    """Columns p and q turned."""
+    for k in range(3):
+        x, y = vectors[k, p], vectors[k, q]
+        vectors[k, p] = c * x - s * y
+        vectors[k, q] = s * x + c * y
+
+
+@njit(cache=True)
 def eigen6(C, values, vectors):
     """Eigenvalues and orthonormal eigenvectors (columns) of a symmetric tensor.
 
@@ -81,59 +101,21 @@ def eigen6(C, values, vectors):
         if abs(a01) + abs(a02) + abs(a12) <= scale:
             break
         if abs(a01) > 0.0:
-            theta = 0.5 * (a11 - a00) / a01
-            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-            if theta < 0.0:
-                t = -t
-            c = 1.0 / np.sqrt(t * t + 1.0)
-            s = t * c
-            a00 -= t * a01
-            a11 += t * a01
-            a01 = 0.0
-            x, y = a02, a12
-            a02 = c * x - s * y
-            a12 = s * x + c * y
-            for k in range(3):
-                x, y = vectors[k, 0], vectors[k, 1]
-                vectors[k, 0] = c * x - s * y
-                vectors[k, 1] = s * x + c * y
+            t, c, s = _rotation(a00, a11, a01)
+            a00, a11, a01 = a00 - t * a01, a11 + t * a01, 0.0
+            a02, a12 = c * a02 - s * a12, s * a02 + c * a12
+            _turn(vectors, 0, 1, c, s)
         if abs(a02) > 0.0:
-            theta = 0.5 * (a22 - a00) / a02
-            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-            if theta < 0.0:
-                t = -t
-            c = 1.0 / np.sqrt(t * t + 1.0)
-            s = t * c
-            a00 -= t * a02
-            a22 += t * a02
-            a02 = 0.0
-            x, y = a01, a12
-            a01 = c * x - s * y
-            a12 = s * x + c * y
-            for k in range(3):
-                x, y = vectors[k, 0], vectors[k, 2]
-                vectors[k, 0] = c * x - s * y
-                vectors[k, 2] = s * x + c * y
+            t, c, s = _rotation(a00, a22, a02)
+            a00, a22, a02 = a00 - t * a02, a22 + t * a02, 0.0
+            a01, a12 = c * a01 - s * a12, s * a01 + c * a12
+            _turn(vectors, 0, 2, c, s)
         if abs(a12) > 0.0:
-            theta = 0.5 * (a22 - a11) / a12
-            t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-            if theta < 0.0:
-                t = -t
-            c = 1.0 / np.sqrt(t * t + 1.0)
-            s = t * c
-            a11 -= t * a12
-            a22 += t * a12
-            a12 = 0.0
-            x, y = a01, a02
-            a01 = c * x - s * y
-            a02 = s * x + c * y
-            for k in range(3):
-                x, y = vectors[k, 1], vectors[k, 2]
-                vectors[k, 1] = c * x - s * y
-                vectors[k, 2] = s * x + c * y
-    values[0] = a00
-    values[1] = a11
-    values[2] = a22
+            t, c, s = _rotation(a11, a22, a12)
+            a11, a22, a12 = a11 - t * a12, a22 + t * a12, 0.0
+            a01, a02 = c * a01 - s * a02, s * a01 + c * a02
+            _turn(vectors, 1, 2, c, s)
+    values[0], values[1], values[2] = a00, a11, a22
 
 
 @njit(cache=True)
