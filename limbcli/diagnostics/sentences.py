@@ -14,12 +14,14 @@ _WORDS = {
     "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
     "untestable": "UNTESTABLE: no absolute test can be made of these data.",
 }
+_ALONE = "AMBIGUOUS: one explanation fits, but it may be another, or not all."
 
 
 def sentences(found: Diagnosis) -> list[str]:
     """At most eight, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
+    alone = found.verdict == "ambiguous" and len(found.confidence_set) == 1
     lines = [
-        f"{_WORDS[found.verdict]} Why: {found.reason}.",
+        f"{_ALONE if alone else _WORDS[found.verdict]} Why: {found.reason}.",
         _fit(found),
         f"{_where(found)} {_what(found)}".rstrip(),
         _set(found),
@@ -132,7 +134,7 @@ def _blind(found: Diagnosis) -> str:
 
 
 def _next(found: Diagnosis) -> str:
-    if found.verdict != "ambiguous":
+    if found.verdict != "ambiguous" or len(found.confidence_set) < 2:
         return ""
     best = best_step(found.next_steps)
     useful = [

@@ -140,3 +140,5 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     assert found.verdict == "ambiguous"
     assert found.confidence_set == (("wave",),)
     assert "leaves something" in found.reason
+    assert sentences(found)[0].startswith("AMBIGUOUS: one explanation fits, but")
+    assert not any(line.startswith("Next measurement") for line in sentences(found))
