@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import binomtest
 
 TOLD = """force-zero depth-zero anisotropy skin-layer adipose-layer contraction swe-time-scale swe-guided-wave
 preload"""
@@ -59,9 +60,6 @@ def gates(rows: list[dict]) -> list[str]:
     right = [r for r in named if r["chosen"] == r["truth"]]
     outside = [r for r in rows if r["arm"] == "outside"]
 
-    def share(part, whole) -> str:
-        return f"{len(part)} of {len(whole)}" + (f" ({100 * len(part) / len(whole):.0f} %)" if whole else "")
-
     followed = [r for r in real if r.get("set_after") is not None and (r.get("power") or 0) >= 0.8]
     table = [
         ("nothing missing, named (at most 5 % + 2 se)", [r for r in null if r["verdict"] == "named"], null),
@@ -78,7 +76,15 @@ def gates(rows: list[dict]) -> list[str]:
         ("recommended measurement made, set shrinks", [r for r in followed if _shrinks(r)], followed),
         ("... and holds the truth (or is empty)", [r for r in followed if _keeps(r)], followed),
     ]
-    return [f"{name:45s} {share(part, whole)}" for name, part, whole in table]
+    return [f"{name:45s} {_share(len(part), len(whole))}" for name, part, whole in table]
+
+
+def _share(k: int, n: int) -> str:
+    """Counts, per cent, and the exact binomial 95 % interval."""
+    if not n:
+        return "0 of 0"
+    low, high = binomtest(k, n).proportion_ci(0.95, method="exact")
+    return f"{k} of {n} ({100 * k / n:.0f} %; {100 * low:.0f} to {100 * high:.0f})"
 
 
 def _nearer(rows: list[dict], error: str) -> list[dict]:
