@@ -26,9 +26,10 @@ from limbcli.errors import MeasurementError, SolveError
 from limbcli.feb.settings import schedule
 from limbcli.files import atomic_file
 from limbcli.measurement.swe_prediction import predict_map
-from limbcli.model import Array, IntArray, LimbModel, LogRecord, Material
+from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, softer_jumps, volumes
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
@@ -40,23 +41,6 @@ _FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
 _LEAST_ALLOWED, _TIMES_MOST = 400, 5.0  # iterations of a candidate's solve; those of the model without it
 _MOST_CHANGE = 10.0  # of the force, by stretched cells where a law is exponential
-_BAND = 0.05  # of I4
-
-
-def _volumes(model: LimbModel) -> Array:
-    """(n_cells,) mm^3 of the tissue's tetrahedra or hexahedra (by their corners)."""
-    block = model.mesh.solid_blocks[0]
-    x = model.mesh.points[block.cells]
-    parts: tuple[tuple[int, int, int, int], ...] = ((0, 1, 2, 3),)
-    if block.kind == "hex8":
-        parts = ((0, 1, 3, 4), (1, 2, 3, 6), (1, 3, 4, 6), (1, 4, 5, 6), (3, 4, 6, 7))
-    total = np.zeros(len(x))
-    for a, b, c, d in parts:
-        total += (
-            np.abs(np.linalg.det(np.stack([x[:, b] - x[:, a], x[:, c] - x[:, a], x[:, d] - x[:, a]], axis=1)))
-            / 6
-        )
-    return total
 
 
 class CurveBook:
@@ -75,8 +59,8 @@ class CurveBook:
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
-        self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + _first_cell(model)
-        self.near = window_cells(model, depths[-1]) - _first_cell(model)
+        self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
+        self.near = window_cells(model, depths[-1]) - first_cell(model)
         record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
         self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
@@ -144,9 +128,9 @@ class CurveBook:
 
     def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
-        model = _softer_jumps(self.model_with(m, ingredients))
+        model = softer_jumps(self.model_with(m, ingredients))
         if any(contact.friction for contact in model.contacts):
-            model = _fewer_steps(model, _PATH_STEPS * self.n_depths)
+            model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         self._iterations = 0
         self._allowed = max(_LEAST_ALLOWED, _TIMES_MOST * self._most) if ingredients else math.inf
         same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
@@ -196,9 +180,9 @@ class CurveBook:
     def _deformation(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
         n = len(self.cells)
         F = np.concatenate([np.broadcast_to(np.eye(3), (1, n, 3, 3)), values[:, :, 3:].reshape(-1, n, 3, 3)])
-        places = np.concatenate([_centers(model, self.cells)[None], values[:, :, :3]])
+        places = np.concatenate([centers(model, self.cells)[None], values[:, :, :3]])
         parts = [self.windows.members(at, -d) for at, d in zip(places, depth, strict=True)]
-        return Kinematics(depth, F, _volumes(model), tuple(zip(*parts, strict=True)))
+        return Kinematics(depth, F, volumes(model), tuple(zip(*parts, strict=True)))
 
     def _store_deformation(self, key: str, values: Array) -> None:
         if self.keep is not None:
@@ -223,7 +207,7 @@ class CurveBook:
         self, model: LimbModel, in_window: LimbModel, depths: Array, forces: Array, values: Array
     ) -> Curves:
         rest = np.zeros((len(self.near), 12))
-        rest[:, :3] = _centers(model, self.cells)[self.near]
+        rest[:, :3] = centers(model, self.cells)[self.near]
         rest[:, [3, 7, 11]] = 1.0
         rows = [self._speeds(in_window, 0.0, rest)]
         rows += [
@@ -281,41 +265,6 @@ class CurveBook:
 def _touches_loads(effect: Effect) -> bool:
     """Contact, supports and bodies are set up with a session; only materials may change in it."""
     return effect.name in ("friction", "contact", "crop", "support-motion")
-
-
-def _softer_jumps(model: LimbModel) -> LimbModel:
-    """Sheared fibres come in over a wider band of their stretch: a diagnosis need not resolve the jump."""
-
-    def soften(material: Material) -> Material:
-        parts = tuple(map(soften, material.parts))
-        if material.law == "fiber_exp_pow" and material.parameters.get("mu"):
-            material = material.with_parameters(band=_BAND)
-        return replace(material, parts=parts) if parts else material
-
-    return replace(model, materials={name: soften(each) for name, each in model.materials.items()})
-
-
-def _fewer_steps(model: LimbModel, n: int) -> LimbModel:
-    """What depends on the way takes every step: so many are enough for it."""
-    steps = tuple(
-        replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n) if each.n_steps > n else each
-        for each in model.steps
-    )
-    return replace(model, steps=steps)
-
-
-def _first_cell(model: LimbModel) -> int:
-    first = 0
-    for block in model.mesh.blocks:
-        if block.is_solid:
-            return first
-        first += len(block.cells)
-    return first
-
-
-def _centers(model: LimbModel, cells: IntArray) -> Array:
-    block = model.mesh.solid_blocks[0]
-    return np.asarray(model.mesh.points[block.cells].mean(axis=1)[cells - _first_cell(model)])
 
 
 def _fingerprint(

@@ -22,7 +22,7 @@ from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
-from limbcli.stages.diagnosis_curves import _volumes
+from limbcli.stages.diagnosis_cells import volumes
 from limbcli.stages.diagnosis_windows import Windows
 
 HEIGHT = 25.0
@@ -67,7 +67,7 @@ def kinematics(model: LimbModel, depth: np.ndarray, windows: Windows, *, spread:
         gradients.append(F)
         places = at - np.outer((1 + at[:, 2] / height) * beside, [0, 0, d])
         parts.append(windows.members(places, -d))
-    return Kinematics(depth, np.array(gradients), _volumes(model), tuple(zip(*parts, strict=True)))
+    return Kinematics(depth, np.array(gradients), volumes(model), tuple(zip(*parts, strict=True)))
 
 
 @dataclass
