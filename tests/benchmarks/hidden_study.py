@@ -58,6 +58,7 @@ def gates(rows: list[dict]) -> list[str]:
     sets = [r for r in real if r["set"]]
     named = [r for r in real if r["verdict"] == "named"]
     right = [r for r in named if r["chosen"] == r["truth"]]
+    half = [r for r in named if set(r["chosen"]) <= set(r["truth"])]
     outside = [r for r in rows if r["arm"] == "outside"]
 
     followed = [r for r in real if r.get("set_after") is not None and (r.get("power") or 0) >= 0.8]
@@ -66,6 +67,7 @@ def gates(rows: list[dict]) -> list[str]:
         ("nothing missing, not adequate", [r for r in null if r["verdict"] != "adequate"], null),
         ("truth in the set (95 %)", [r for r in sets if r["truth"] in r["set"]], sets),
         ("named right (90 %)", right, named),
+        ("... or one of two that are hidden", half, named),
         ("outside, named (at most 5 %)", [r for r in outside if r["verdict"] == "named"], outside),
         ("named, held-out error fell (95 %)", [r for r in named if r["held_out_fell"]], named),
         ("named, chi2/nu at the noise", [r for r in named if r["chi2_per_nu"][1] < 1.6], named),
