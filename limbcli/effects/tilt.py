@@ -1,7 +1,7 @@
 """The probe was held at an angle, not along the skin's normal.
 
 A rotation of the rigid probe about its own axes, up to 10 degrees. It touches with one edge first: the
-force starts low and catches up; a moment appears.
+force starts low and catches up; a moment appears. Depth counts from first touch, wherever the probe touches.
 FEBio: the probe's shell is turned before it is written.
 Tell-tale: a left-right difference of the speeds; bone and face not parallel on the B-mode frame.
 Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (effect of misalignment on indentation).
@@ -12,10 +12,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 
 from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.model import LimbModel
+from limbcli.model import Array, LimbModel
 
+_AROUND = 10.0  # mm beside the probe
 DIRECTION = "tilt_direction_deg"
 ANGLE = Parameter(
     "tilt_deg", null=0.0, start=5.0, low=0.0, high=15.0, typical=5.0, prior="by hand, within 10 deg"
@@ -23,7 +25,8 @@ ANGLE = Parameter(
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Turn the probe about an axis in its face, then lift it so that its lowest point is as deep as before.
+    """Turn the probe about an axis in its face, then move it along the beam until it is as near the skin as
+    before: on a round limb the lowered edge is beside the top.
 
     The direction is the side that comes lower: 0 deg +x, 90 deg +y.
     """
@@ -40,11 +43,27 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     c, s = np.cos(angle), np.sin(angle)
     turned = arms * c + np.cross(axis, arms) * s + np.outer(arms @ axis, axis) * (1 - c)
     lift = arms[:, 2].min() - turned[:, 2].min()
+    beside = _gap(model, center + turned + [0.0, 0.0, lift]) - _gap(model, points[nodes])
+    lift -= beside if np.isfinite(beside) else 0.0
     points[nodes] = center + turned + [0.0, 0.0, lift]
     moved = replace(body, center_of_mass=(float(center[0]), float(center[1]), float(center[2] + lift)))
     bodies = (moved, *model.bodies[1:])
     info = {**model.info, "depth_offset_mm": float(model.info.get("depth_offset_mm", 0.0)) + float(lift)}
     return replace(model, mesh=replace(model.mesh, points=points), bodies=bodies, info=info)
+
+
+def _gap(model: LimbModel, probe: Array) -> float:
+    """Least height (mm) of the probe's points (n, 3) above the skin, along the beam; NaN without a skin."""
+    surface = model.mesh.surfaces.get("skin")
+    if surface is None:
+        return float("nan")
+    skin = model.mesh.points[np.unique(np.concatenate([each.ravel() for each in surface.facets.values()]))]
+    reach = np.abs(probe[:, :2]).max() + _AROUND
+    near = skin[np.all(np.abs(skin[:, :2]) < reach, axis=1)]
+    if len(near) < 4:
+        return float("nan")
+    above = probe[:, 2] - LinearNDInterpolator(near[:, :2], near[:, 2])(probe[:, :2])
+    return float(np.nanmin(above)) if np.isfinite(above).any() else float("nan")
 
 
 EFFECT = Effect(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 import limbcli.effects
 from limbcli.effects import EFFECTS, effect
@@ -15,7 +16,7 @@ from limbcli.effects.reading import Curves, Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.model import ElementMap
+from limbcli.model import Block, ElementMap, LimbModel, Mesh, RigidBody, Surface
 
 FOLDER = Path(limbcli.effects.__file__).parent
 NAMES = [each.name for each in EFFECTS]
@@ -118,12 +119,12 @@ def test_fibres_are_those_of_the_golden_model(base, golden):
 def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     """The map's share of each cell, times volume, is the volume of a layer of that thickness."""
     from limbcli.effects.tissue import layer_share
-    from limbcli.stages.diagnosis_curves import _volumes
+    from limbcli.stages.diagnosis_cells import volumes
 
     share = layer_share(base, 0.0, 1.5)
     corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()
     top = np.ptp(base.mesh.points[corners][:, :2], axis=0)
-    assert share @ _volumes(base) == pytest.approx(np.prod(top) * 1.5, rel=0.06)
+    assert share @ volumes(base) == pytest.approx(np.prod(top) * 1.5, rel=0.06)
     theta = {"log_skin_ratio": np.log(0.15 / 0.005), "skin_thickness_mm": 1.5}
     stiff = effect("skin-layer").apply(base, theta).materials["tissue"].parameters["c1"]
     assert isinstance(stiff, ElementMap)
@@ -212,3 +213,31 @@ def test_guided_waves_gain_most_where_the_tissue_is_thin():
 def test_an_unknown_effect_is_answered_with_the_nearest():
     with pytest.raises(CaseError, match="did you mean 'skin-layer'"):
         effect("skin_layr")
+
+
+def test_a_turned_probe_touches_first_where_it_is_nearest():
+    """On a cylinder its lowered edge is beside the top: it goes further down, and depth counts from touch."""
+    base = on_a_cylinder(radius=50.0)
+    body = base.mesh.block("probe").cells.ravel()
+    for angle in (2.0, 8.0):
+        turned = effect("tilt").apply(base, {"tilt_deg": angle, "tilt_direction_deg": 0.0})
+        x, z = turned.mesh.points[np.unique(body)][:, [0, 2]].T
+        above = z - (np.sqrt(50.0**2 - x**2) - 50.0)
+        assert above.min() == pytest.approx(0.0, abs=0.05)
+        assert turned.info["depth_offset_mm"] == pytest.approx(turned.bodies[0].center_of_mass[2], abs=1e-9)
+        assert z.min() < -0.5 * 25.0 * np.sin(np.deg2rad(angle))  # the lowest edge has not touched
+
+
+def on_a_cylinder(*, radius: float) -> LimbModel:
+    """A flat face 50 x 10 mm on the top of a cylinder along y."""
+    x, y = (each.ravel() for each in np.meshgrid(np.linspace(-40, 40, 161), np.linspace(-20, 20, 9)))
+    skin = np.stack([x, y, np.sqrt(radius**2 - x**2) - radius], axis=1)
+    tri = Delaunay(skin[:, :2]).simplices.astype(np.int64)
+    u, v = (each.ravel() for each in np.meshgrid(np.linspace(-25, 25, 51), np.linspace(-5, 5, 3)))
+    quads = np.arange(len(u), dtype=np.int64).reshape(3, 51)
+    cells = np.stack([quads[:-1, :-1], quads[:-1, 1:], quads[1:, 1:], quads[1:, :-1]], axis=-1).reshape(-1, 4)
+    points = np.concatenate([skin, np.stack([u, v, np.zeros(len(u))], axis=1)])
+    mesh = Mesh(
+        points, (Block("probe", "quad4", cells + len(skin)),), {}, {"skin": Surface("skin", {"tri3": tri})}
+    )
+    return LimbModel(mesh, {}, (), bodies=(RigidBody("probe", (0.0, 0.0, 0.0), ("probe",)),))
