@@ -57,7 +57,7 @@ bench: env       ## benchmarks, as tables
 	$(BIN)/python -m tests.benchmarks
 
 hidden: env      ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
-	$(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 12
+	$(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue
 
 clean:           ## what was made, except the environment
 	rm -rf $(OUT) $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache
