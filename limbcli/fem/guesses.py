@@ -11,6 +11,8 @@ from limbcli.fem.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
 
+_STRAIGHT = 1 - 1e-6  # cosine
+
 
 def continued(system: System, last: State, before: State, after: State) -> State:
     """The last level plus what an earlier solve changed by, between two of its levels."""
@@ -27,7 +29,8 @@ def _ratios(system: System, state: State) -> tuple[Array, ...]:
 
 def extrapolate(system: System, states: list[State], time: float) -> State:
     """First guess on the polynomial through converged states; pressures follow theirs."""
-    weights = lagrange(np.array([s.time for s in states]), time)
+    *along, aim = _coordinate(system, states, time)
+    weights = lagrange(np.array(along), aim)
     last = states[-1]
 
     def combined(parts: list[Any]) -> Any:
@@ -41,6 +44,23 @@ def extrapolate(system: System, states: list[State], time: float) -> State:
     ratios = [system.linear_volumes(s, still) for s in states]
     volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
     return replace(guess, volumes=volumes)
+
+
+def _coordinate(system: System, states: list[State], time: float) -> list[float]:
+    """What the states, and the one at `time`, are a smooth function of.
+
+    The way of the driven bodies where that is straight: a load curve may go at any pace, by kinks.
+    Otherwise the time.
+    """
+    aim = system.prescribed(states[-1], time)
+    places = np.array([[body.shift for body in each.bodies] for each in (*states, aim)])
+    ways = np.diff(places.reshape(len(places), -1), axis=0)
+    lengths = np.linalg.norm(ways, axis=1)
+    turned = any((a.turn != b.turn).any() for a, b in zip(states[-1].bodies, aim.bodies, strict=True))
+    straight = (ways @ ways.sum(axis=0)) >= _STRAIGHT * lengths * lengths.sum()
+    if turned or not lengths.all() or not straight.all():
+        return [*(s.time for s in states), time]
+    return [0.0, *np.cumsum(lengths).tolist()]
 
 
 def lagrange(times: np.ndarray, time: float) -> np.ndarray:
