@@ -19,7 +19,7 @@ from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
-from limbcli.solvers.tables import read_tables
+from limbcli.solvers.tables import read_finished
 
 BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"
@@ -114,23 +114,7 @@ class FebioSolver:
 
     def read(self, feb: Path) -> Simulation:
         """What a finished run left beside its model file."""
-        outline = read_outline(feb)
-        path = feb.parent / LOG_FILE
-        log = read_log(path)
-        check_complete(log, path, end_time=outline.end_time)
-        tables = read_tables(outline, feb.parent)
-        return Simulation(
-            solver=self.name,
-            version=log.version,
-            times=tables.times,
-            rigid=tables.rigid,
-            nodes=tables.nodes,
-            elements=tables.elements,
-            n_iterations=log.n_iterations,
-            n_factorisations=log.n_reformations,
-            seconds=log.seconds,
-            linear_solver=log.linear_solver,
-        )
+        return read_finished(self.name, feb)
 
     def need(self) -> Path:
         """The binary; a ToolError says where it was looked for."""

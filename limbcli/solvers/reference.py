@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 
 import limbcli
 from limbcli.errors import SolveError
-from limbcli.feb.log import check_complete, read_log
-from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
@@ -21,7 +19,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
 from limbcli.solvers.restart import Restart
-from limbcli.solvers.tables import read_tables
+from limbcli.solvers.tables import read_finished
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
@@ -108,23 +106,7 @@ class ReferenceSolver:
 
     def read(self, feb: Path) -> Simulation:
         """What a finished run left beside its model file."""
-        outline = read_outline(feb)
-        path = feb.parent / LOG_FILE
-        log = read_log(path)
-        check_complete(log, path, end_time=outline.end_time)
-        tables = read_tables(outline, feb.parent)
-        return Simulation(
-            solver=self.name,
-            version=log.version,
-            times=tables.times,
-            rigid=tables.rigid,
-            nodes=tables.nodes,
-            elements=tables.elements,
-            n_iterations=log.n_iterations,
-            n_factorisations=log.n_reformations,
-            seconds=log.seconds,
-            linear_solver=log.linear_solver,
-        )
+        return read_finished(self.name, feb)
 
 
 def prepare(

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.feb.outline import Outline
+from limbcli.feb.log import check_complete, read_log
+from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.records import Records, read_records
 from limbcli.model import Array, LogRecord
-from limbcli.solvers.base import Table
+from limbcli.solvers.base import LOG_FILE, Simulation, Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,33 @@ class Tables:
     rigid: dict[str, Table]
     nodes: dict[str, Table]
     elements: dict[str, Table]
+
+
+def read_finished(solver: str, feb: Path) -> Simulation:
+    """What a finished run of a solver left beside its model file.
+
+    Raises
+    ------
+    SolveError
+        If the log tells of no complete run, or a record file is not whole.
+    """
+    outline = read_outline(feb)
+    path = feb.parent / LOG_FILE
+    log = read_log(path)
+    check_complete(log, path, end_time=outline.end_time)
+    tables = read_tables(outline, feb.parent)
+    return Simulation(
+        solver=solver,
+        version=log.version,
+        times=tables.times,
+        rigid=tables.rigid,
+        nodes=tables.nodes,
+        elements=tables.elements,
+        n_iterations=log.n_iterations,
+        n_factorisations=log.n_reformations,
+        seconds=log.seconds,
+        linear_solver=log.linear_solver,
+    )
 
 
 def read_tables(outline: Outline, folder: Path) -> Tables:

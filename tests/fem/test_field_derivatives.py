@@ -275,6 +275,20 @@ def by_law_on_a_spring() -> tuple[Tied, Callable[[float], LimbModel]]:
     return Tied(((LawParameter("tissue", "kappa"), size),)), change
 
 
+def by_law_under_a_force() -> tuple[Tied, Callable[[float], LimbModel]]:
+    """The probe's depth is an answer, and its own nodes move with it."""
+    drives = (
+        *(Drive("probe", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),
+        Drive("probe", "z", "force", -0.03, "ramp"),
+    )
+
+    def change(h: float) -> LimbModel:
+        law = PLAIN.with_parameters(c1=PLAIN.parameters["c1"] * (1 + h))
+        return replace(small(law), drives=drives, steps=(Step(n_steps=10, step_size=0.1),))
+
+    return Tied(((LawParameter("tissue", "c1"), PLAIN.parameters["c1"]),)), change
+
+
 def by_a_bones_place() -> tuple[BodyMotion, Callable[[float], LimbModel]]:
     """A bone in the tissue that is shifted and turned, with the nodes that are tied to it."""
     motion = (0.3, 0.1, 0.5, 0.02, -0.03, 0.05)
@@ -294,7 +308,7 @@ CASES = {
     each.__name__: each
     for each in (
         by_depth, by_depth_under_prestrain, by_ramp, by_prestrain, by_map, by_a_regions_stiffness, by_tilt,
-        by_law_on_a_spring, by_a_bones_place,
+        by_law_on_a_spring, by_law_under_a_force, by_a_bones_place,
     )
 }  # fmt: skip
 
@@ -307,6 +321,8 @@ def test_every_field_of_every_record(case: str) -> None:
     fields = dict.fromkeys(names, BODY_FIELDS)
     if case == "by_a_bones_place":  # made by a drive here, whose rotation is logged
         fields["bone"] = tuple(name for name in BODY_FIELDS if not name.startswith("th"))
+    if case == "by_law_under_a_force":  # it is given
+        fields["probe"] = tuple(name for name in BODY_FIELDS if name != "Fz")
     if "wall" in names:  # the bone's balance is 0
         fields["bone"] = BODY_FIELDS[:6]
     records = (
