@@ -29,6 +29,17 @@ class Threads:
         futures = [self._pool.submit(task, k, int(edges[k]), int(edges[k + 1])) for k in range(self.n)]
         return [each.result() for each in futures]
 
+    def run_halves(self, task: Callable[[int, int, int], Any], n_items: int) -> None:
+        """The same over two halves, whatever the number of threads."""
+        cut = n_items // 2
+        if self._pool is None or n_items < 64:
+            task(0, 0, cut)
+            task(1, cut, n_items)
+        else:
+            other = self._pool.submit(task, 1, cut, n_items)
+            task(0, 0, cut)
+            other.result()
+
     def close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=False)

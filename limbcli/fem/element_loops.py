@@ -11,6 +11,7 @@ import numpy as np
 from limbcli.fem import kernels, wide_kernels
 from limbcli.fem.assembly import Pattern, Threads
 from limbcli.fem.groups import Group, Operands
+from limbcli.fem.halves import Halves
 from limbcli.fem.state import State
 from limbcli.model import Array
 
@@ -27,6 +28,7 @@ class ElementLoops:
     threads: Threads
     pattern: Pattern
     groups: list[Group]
+    halves: list[Halves]
     operands: list[Operands]
     scales: list[float]
     histories: list[Array]
@@ -60,11 +62,19 @@ class ElementLoops:
     def stiffness(self, state: State) -> Array:
         """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
         contact; its symmetric part."""
-        parts = [np.zeros((len(self.pattern.high), 3, 3)) for _ in range(self.threads.n)]
-        for k, (o, pairs) in enumerate(zip(self.operands, self.pattern.pairs, strict=False)):
-            args = (*o.arguments(), *self._mixed(state, k), pairs)
-            self._add(wide_kernels.tangent, state, o, args, parts)
-        return _total(parts)
+        n_pairs = len(self.pattern.high)
+        blocks = np.zeros((n_pairs + max((len(h.shared) for h in self.halves), default=0), 3, 3))
+        for k, (o, halves) in enumerate(zip(self.operands, self.halves, strict=True)):
+            args = (*o.arguments(), *self._mixed(state, k), halves.order, halves.pairs, blocks)
+
+            def task(_: int, begin: int, end: int, args: tuple[Any, ...] = args) -> None:
+                wide_kernels.tangent(begin, end, state.u, *args)
+
+            self.threads.run_halves(task, len(o.cells))
+            extra = blocks[n_pairs : n_pairs + len(halves.shared)]
+            blocks[halves.shared] += extra
+            extra[:] = 0.0
+        return blocks[:n_pairs]
 
     def tangent_times(self, state: State, v: Array) -> Array:
         """Elastic tangent of all nodes times v (n_points, 3); with the slope of a stress that jumps."""

@@ -22,7 +22,7 @@ from limbcli.model import Array
 _LEAST_KRYLOV, _MAX_KRYLOV = 30, 40  # the less compressible, the more even a fresh factor needs
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
-_PER_SOLVE = 0.35  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 0.6 tried)
+_PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
 _EXACT = 1e-2  # to which it is solved where contact does not settle

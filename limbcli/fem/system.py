@@ -20,6 +20,7 @@ from limbcli.fem.contact_points import FACET, TRACTION, add_dense, add_symmetric
 from limbcli.fem.contact_reach import near_nodes
 from limbcli.fem.element_loops import ElementLoops
 from limbcli.fem.groups import make_groups
+from limbcli.fem.halves import halve
 from limbcli.fem.rigid_loads import RigidLoads
 from limbcli.fem.state import Forces, State
 from limbcli.model import Array, Drive, IntArray, LimbModel, Support
@@ -54,6 +55,10 @@ class System(RigidLoads, ElementLoops):
         self.pattern: Pattern = make_pattern(self.equations, cell_lists + [p.facets for p in patches])
         for patch, pairs in zip(patches, self.pattern.pairs[len(cell_lists) :], strict=True):
             patch.pairs = pairs
+        self.halves = [
+            halve(self.X[cells].mean(axis=1), pairs, len(self.pattern.high))
+            for cells, pairs in zip(cell_lists, self.pattern.pairs, strict=False)
+        ]
         self._size = float(np.ptp(self.X[self.coupled], axis=0).max(initial=0.0)) if cell_lists else 0.0
         self.scales = [1.0] * len(self.groups)
         self.histories: list[Array] = [np.zeros((0, 1, 6))] * len(self.groups)

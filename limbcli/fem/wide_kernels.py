@@ -53,10 +53,10 @@ def _gradients(w, lane, u, nodes, grad, base):
 
 
 @njit(cache=True, error_model="numpy")
-def _fill(w, rows, e0, e1, u, cells, grad, weight, par, base):
-    """F and weights of the points of cells e0..e1, and how many; those that are not there are at rest."""
+def _fill(w, rows, some, u, cells, grad, weight, par, base):
+    """F and weights of the points of some cells, and how many; those that are not there are at rest."""
     lane = 0
-    for e in range(e0, e1):
+    for e in some:
         _gradients(w, lane, u, cells[e], grad[e], base)
         for g in range(weight.shape[1]):
             w[WEIGHT * LANES + lane] = weight[e, g]
@@ -71,16 +71,17 @@ def _fill(w, rows, e0, e1, u, cells, grad, weight, par, base):
 
 
 @njit(cache=True, error_model="numpy")
-def _take_history(w, e0, n_gauss, n, scale, history, tangent):
+def _take_history(w, some, n_gauss, scale, history, tangent):
     """Stress scale S + history, and the tangent with it."""
     if scale != 1.0:
         rows = 27 if tangent else 6
         for k in range(S * LANES, (S + rows) * LANES):
             w[k] *= scale
     if history.shape[0] > 0:
-        for l in range(n):
-            for q in range(6):
-                w[(S + q) * LANES + l] += history[e0 + l // n_gauss, l % n_gauss, q]
+        for k in range(len(some)):
+            for g in range(n_gauss):
+                for q in range(6):
+                    w[(S + q) * LANES + k * n_gauss + g] += history[some[k], g, q]
 
 
 @njit(cache=True, error_model="numpy")
@@ -142,20 +143,20 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()
     worst, place = 1e300, -1
     n_gauss = weight.shape[1]
-    some = max(LANES // n_gauss, 1)
-    for e0 in range(start, stop, some):
-        e1 = min(e0 + some, stop)
-        n = _fill(w, rows, e0, e1, u, cells, grad, weight, par, base)
+    at_once = max(LANES // n_gauss, 1)
+    for e0 in range(start, stop, at_once):
+        some = np.arange(e0, min(e0 + at_once, stop))
+        n = _fill(w, rows, some, u, cells, grad, weight, par, base)
         lanes.measure(w)
         lanes.add_laws(w, ops, par, rows, False, one, six, square, work)
         lanes.finish(w, False)
-        _take_history(w, e0, n_gauss, n, scale, history, False)
+        _take_history(w, some, n_gauss, scale, history, False)
         _first_piola(w)
         low, lane = _worst(w, n)
         if worst > low:
             worst, place = low, e0 + lane // n_gauss
-        for e in range(e0, e1):
-            _push(w, (e - e0) * n_gauss, cells[e], grad[e], force)
+        for k in range(len(some)):
+            _push(w, k * n_gauss, cells[some[k]], grad[some[k]], force)
     return worst, place
 
 
@@ -234,15 +235,15 @@ def _scatter_blocks(pairs, K, n_nodes, blocks):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def tangent(
-    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, pairs, blocks
+    start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, order, pairs, blocks
 ):
     """blocks (n_pairs, 3, 3) += element tangents.
 
     volumes (n_cells, n_gauss): volume ratios that the pressures are taken at instead of det F;
     without cells, det F. lame (1 or n_cells): pressure per volume change.
 
-    pairs (n_cells, n_nodes (n_nodes + 1) / 2): number of the node pair, times two, plus
-    one where the pair is stored the other way round.
+    order (n_cells,): the cells as they are gone through; pairs (n_cells, n_nodes (n_nodes + 1) / 2):
+    number of the node pair, times two, plus one where the pair is stored the other way round.
     """
     w, one, six, square = lanes.room()
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()
@@ -251,20 +252,20 @@ def tangent(
     K = np.zeros((n_nodes, _LONG))
     mixed = volumes.shape[0] == cells.shape[0]
     flat = blocks.reshape(-1)
-    some = max(LANES // n_gauss, 1)
-    for e0 in range(start, stop, some):
-        e1 = min(e0 + some, stop)
-        n = _fill(w, rows, e0, e1, u, cells, grad, weight, par, base)
+    at_once = max(LANES // n_gauss, 1)
+    for e0 in range(start, stop, at_once):
+        some = order[e0 : min(e0 + at_once, stop)]
+        n = _fill(w, rows, some, u, cells, grad, weight, par, base)
         lanes.measure(w)
         lanes.add_laws(w, ops, par, rows, True, one, six, square, work)
         for l in range(n):
-            e = e0 + l // n_gauss
+            e = some[l // n_gauss]
             if mixed:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 w[SHIFT * LANES + l] = stiffness * (volumes[e, l % n_gauss] - w[J * LANES + l])
         lanes.finish(w, True)
-        _take_history(w, e0, n_gauss, n, scale, history, True)
+        _take_history(w, some, n_gauss, scale, history, True)
         _first_tangent(w)
-        for e in range(e0, e1):
-            _add_products(w, (e - e0) * n_gauss, grad[e], G, DG, K)
-            _scatter_blocks(pairs[e], K, n_nodes, flat)
+        for k in range(len(some)):
+            _add_products(w, k * n_gauss, grad[some[k]], G, DG, K)
+            _scatter_blocks(pairs[some[k]], K, n_nodes, flat)
