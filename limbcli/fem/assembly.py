@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
+from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
@@ -113,19 +114,37 @@ def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, Int
 def _slots(
     low: IntArray, high: IntArray, equations: IntArray
 ) -> tuple[NDArray[np.int32], IntArray, IntArray]:
-    rows = np.broadcast_to(equations[low][:, :, None], (len(low), 3, 3))
-    columns = np.broadcast_to(equations[high][:, None, :], (len(low), 3, 3))
-    kept = (rows >= 0) & (columns >= 0)
-    diagonal = (low == high)[:, None, None]
-    kept &= ~diagonal | (np.arange(3)[:, None] <= np.arange(3)[None, :])
+    """Places of the blocks' entries, and the pattern; equations must ascend with their nodes."""
     n = int(equations.max()) + 1 if equations.size else 0
-    r, c = rows[kept], columns[kept]
-    r, c = np.minimum(r, c), np.maximum(r, c)
-    order = np.lexsort((c, r))
     slots = np.full((len(low), 3, 3), -1, dtype=np.int32)
-    place = np.empty(len(order), dtype=np.int32)
-    place[order] = np.arange(len(order))
-    slots[kept] = place
     indptr = np.zeros(n + 1, dtype=np.int64)
-    np.cumsum(np.bincount(r, minlength=n), out=indptr[1:])
-    return slots, indptr, c[order]
+    _count(low, high, equations, indptr)
+    np.cumsum(indptr, out=indptr)
+    indices = np.empty(indptr[-1], dtype=np.int64)
+    _place(low, high, equations, indptr[:-1].copy(), indices, slots)
+    return slots, indptr, indices
+
+
+@njit(cache=True)
+def _count(low, high, equations, indptr):  # type: ignore[no-untyped-def]
+    """Entries of every row, one place further on."""
+    for k in range(len(low)):
+        for i in range(3):
+            row = equations[low[k], i]
+            for j in range(i if low[k] == high[k] else 0, 3):
+                if row >= 0 and equations[high[k], j] >= 0:
+                    indptr[row + 1] += 1
+
+
+@njit(cache=True)
+def _place(low, high, equations, at, indices, slots):  # type: ignore[no-untyped-def]
+    """Columns row by row; pairs are sorted, so each row's come in order."""
+    for k in range(len(low)):
+        for i in range(3):
+            row = equations[low[k], i]
+            for j in range(i if low[k] == high[k] else 0, 3):
+                column = equations[high[k], j]
+                if row >= 0 and column >= 0:
+                    indices[at[row]] = column
+                    slots[k, i, j] = at[row]
+                    at[row] += 1

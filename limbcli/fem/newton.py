@@ -21,7 +21,7 @@ _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
 _FAR = 0.1  # error from which on contact tractions are not yet what they will be
-_SHARE = 0.3  # of what Newton's method leaves by itself
+_SHARE = 0.6  # of what Newton's method leaves by itself
 
 
 class NotConverged(SolveError):
