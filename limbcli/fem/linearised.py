@@ -14,9 +14,10 @@ import numpy as np
 from limbcli.fem import linear as linear_solvers
 from limbcli.fem.counts import Counts, Settings
 from limbcli.fem.free_motion import check_held
+from limbcli.fem.krylov import gmres
 from limbcli.fem.state import State, norm
 from limbcli.fem.system import System
-from limbcli.fem.tangent import Inverse, Tangent, assemble, gmres
+from limbcli.fem.tangent import Inverse, Tangent, assemble
 from limbcli.model import Array
 
 _LEAST_KRYLOV, _MAX_KRYLOV = 30, 40  # the less compressible, the more even a fresh factor needs

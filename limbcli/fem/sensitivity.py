@@ -13,6 +13,7 @@ from functools import partial as partial_function
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.krylov import gmres
 from limbcli.fem.newton import Newton
 from limbcli.fem.parameters import (
     BodyMotion,
@@ -25,7 +26,6 @@ from limbcli.fem.parameters import (
 )
 from limbcli.fem.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.fem.tangent import gmres
 from limbcli.model import Array
 
 __all__ = [
