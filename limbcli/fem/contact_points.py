@@ -109,21 +109,3 @@ def add_symmetric(blocks, touched, pairs, slots, values):
                         slot = slots[pair, j, i] if swapped else slots[pair, i, j]
                         if slot >= 0:
                             values[slot] += 0.5 * (K[a, i, b, j] + K[b, j, a, i])
-
-
-@njit(cache=True, nogil=True)
-def add_dense(blocks, touched, facets, places, out):
-    """The touched facets' blocks, added to a dense matrix. places (n_points, 3): its row, or -1."""
-    for f in range(blocks.shape[0]):
-        if not touched[f]:
-            continue
-        for a in range(facets.shape[1]):
-            for i in range(3):
-                row = places[facets[f, a], i]
-                if row < 0:
-                    continue
-                for b in range(facets.shape[1]):
-                    for j in range(3):
-                        column = places[facets[f, b], j]
-                        if column >= 0:
-                            out[row, column] += blocks[f, a, i, b, j]

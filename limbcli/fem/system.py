@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
-from limbcli.fem.contact_points import FACET, TRACTION, add_dense, add_symmetric
+from limbcli.fem.contact_points import FACET, TRACTION, add_symmetric
 from limbcli.fem.contact_reach import near_nodes
 from limbcli.fem.element_loops import ElementLoops
 from limbcli.fem.groups import make_groups
@@ -186,13 +187,18 @@ class System(RigidLoads, ElementLoops):
                 add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
 
-    def dense_contact(self, state: State, places: IntArray, n: int) -> Array:
+    def contact_matrix(self, state: State, places: IntArray, n: int) -> sparse.csr_array:
         """Exact contact tangent (n, n), as searched last, of the unknowns that have places (n_points, 3)."""
-        out = np.zeros((n, n))
+        parts = []
         for pair in self.pairs:
             for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
-                add_dense(blocks, touched, patch.facets, places, out)
-        return out
+                mine = places[patch.facets[touched]].reshape(int(touched.sum()), -1)
+                values = blocks[touched].reshape(*mine.shape, -1)
+                row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
+                inside = (row >= 0) & (column >= 0)
+                parts.append((values[inside], row[inside], column[inside]))
+        values, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return sparse.coo_array((values, (row, column)), shape=(n, n)).tocsr()
 
     def within_reach(self) -> IntArray:
         """Equations of the nodes that the rigid surfaces may come to touch in this step, sorted."""

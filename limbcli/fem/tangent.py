@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
 
@@ -166,10 +167,10 @@ class Inverse:
         touching = [each.ravel() for each in system.touching()]
         return np.concatenate(touching), [pair.turning for pair in system.pairs]
 
-    def _contact(self, state: State) -> Array:
+    def _contact(self, state: State) -> sparse.csr_array:
         """Symmetric part of the contact tangent of the root."""
-        contact = self.tangent.system.dense_contact(state, self.places, self.n_root)
-        return 0.5 * (contact + contact.T)
+        contact = self.tangent.system.contact_matrix(state, self.places, self.n_root)
+        return (0.5 * (contact + contact.T)).tocsr()
 
     def _set_border(self, state: State) -> None:
         system = self.tangent.system

@@ -88,44 +88,22 @@ def test_schur_complement_of_the_last_equations(single: bool) -> None:
 
 
 @pytest.mark.parametrize("single", [True, False])
-@pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shift", [0.0, 0.5])
-def test_root_is_changed_and_factored_again(single: bool, symmetric: bool, shift: float) -> None:
+def test_root_is_changed_and_factored_again(single: bool, shift: float) -> None:
     rng = np.random.default_rng(7)
     matrix = grid(7, shift=shift)
     solver = solver_of(matrix, single=single, last=rng.permutation(matrix.shape[0])[:90])
     addition = rng.standard_normal((90, 90)) * 0.5
-    if symmetric:
-        addition = addition @ addition.T
+    addition = addition @ addition.T
     b = rng.standard_normal(matrix.shape[0])
     before = solver.solve(b)
     changed = matrix.tolil()
     changed[np.ix_(solver.root, solver.root)] += addition
-    solver.update_root(addition)
+    solver.update_root(sparse.csr_array(addition))
     x = solver.solve(b)
     assert error(changed.tocsr(), x, b) < ROUND_OFF[single]
     solver.update_root(None)
     assert np.allclose(solver.solve(b), before, rtol=0, atol=ROUND_OFF[single] * 1e-3)
-
-
-@pytest.mark.parametrize("single", [True, False])
-@pytest.mark.parametrize("n_last", [20, 420])
-def test_root_far_from_symmetric_is_factored_with_pivots_or_without(single: bool, n_last: int) -> None:
-    rng = np.random.default_rng(7)
-    matrix = grid(8)
-    solver = solver_of(matrix, single=single, last=np.arange(n_last))
-    b = rng.standard_normal(matrix.shape[0])
-    size = np.sqrt(np.outer(matrix.diagonal()[solver.root], matrix.diagonal()[solver.root]))
-    skew = np.triu(rng.standard_normal((n_last, n_last)) * size) * 0.3
-    for pivots, addition in (
-        (False, skew - skew.T),
-        (True, -solver.schur + rng.permutation(np.eye(n_last)) * size),
-    ):
-        changed = matrix.tolil()
-        changed[np.ix_(solver.root, solver.root)] += addition
-        solver.update_root(addition)
-        assert (solver._root._lu is not None) == pivots
-        assert error(changed.tocsr(), solver.solve(b), b) < 10 * ROUND_OFF[single]
 
 
 def test_a_matrix_of_all_zero_pivots_is_counted_and_refused() -> None:

@@ -33,10 +33,9 @@ def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def reduce_block(blas, a, b, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
-    """Take from rows r0..r1 of columns j0..j1 what the columns before j0 contribute: a S b^T.
+def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
+    """Take from rows r0..r1 of columns j0..j1 what the columns before j0 contribute.
 
-    b is a itself where the matrix is symmetric, else the same for its transpose (see `pair`).
     r0 is j0 or a multiple of ALIGNED, like j0; what lies above the diagonal is left to chance.
     """
     one = a.dtype.type(1)
@@ -47,14 +46,14 @@ def reduce_block(blas, a, b, o, ld, j0, j1, r0, r1, sign, first, work):  # type:
     if blas[WIDE]:
         high = (r1 + ALIGNED - 1) // ALIGNED * ALIGNED - r0
         product(
-            blas, r1 - r0, n, j0, a, o + r0, ld, b, o + j0, ld, sign, first, -one, True, r0 == j0,
+            blas, r1 - r0, n, j0, a, o + r0, ld, a, o + j0, ld, sign, first, -one, True, r0 == j0,
             a, target, ld, 0, high, work, TILE * TILE,
         )  # fmt: skip
         return
-    if signed_copy(b, o + j0, ld, n, j0, sign, first, work):
+    if signed_copy(a, o + j0, ld, n, j0, sign, first, work):
         gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, work, 0, n, one, a, target, ld)
     else:
-        gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, b, o + j0, ld, one, a, target, ld)
+        gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, a, o + j0, ld, one, a, target, ld)
 
 
 @njit(cache=True, nogil=True)
@@ -66,7 +65,7 @@ def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  
     made_up = 0
     for k0 in range(j0, j1, TILE):
         k1 = min(k0 + TILE, j1)
-        reduce_tile(blas, a, a, o, ld, j0, k0, k1, k0, j1, sign, first, work)
+        reduce_tile(blas, a, o, ld, j0, k0, k1, k0, j1, sign, first, work)
         inverted = inverse[(k0 - j0) * TILE : (k0 - j0 + TILE) * TILE]
         found = _factor_tile(a, o + k0 * (ld + 1), ld, k1 - k0, sign, first + k0, tiny, inverted, work)
         if found < 0:
@@ -77,7 +76,7 @@ def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  
 
 
 @njit(cache=True, nogil=True)
-def reduce_tile(blas, a, b, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
+def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
     """Take from rows r0..r1 of columns k0..k1 what columns j0..k0 contribute."""
     one = a.dtype.type(1)
     if k0 == j0 or r1 <= r0:
@@ -86,14 +85,14 @@ def reduce_tile(blas, a, b, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # ty
     target, left = o + r0 + k0 * ld, o + r0 + j0 * ld
     if blas[WIDE]:
         product(
-            blas, r1 - r0, n, k, a, left, ld, b, o + k0 + j0 * ld, ld, sign, first + j0, -one, True, r0 == k0,
+            blas, r1 - r0, n, k, a, left, ld, a, o + k0 + j0 * ld, ld, sign, first + j0, -one, True, r0 == k0,
             a, target, ld, 0, r1 - r0, work, TILE * TILE,
         )  # fmt: skip
         return
-    if signed_copy(b, o + k0 + j0 * ld, ld, n, k, sign, first + j0, work):
+    if signed_copy(a, o + k0 + j0 * ld, ld, n, k, sign, first + j0, work):
         gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, work, 0, n, one, a, target, ld)
     else:
-        gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, b, o + k0 + j0 * ld, ld, one, a, target, ld)
+        gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, a, o + k0 + j0 * ld, ld, one, a, target, ld)
 
 
 @njit(cache=True, nogil=True)
@@ -169,13 +168,13 @@ def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def solve_block(blas, a, b, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # type: ignore[no-untyped-def]
+def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # type: ignore[no-untyped-def]
     """Rows r0..r1 of columns j0..j1, once their diagonal block is factored."""
     for b0 in range(r0, r1, STRIP):
         b1 = min(b0 + STRIP, r1)
         for k0 in range(j0, j1, TILE):
             k1 = min(k0 + TILE, j1)
-            reduce_tile(blas, a, b, o, ld, j0, k0, k1, b0, b1, sign, first, work)
+            reduce_tile(blas, a, o, ld, j0, k0, k1, b0, b1, sign, first, work)
             inverted = inverse[(k0 - j0) * TILE : (k0 - j0 + TILE) * TILE]
             solve_tile(blas, a, o, ld, k0, k1, b0, b1, inverted, work)
 
@@ -186,12 +185,12 @@ def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):
     made_up = 0
     for j0 in range(0, p, block):
         j1 = min(j0 + block, p)
-        reduce_block(blas, a, a, o, ld, j0, j1, j0, m, sign, first, work)
+        reduce_block(blas, a, o, ld, j0, j1, j0, m, sign, first, work)
         found = factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work)
         if found < 0:
             return NOT_FINITE
         made_up += found
-        solve_block(blas, a, a, o, ld, j0, j1, j1, m, sign, first, inverse, work)
+        solve_block(blas, a, o, ld, j0, j1, j1, m, sign, first, inverse, work)
     return made_up
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from numba import njit
 
 from limbcli.fem.multifrontal.kept import PAD, down, up
+from limbcli.fem.multifrontal.tiles import TILE
 
 
 @njit(cache=True, nogil=True)
@@ -59,14 +60,14 @@ def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def whole(left, right, sign, w, y, z):  # type: ignore[no-untyped-def]
-    """w -> (L S R^T)^-1 w, of a matrix that is one front."""
+def whole(kept, sign, w, y, z):  # type: ignore[no-untyped-def]
+    """w -> (L S L^T)^-1 w, of a matrix that is one front."""
     n = len(w)
     y[:n] = w
     y[n : n + PAD] = 0
-    down(left, 0, 0, 0, n, n, y, z)
+    down(kept, 0, 0, 0, n, n, y, z)
     for i in range(n):
         y[i] *= sign[i]
     y[n : n + PAD] = 0
-    up(right, len(right.inverses) // (16 * 16), len(right.parts), 0, n, n, y, z)
+    up(kept, len(kept.inverses) // (TILE * TILE), len(kept.parts), 0, n, n, y, z)
     w[:] = y[:n]

@@ -7,6 +7,7 @@ from collections import deque
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sparse
 from threadpoolctl import ThreadpoolController
 
 from limbcli.fem.multifrontal import numeric
@@ -143,8 +144,8 @@ class Multifrontal:
         """What the elimination of all others left, (n_root, n_root), before any `update_root`."""
         return self._root.schur()
 
-    def update_root(self, addition: Array | None) -> None:
-        """Factor `schur + addition` (None: `schur`), in the order of `root`; it need not be symmetric."""
+    def update_root(self, addition: sparse.sparray | None) -> None:
+        """Factor `schur + addition` (None: `schur`), in the order of `root`; it must be symmetric."""
         started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
             self._made_up_in_root = self._root.update(addition)

@@ -51,12 +51,12 @@ class Top:
             cut = min(max(_aligned((j0 + m) // 2), _aligned(j1)), m)
 
             def head(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
-                reduce_block(blas, panel, panel, 0, ld, j0, j1, j0, cut, sign, first, work[0])
+                reduce_block(blas, panel, 0, ld, j0, j1, j0, cut, sign, first, work[0])
                 found = factor_diagonal(blas, panel, 0, ld, j0, j1, sign, first, self.tiny, inverse, work[0])
                 return int(found)
 
             def tail(j0: int = j0, j1: int = j1, cut: int = cut) -> int:
-                reduce_block(blas, panel, panel, 0, ld, j0, j1, cut, m, sign, first, work[1])
+                reduce_block(blas, panel, 0, ld, j0, j1, cut, m, sign, first, work[1])
                 return 0
 
             found = self.crew.run([head, tail])[0] if j0 else head()
@@ -66,7 +66,7 @@ class Top:
             cut = min(_aligned((j1 + m) // 2), m)
             self.crew.run(
                 [
-                    partial(solve_block, blas, panel, panel, 0, ld, j0, j1, a, b, sign, first, inverse, w)
+                    partial(solve_block, blas, panel, 0, ld, j0, j1, a, b, sign, first, inverse, w)
                     for a, b, w in ((j1, cut, work[0]), (cut, m, work[1]))
                 ]
             )
