@@ -192,8 +192,9 @@ class System(RigidLoads, ElementLoops):
         parts = []
         for pair in self.pairs:
             for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
-                mine = places[patch.facets[touched]].reshape(int(touched.sum()), -1)
-                values = blocks[touched].reshape(*mine.shape, -1)
+                size = 3 * patch.facets.shape[1]
+                mine = places[patch.facets[touched]].reshape(-1, size)
+                values = blocks[touched].reshape(-1, size, size)
                 row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
                 inside = (row >= 0) & (column >= 0)
                 parts.append((values[inside], row[inside], column[inside]))
