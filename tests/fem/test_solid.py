@@ -65,6 +65,17 @@ def test_tangent_agrees_with_differences_at_a_random_state(kind: str, rng: np.ra
     np.testing.assert_allclose(system.tangent_times(state, v)[system.free], exact, atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+def test_two_threads_give_the_tangent_of_one(kind: str, rng: np.random.Generator) -> None:
+    """To the last bit: both add up the same cells in the same order, and share what both add to."""
+    model = block(kind, (6, 5, 4), twist=0.05)
+    systems = [System(model, threads=n) for n in (1, 2)]
+    u = 0.02 * rng.standard_normal(systems[0].X.shape)
+    one, two = (system.stiffness(State(0.0, u, ())) for system in systems)
+    assert np.array_equal(one, two)
+    assert len(systems[0].halves[0].shared) < len(one) / 2
+
+
 def test_rigid_motion_leaves_no_force(rng: np.random.Generator) -> None:
     system = System(block("tet10"), threads=1)
     Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]

@@ -1,0 +1,45 @@
+"""First guesses on the polynomial through converged states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import punch
+
+from limbcli.fem.guesses import extrapolate
+from limbcli.fem.system import System
+from limbcli.model import Curve
+
+DEPTHS = (0.2, 0.4, 0.6)
+
+
+def at_depths(times: tuple[float, ...], depths: tuple[float, ...], rng: np.random.Generator):
+    """System whose plate is at these depths at these times, and states quadratic in the depth."""
+    model = punch("tet4")
+    name = next(d.curve for d in model.drives if d.curve)
+    value = next(d.value for d in model.drives if d.curve)
+    points = ((0.0, 0.0), *((t, depth / abs(value)) for t, depth in zip(times, depths, strict=True)))
+    system = System(replace(model, curves={**model.curves, name: Curve(points)}), threads=1)
+    first, second = 0.01 * rng.standard_normal((2, *system.X.shape)) * system.free[None]
+    states = []
+    for time, depth in zip(times, depths, strict=True):
+        state = system.prescribed(system.rest(), time)
+        states.append(replace(state, u=np.where(system.free, first * depth + second * depth**2, state.u)))
+    return system, states
+
+
+@pytest.mark.parametrize("times", [(0.2, 0.4, 0.6, 0.8), (0.2, 0.4, 0.6, 0.65)])
+def test_a_load_curve_may_go_at_any_pace(times: tuple[float, ...], rng: np.random.Generator) -> None:
+    """What is quadratic in the plate's way is met exactly, with a kink in the load curve or without."""
+    system, states = at_depths(times, (*DEPTHS, 0.8), rng)
+    guess = extrapolate(system, states[:3], times[3])
+    np.testing.assert_allclose(guess.u, states[3].u, atol=1e-14)
+
+
+def test_a_plate_that_turns_back_is_followed_in_time(rng: np.random.Generator) -> None:
+    system, states = at_depths((0.2, 0.4, 0.6, 0.8), (*DEPTHS, 0.4), rng)
+    guess = extrapolate(system, states[:3], 0.8)
+    line = 3 * states[2].u - 3 * states[1].u + states[0].u  # the parabola over even times
+    np.testing.assert_allclose(guess.u[system.free], line[system.free], atol=1e-14)
