@@ -29,11 +29,11 @@ MATERIALS = {
     "a map": Material(
         "ogden",
         {
-            "c1": ElementMap(np.linspace(0.001, 0.004, LANES)),
+            "c1": ElementMap("map", "tissue", np.linspace(0.001, 0.004, LANES)),
             "m1": 4.0,
-            "c2": ElementMap(np.linspace(0.004, 0.001, LANES)),
+            "c2": ElementMap("map", "tissue", np.linspace(0.004, 0.001, LANES)),
             "m2": -4.0,
-            "kappa": ElementMap(np.linspace(0.1, 1.0, LANES)),
+            "kappa": ElementMap("map", "tissue", np.linspace(0.1, 1.0, LANES)),
         },
     ),
 }
