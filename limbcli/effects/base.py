@@ -60,6 +60,7 @@ class Effect:
         (where both differ from the identity and `solves` is false, `apply` is what FEBio is given)
     febio_only : the reference solver refuses the model
     new_mesh : `apply` moves nodes or elements
+    spreads : it spreads the load, so that much of what it does to the speeds goes through the deformation
     onset : the grid's value that is a share of the levels: on those before it the effect is not there yet
     each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
         measurements of one place share it
@@ -78,6 +79,7 @@ class Effect:
     solves: bool = False
     febio_only: bool = False
     new_mesh: bool = False
+    spreads: bool = False
     onset: str = ""
     each_time: bool = False
     tell_tale: str = ""

@@ -41,5 +41,6 @@ EFFECT = Effect(
     waves=same_model,
     grid=({THICKNESS: 1.5},),
     solves=True,
+    spreads=True,
     tell_tale="stiff from the first millimetre on; superficial speeds rise less",
 )

@@ -17,6 +17,7 @@ from limbcli.effects.reading import Reading
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.stages.diagnosis_site import logs
 
 
 def _module(name: str):
@@ -225,3 +226,20 @@ def test_a_fit_beyond_the_solved_exponents_has_one_of_its_own(rng):
     fitted = the_bench.fit((), {})
     assert fitted.values["m"] == pytest.approx(14.0, rel=0.1)
     assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.sites[0].nodes) < 0.1
+
+
+def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkeypatch):
+    """The kept deformation tells half of it here; the sensitivity is that of the simulation nevertheless."""
+    whole = reduced.ReducedBook.shift
+    monkeypatch.setattr(
+        reduced.ReducedBook,
+        "shift",
+        lambda self, m, ingredients: tuple(0.5 * x for x in whole(self, m, ingredients)),
+    )
+    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
+    one.solve_node(2.0)
+    theta = {"log_skin_ratio": 1.5}
+    true = logs(one.book.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(one.book.curves(2.0))
+    found = one._change(skin, skin.grid[0]).at(theta)
+    assert np.abs(true[1:, 0]).max() > 0.05
+    assert found[1:] == pytest.approx(true[1:], abs=1e-9)
