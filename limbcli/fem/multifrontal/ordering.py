@@ -14,10 +14,7 @@ from numba import njit
 
 from limbcli.model import IntArray
 
-_TRIALS, _UNEVEN = 2, 100  # separators tried; 1/1000 by which halves may differ: 5 to 15 % less work so
-    2,
-    100,
-)  # separators tried, and 1/1000 that the larger half may have more: 5 to 15 % less work
+_TRIALS, _UNEVEN = 2, 100  # separators tried; 1/1000 by which halves may differ: 5 to 15 % less work
 
 
 @dataclass(frozen=True, eq=False)
