@@ -160,9 +160,10 @@ class Multifrontal:
 
     @property
     def solves_per_factor(self) -> float:
-        """What a factorisation costs, in solves, as found for limbs of 6,000 to 49,000 equations.
+        """What a factorisation costs, in solves, by its operations: about half of what is measured.
 
-        A rule of the operations, not a measured time, so that the same model always takes the same way.
+        A rule, not a measured time, so that the same model always takes the same way; what is made of it
+        (`linearised`) was tuned with the rule as it is.
         """
         return 14.0 + self.layout.flops / 8e9
 
