@@ -188,7 +188,9 @@ class Analysis:
                     raise _explained(error, level, aim, len(reached) - 1) from error
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 self._wary = _WARY if known is None else 0
-                newton.linearised.debt, known = np.inf, None
+                known = None
+                if newton.counts.iterations > before:  # else the factor is of the state to start from
+                    newton.linearised.debt = np.inf
                 newton.system.recall(reached[-1].hints)
                 continue
             used = newton.counts.iterations - before
