@@ -64,15 +64,15 @@ def indent(
     spacing : mm between simulated depths; between them the force is PCHIP
     tolerance : residual over the forces at play
     change : of the loaded model, its tissue included; speeds then follow from the changed law,
-        or from that of `change_for_waves`
+        or from that of `change_for_waves`; the skin-bone distance is that of the changed model
 
     Raises
     ------
     SolveError
         If the simulation fails before three levels are reached.
     """
-    skin_bone = skin_bone_distance(model)
-    cap = min(_DEEPEST, protocol.max_strain * skin_bone) if skin_bone else _DEEPEST
+    expected = skin_bone_distance(model)
+    cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
     press = _Press(model, tissue, spacing, tolerance, progress, change)
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
@@ -81,7 +81,7 @@ def indent(
         _indentation(model, simulation),
         OgdenTerms.of(known),
         protocol=protocol,
-        skin_bone=skin_bone,
+        skin_bone=skin_bone_distance(model),
         window=window,
         density_kg_per_m3=density_kg_per_m3,
         speed=None if change is None else _speed_of(seen, simulation, density_kg_per_m3),

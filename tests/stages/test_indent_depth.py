@@ -10,7 +10,12 @@ import pytest
 
 from limbcli.effects import effect
 from limbcli.feb.read import read_feb
-from limbcli.stages.indent import _depth
+from limbcli.measurement.swe_prediction import Window
+from limbcli.model import Surface
+from limbcli.phantom.protocol import Protocol
+from limbcli.stages.hidden import hide
+from limbcli.stages.indent import KnownTissue, _depth, indent
+from tests.stages.block_case import block_model
 
 
 def test_a_turned_probe_is_as_deep_as_its_lowest_edge(golden) -> None:
@@ -23,3 +28,24 @@ def test_a_turned_probe_is_as_deep_as_its_lowest_edge(golden) -> None:
     assert _depth(tilted, pressed) == pytest.approx([3.0, 5.0])
     plain = SimpleNamespace(probe_depth=lambda body: np.array([3.0, 5.0]))
     assert _depth(model, plain) == pytest.approx([3.0, 5.0])
+
+
+def test_a_hidden_change_of_the_thickness_shows_in_the_skin_bone_distance() -> None:
+    """The bone on the first B-mode frame is where the tissue that was pressed has it."""
+    model = block_model()
+    z = model.mesh.points[:, 2]
+    base, top = np.flatnonzero(z < -15.999), model.mesh.surfaces["contact"]
+    corners = [base[np.lexsort(model.mesh.points[base, :2].T)[[0, -1]]]]
+    corners.append([base[np.argmin(model.mesh.points[base] @ [1, -1, 0])]])
+    corners.append([base[np.argmax(model.mesh.points[base] @ [1, -1, 0])]])
+    low, high, left, right = (int(each) for each in np.concatenate(corners))
+    floor = Surface("bone", {"tri3": np.array([[low, high, left], [low, high, right]])})
+    surfaces = {**model.mesh.surfaces, "skin": replace(top, name="skin"), "bone": floor}
+    model = replace(model, mesh=replace(model.mesh, surfaces=surfaces))
+    protocol = Protocol(step=0.5, max_force=1.0)
+    found = [
+        indent(model, KnownTissue(), protocol=protocol, tolerance=1e-3, change=change,
+               window=Window(depth_from=2.0, depth_to=10.0)).skin_bone
+        for change in (None, hide("thickness=0.1").in_model)
+    ]  # fmt: skip
+    assert found == pytest.approx([16.0, 17.6])
