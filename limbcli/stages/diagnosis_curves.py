@@ -30,6 +30,7 @@ from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, softer_jumps, volumes
+from limbcli.stages.diagnosis_keys import changed_to, fingerprint
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
@@ -70,8 +71,9 @@ class CurveBook:
         self.n_solves, self.n_depths = 0, len(depths)
         self._session: ReferenceSession | None = None
         self._known: dict[str, Curves] = {}
+        self._changed: dict[str, str] = {}
         self._kinematics: dict[str, Kinematics] = {}
-        self._fingerprint = _fingerprint(self.model, depths, c, f_kappa, windows)
+        self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows)
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
         """The curves with exponent m and these effects (at their parameter values) in the model.
@@ -233,7 +235,11 @@ class CurveBook:
             for effect, theta in ingredients
         ]
         text = json.dumps([self._fingerprint, round(m, 9), parts], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
+        if ingredients and text not in self._changed:
+            self._changed[text] = changed_to(
+                *(self.model_with(m, ingredients, waves=w) for w in (False, True))
+            )
+        return hashlib.sha256((text + self._changed.get(text, "")).encode()).hexdigest()[:24]
 
     def _load(self, key: str) -> Curves | None:
         if self.keep is None:
@@ -265,11 +271,3 @@ class CurveBook:
 def _touches_loads(effect: Effect) -> bool:
     """Contact, supports and bodies are set up with a session; only materials may change in it."""
     return effect.name in ("friction", "contact", "crop", "support-motion")
-
-
-def _fingerprint(
-    model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows
-) -> str:
-    digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
-    digest.update(json.dumps([[round(float(d), 6) for d in depths], c, f_kappa, repr(windows)]).encode())
-    return digest.hexdigest()[:16]

@@ -200,7 +200,7 @@ class _Preparation:
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
         save_model(model, kept)
         key.write_text(text, encoding="utf-8")
-        return model
+        return load_model(kept)  # as it will be when the diagnosis is taken up again
 
     def _data(self, model_error: Sequence[ModelError], extras: Sequence[Extra]) -> SiteData:
         maps = None

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.effects import effect
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
@@ -51,6 +52,19 @@ def test_a_users_effect_is_one_file(tmp_path):
         load_effect(tmp_path / "empty.py")
     with pytest.raises(CaseError, match="there is no effect 'frction'"):
         chosen_effects(DiagnoseOptions(effects=("frction",)))
+
+
+def test_an_effect_that_was_written_anew_is_solved_anew():
+    """Kept simulations are told by what an effect makes of the model, not by its name and size alone."""
+    book = CurveBook(_block_case().block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
+    known, theta = effect("thickness"), {"thickness_change": 0.1}
+    mended = replace(known, apply=lambda model, theta: known.apply(model, {"thickness_change": 0.2}))
+    key = book._key(3.0, ((known, theta),))
+    assert book._key(3.0, ((replace(known), dict(theta)),)) == key
+    book._changed.clear()
+    assert book._key(3.0, ((known, theta),)) == key
+    book._changed.clear()
+    assert book._key(3.0, ((mended, theta),)) != key
 
 
 @pytest.mark.slow

@@ -1,0 +1,44 @@
+"""By what a kept simulation is told from others."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.model import LimbModel
+from limbcli.results import plain
+from limbcli.stages.diagnosis_windows import Windows
+
+
+def changed_to(*models: LimbModel) -> str:
+    """What effects made of the model: an effect that was written anew is solved anew."""
+    digest = hashlib.sha256()
+
+    def feed(value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(np.ascontiguousarray(value).tobytes())
+        elif is_dataclass(value):
+            feed([getattr(value, each.name) for each in fields(value)])
+        elif isinstance(value, Mapping):
+            feed([[str(key), value[key]] for key in sorted(value, key=str)])
+        elif isinstance(value, tuple | list):
+            for each in value:
+                feed(each)
+        else:
+            digest.update(f"{plain(value)!r};".encode())
+
+    for model in models:
+        feed(model)
+    return digest.hexdigest()
+
+
+def fingerprint(model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows) -> str:
+    """What is solved, before effects: mesh, depths, tissue, and the window that is read."""
+    digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
+    digest.update(json.dumps([[round(float(d), 6) for d in depths], c, f_kappa, repr(windows)]).encode())
+    return digest.hexdigest()[:16]
