@@ -166,7 +166,8 @@ class Analysis:
         Strides on the way serve as first guesses only: they are solved loosely and not kept.
         """
         newton = self.newton
-        cuts = 0
+        cuts, n_before = 0, len(reached)
+        newton.mixed = self.settings.mixed
         while True:
             begin = reached[-1].time
             rest = target - begin
@@ -185,7 +186,14 @@ class Analysis:
                 if isinstance(error, SingularMatrix):
                     newton.linearised.inverse = None
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
-                    raise _explained(error, level, aim, len(reached) - 1) from error
+                    if not newton.mixed or self.remembers or _hopeless(error, reached):
+                        raise _explained(error, level, aim, len(reached) - 1) from error
+                    newton.mixed, cuts = (
+                        False,
+                        0,
+                    )  # once more from the last level, without pressures of their own
+                    del reached[n_before:]
+                    aim, begin = target, reached[-1].time
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 self._wary = _WARY if known is None else 0
                 known = None

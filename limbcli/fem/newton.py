@@ -35,6 +35,7 @@ class Newton:
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
         self.linearised = Linearised(system, settings, self.counts)
+        self.mixed = settings.mixed  # pressures of their own, now
 
     @property
     def linear_name(self) -> str:
@@ -77,7 +78,7 @@ class Newton:
         displacements and pressures, the latter eliminated (Magisano, Leonetti and Garcea 2017, Comput.
         Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
         """
-        if not self.settings.mixed:
+        if not self.mixed:
             return guess
         return replace(guess, volumes=self.system.linear_volumes(state, guess.u - state.u))
 
@@ -152,7 +153,7 @@ class Newton:
         """
         before, before_all = norm(forces.mixed), norm(forces.residual)
         full = self.system.moved(state, step)
-        mixed = self.settings.mixed
+        mixed = self.mixed
         if mixed:
             nows = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
             aims = self.system.linear_volumes(state, full.u - state.u)
