@@ -188,10 +188,8 @@ class Analysis:
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     if not newton.mixed or self.remembers or _hopeless(error, reached):
                         raise _explained(error, level, aim, len(reached) - 1) from error
-                    newton.mixed, cuts = (
-                        False,
-                        0,
-                    )  # once more from the last level, without pressures of their own
+                    # once more from the last level, without pressures of their own
+                    newton.mixed, cuts = False, 0
                     del reached[n_before:]
                     aim, begin = target, reached[-1].time
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
