@@ -26,7 +26,7 @@ _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
 _ROUNDS = 8  # of contact in one step
-_EXACT = 1e-2  # to which it is solved where contact does not settle
+_EXACT = 1e-3  # to which it is solved where contact does not settle
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
 
