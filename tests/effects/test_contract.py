@@ -75,7 +75,9 @@ def test_name_source_and_bounds(each: Effect):
         assert p.low <= p.typical <= p.high
 
 
-@pytest.mark.parametrize("each", EFFECTS, ids=NAMES)
+@pytest.mark.parametrize(
+    "each", [pytest.param(e, id=e.name, marks=[pytest.mark.slow] * (e.name == "tilt")) for e in EFFECTS]
+)
 def test_null_is_the_base_and_the_input_stays(each: Effect, base):
     before = {"materials": dict(base.materials), "points": base.mesh.points.copy(), "steps": base.steps}
     for point in each.grid:

@@ -30,6 +30,7 @@ def test_value_inside_is_that_of_the_pixel_under_it():
     assert found.inside.all()
 
 
+@pytest.mark.slow
 def test_far_outside_is_the_median_and_the_way_there_has_no_step():
     swe = swe_map()
     x = np.linspace(0, 80, 400)
