@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from limbcli.diagnostics.bench import Mask
-from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction, Trial
 from limbcli.model import Array
 
@@ -50,9 +50,3 @@ def predicted_without(
     spread = covariance[np.ix_(mask, mask)] - gain @ covariance[np.ix_(keep, mask)] + left @ bread @ left.T
     z = error / np.sqrt(np.maximum(np.diag(spread), 1e-300))
     return float(np.sqrt(np.mean(z**2))), float(np.max(np.abs(z)))
-
-
-def z_by_datum(state: LinearFit) -> Array:
-    """Whitened residual of each datum over its own deviation under the fitted model (n,)."""
-    leverage = 1.0 - np.sum(state.basis**2, axis=1)
-    return np.asarray(state.left / np.sqrt(np.maximum(leverage, 1e-12)))

@@ -68,11 +68,6 @@ class LinearFit:
         """Degrees of freedom: rank of P."""
         return len(self.residual) - self.basis.shape[1]
 
-    @property
-    def is_deficient(self) -> bool:
-        """Some combination of the fitted parameters moves nothing."""
-        return self.basis.shape[1] < self.jacobian.shape[1]
-
     def project(self, x: Array) -> Array:
         """P x: what no change of the fitted parameters can imitate; x (n,) or (n, k).
 

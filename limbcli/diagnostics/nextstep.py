@@ -16,7 +16,6 @@ from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 _SIGNIFICANT = float(norm.ppf(0.95))
-USEFUL_POWER = 0.8
 
 
 @dataclass(frozen=True)

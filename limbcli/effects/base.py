@@ -100,9 +100,6 @@ class Effect:
         """A point of the grid as the model takes it: when the effect sets in is no matter of the model."""
         return {name: value for name, value in point.items() if name != self.onset}
 
-    def is_null(self, theta: Theta) -> bool:
-        return all(theta.get(each.name, each.null) == each.null for each in self.parameters)
-
 
 def applied(model: LimbModel, effects: Iterable[tuple[Effect, Theta]], *, waves: bool = False) -> LimbModel:
     """The model with these effects in it; as the shear waves in the scanner's window meet it, on request."""

@@ -166,7 +166,7 @@ class Analysis:
         Strides on the way serve as first guesses only: they are solved loosely and not kept.
         """
         newton = self.newton
-        cuts, n_before = 0, len(reached)
+        cuts, start = 0, (len(reached), self._n_pressed, self._n_touching)
         newton.mixed = self.settings.mixed
         while True:
             begin = reached[-1].time
@@ -188,10 +188,8 @@ class Analysis:
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
                     if not newton.mixed or self.remembers or _hopeless(error, reached):
                         raise _explained(error, level, aim, len(reached) - 1) from error
-                    # once more from the last level, without pressures of their own
-                    newton.mixed, cuts = False, 0
-                    del reached[n_before:]
-                    aim, begin = target, reached[-1].time
+                    self._start_again(reached, *start)
+                    cuts, aim, begin = 0, target, reached[-1].time
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
                 self._wary = _WARY if known is None else 0
                 known = None
@@ -214,6 +212,13 @@ class Analysis:
                 self._last_forces = forces
                 self._known = known
                 return state
+
+    def _start_again(self, reached: list[State], n_reached: int, n_pressed: int, n_touching: int) -> None:
+        """Back to the last level, for a try without pressures of their own: they go further, but now and
+        then astray."""
+        self.newton.mixed = False
+        del reached[n_reached:]
+        self._n_pressed, self._n_touching = n_pressed, n_touching
 
     def _solve(
         self,

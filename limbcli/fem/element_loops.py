@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -83,16 +82,6 @@ class ElementLoops:
             args = (*o.sloped().arguments(), *self._mixed(state, k), v)
             self._add(kernels.tangent_times, state, o, args, parts)
         return _total(parts)
-
-    @contextmanager
-    def standing_in(self, group: int, operands: Operands) -> Iterator[None]:
-        """Other numbers of a group for a while."""
-        kept = self.operands[group]
-        self.operands[group] = operands
-        try:
-            yield
-        finally:
-            self.operands[group] = kept
 
     def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
         volumes = state.volumes[group] if state.volumes else _NO_VOLUMES

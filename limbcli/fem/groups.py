@@ -11,10 +11,12 @@ import numpy as np
 from limbcli.errors import MeshError, SolveError
 from limbcli.fem.element import reference_gradients
 from limbcli.fem.quadrature import rule
+from limbcli.fem.wide_kernels import WIDTH
 from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import UNCOUPLED_LAWS
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.stress import _evaluate
+from limbcli.materials.wide import LANES
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
@@ -150,6 +152,8 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, rule(_rule(domain, block)))
     check_volumes(model, block, weight)
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
+    if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write beyond their rows
+        raise NotImplementedError(f"{block.kind} with {weight.shape[1]} points")
     return Group(block.name, block.kind, first, cells, grad, weight, compiled)
 
 

@@ -14,7 +14,6 @@ from limbcli.materials.wide import bits, from_bits
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts
 _PER_LN2 = 1.44269504088896338700
 _HALF = np.int64(0x3FE6A09E667F3BCD)  # bits of sqrt(1/2)
-_ONES = np.int64((1 << 52) - 1)
 _MOST = 690.0
 
 

@@ -19,15 +19,9 @@ def _row(context, builder, array_type, array, row):  # type: ignore[no-untyped-d
     return builder.bitcast(builder.gep(data, [at]), ir.VectorType(ir.DoubleType(), LANES).as_pointer())
 
 
-def _fused(builder, total, first, second):  # type: ignore[no-untyped-def]
+def plus_product(builder, total, first, second):  # type: ignore[no-untyped-def]
+    """total + first times second, in one instruction where the processor has it."""
     return builder.fadd(total, builder.fmul(first, second, flags=("contract",)), flags=("contract",))
-
-
-def _everywhere(builder, value):  # type: ignore[no-untyped-def]
-    index = ir.IntType(32)
-    nothing = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
-    first = builder.insert_element(nothing, value, ir.Constant(index, 0))
-    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(index, LANES), [0] * LANES))
 
 
 @intrinsic
@@ -37,7 +31,7 @@ def add_product(typingctx, w, to, a, b):  # type: ignore[no-untyped-def]
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         rows = [_row(context, builder, signature.args[0], args[0], each) for each in args[1:]]
         values = [builder.load(each, align=8) for each in rows]
-        builder.store(_fused(builder, *values), rows[0], align=8)
+        builder.store(plus_product(builder, *values), rows[0], align=8)
         return context.get_dummy_value()
 
     i = types.intp
@@ -53,7 +47,7 @@ def add_three(typingctx, w, to, a0, b0, a1, b1, a2, b2):  # type: ignore[no-unty
         values = [builder.load(each, align=8) for each in rows]
         total = values[0]
         for k in (1, 3, 5):
-            total = _fused(builder, total, values[k], values[k + 1])
+            total = plus_product(builder, total, values[k], values[k + 1])
         builder.store(total, rows[0], align=8)
         return context.get_dummy_value()
 

@@ -13,7 +13,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from limbcli.fem.multifrontal.vectors import _everywhere, _load, _plus_product, _start, _store
+from limbcli.fem.multifrontal.vectors import _everywhere, _load, _start, _store
+from limbcli.materials.wide import plus_product
 
 COLUMNS = 8  # of a strip of B
 _BYTES = 64  # of a vector; a strip of A has as many rows as there are numbers in one
@@ -98,7 +99,7 @@ def _micro(strips):  # type: ignore[no-untyped-def]
                     factor = builder.load(builder.gep(right, [builder.add(at, ir.Constant(word, j))]))
                     many = _everywhere(builder, factor, rows)
                     for s in range(strips):
-                        total = _plus_product(builder, builder.load(sums[j][s]), values[s], many)
+                        total = plus_product(builder, builder.load(sums[j][s]), values[s], many)
                         builder.store(total, sums[j][s])
             with builder.if_else(cgutils.is_true(builder, add)) as (more, fresh):
                 with more:

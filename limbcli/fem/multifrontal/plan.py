@@ -69,10 +69,6 @@ class Layout(NamedTuple):
     factoring: Shares
     solving: Shares
 
-    @property
-    def n_fronts(self) -> int:
-        return len(self.parent)
-
 
 def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray) -> Layout:
     """The layout of the factor of a matrix (upper triangle, CSR) with the given fronts."""

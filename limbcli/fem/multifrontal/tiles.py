@@ -15,7 +15,8 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from limbcli.fem.multifrontal.vectors import _everywhere, _load, _plus_product, _start, _store
+from limbcli.fem.multifrontal.vectors import _everywhere, _load, _start, _store
+from limbcli.materials.wide import plus_product
 
 TILE = 16  # rows of a chunk, and its most columns
 _INDEX = ir.IntType(32)
@@ -63,7 +64,7 @@ def _down(width: int) -> Any:
                 for c, factor in enumerate(factors):
                     at = builder.add(first, ir.Constant(word, c * TILE))
                     value = _load_chunk(builder, source, at, real)
-                    sums[c % 2] = _plus_product(builder, sums[c % 2], factor, value)
+                    sums[c % 2] = plus_product(builder, sums[c % 2], factor, value)
                 total = builder.fsub(_load(builder, into, row, TILE), builder.fadd(*sums))
                 _store(builder, total, into, row, TILE)
 
@@ -97,7 +98,7 @@ def _up(width: int) -> Any:
                 for c, each in enumerate(sums):
                     at = builder.add(first, ir.Constant(word, c * TILE))
                     value = _load_chunk(builder, source, at, real)
-                    builder.store(_plus_product(builder, builder.load(each), value, many), each)
+                    builder.store(plus_product(builder, builder.load(each), value, many), each)
 
             _rows(builder, args[2], body)
             totals = [builder.load(each) for each in sums] + [_zero(real)] * (TILE - width)
@@ -145,7 +146,7 @@ def times_tile(typingctx, tiles, at, x, first, out, to):  # type: ignore[no-unty
         for c in range(TILE):
             value = builder.load(builder.gep(given, [ir.Constant(word, c)]))
             column = _load(builder, source, ir.Constant(word, c * TILE), TILE)
-            sums[c % 4] = _plus_product(builder, sums[c % 4], _everywhere(builder, value, TILE), column)
+            sums[c % 4] = plus_product(builder, sums[c % 4], _everywhere(builder, value, TILE), column)
         total = builder.fadd(builder.fadd(sums[0], sums[1]), builder.fadd(sums[2], sums[3]))
         _store(builder, total, into, ir.Constant(word, 0), TILE)
         return context.get_dummy_value()

@@ -11,6 +11,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from limbcli.materials.wide import plus_product
+
 _WIDE = 16
 
 
@@ -40,11 +42,6 @@ def _everywhere(builder, value, lanes):  # type: ignore[no-untyped-def]
     nothing = ir.Constant(ir.VectorType(value.type, lanes), ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(index, 0))
     return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(index, lanes), [0] * lanes))
-
-
-def _plus_product(builder, total, factor, value):  # type: ignore[no-untyped-def]
-    product = builder.fmul(factor, value, flags=("contract",))
-    return builder.fadd(total, product, flags=("contract",))
 
 
 def _in_pieces(builder, n, body):  # type: ignore[no-untyped-def]
@@ -97,7 +94,7 @@ def add_scaled(typingctx, target, to, source, at, factor, n):  # type: ignore[no
         def body(k, lanes):  # type: ignore[no-untyped-def]
             total = _load(builder, into, k, lanes)
             many = _everywhere(builder, args[4], lanes)
-            total = _plus_product(builder, total, many, _load(builder, given, k, lanes))
+            total = plus_product(builder, total, many, _load(builder, given, k, lanes))
             _store(builder, total, into, k, lanes)
 
         _in_pieces(builder, args[5], body)
