@@ -14,7 +14,9 @@ from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, score
 from limbcli.errors import LimbError
 
-_HOPELESS = 30.0  # deviance behind the best stand-in: not worth a simulation
+_HOPELESS = 20.0  # deviance behind the best stand-in: not worth a simulation
+_MOST_SIMULATED = 4  # of several effects together, those with the least deviance
+_UNFIT = 1e-3  # of the tests of what a stand-in leaves: a simulation will not mend that
 _DRAWS = 4000  # enough for a test at 1 %
 
 
@@ -66,12 +68,16 @@ class Refits:
         chi2 = {each: self.ground.linearised(fitted).chi2 for each, fitted in found}
         usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
         limit = min(usable, default=math.inf) + _HOPELESS
-        for each, fitted in found:
-            if chi2[each] <= limit:
-                self._settle(each, fitted)
+        n_simulated = 0
+        for each, fitted in sorted(found, key=lambda one: chi2[one[0]]):
+            why = "; ".join(fitted.at_bound)
+            if chi2[each] > limit:
+                self.left_out[" + ".join(each)] = why or "explains far less than others"
+            elif len(each) > 1 and not why and n_simulated == _MOST_SIMULATED:
+                self.left_out[" + ".join(each)] = f"not simulated: {_MOST_SIMULATED} that fit better were"
             else:
-                why = "; ".join(fitted.at_bound) or "explains far less than others"
-                self.left_out[" + ".join(each)] = why
+                n_simulated += not why
+                self._settle(each, fitted)
         return [self.known[each] for each in several if each in self.known]
 
     def _draft(self, explanation: Explanation) -> Fitted | None:
@@ -88,14 +94,19 @@ class Refits:
         """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
         label = " + ".join(explanation)
         self.ground.progress.event("note", text=f"refit with {label}")
-        try:
-            fitted = self.ground.bench.verified(draft) if simulated else draft
-        except LimbError as error:
-            self.not_evaluated[label] = error.what
-            return
+        left = self._left_by(draft)
+        fitted = draft
+        if simulated and left.smallest >= _UNFIT:
+            try:
+                fitted = self.ground.bench.verified(draft)
+            except LimbError as error:
+                self.not_evaluated[label] = error.what
+                return
         if fitted.at_bound:
             self.left_out[label] = "; ".join(fitted.at_bound)
-        self.known[explanation] = Refit(fitted, self.ground.linearised(fitted), self._left_by(fitted))
+        if fitted is not draft:
+            left = self._left_by(fitted)
+        self.known[explanation] = Refit(fitted, self.ground.linearised(fitted), left)
 
     def _left_by(self, fitted: Fitted) -> Family:
         """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""

@@ -1,7 +1,9 @@
 """The contact's penalty lets the probe sink into the skin, or its facets make steps.
 
 A gap g = p/eps works in series with the tissue. At 20 times the tissue's own stiffness the
-force of tet10 is 2 to 3 % low; the test is twice that penalty, which halves the gap.
+force of tet10 is 2 to 3 % low at m 2; where a large m makes the tissue many times stiffer under the
+probe than at rest, a quarter or more. The test is a quarter of the penalty, which a solver reaches more
+easily than four times it.
 Tell-tale: a force low by a constant share; a staircase in the curve.
 Source: Wriggers 2006, Computational Contact Mechanics, section 6.3.
 """
@@ -14,7 +16,7 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 FACTOR = Parameter(
-    "penalty_factor", null=1.0, start=2.0, low=1.0, high=10.0, typical=2.0, prior="1 is the default"
+    "penalty_factor", null=1.0, start=0.25, low=0.1, high=10.0, typical=0.25, prior="1 is the default"
 )
 
 

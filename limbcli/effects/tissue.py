@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from limbcli.effects.base import TISSUE
 from limbcli.errors import SolveError
-from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
+from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Mesh, Value
 
 # Barycentric places on a facet, in sixths.
 _SPREAD = (
@@ -118,17 +119,25 @@ def layer_share(model: LimbModel, low: float, high: float) -> Array:
     By sampling each tetrahedron's volume at 35 points, so that a layer thinner than an
     element keeps its volume, hence its stiffness along the skin.
     """
+    depth = _SAMPLED.get(model.mesh)
+    if depth is None:
+        depth = _SAMPLED[model.mesh] = _sampled_depths(model)
+    return np.asarray(((depth >= low) & (depth < high)).mean(axis=0))
+
+
+_SAMPLED: WeakKeyDictionary[Mesh, Array] = WeakKeyDictionary()  # the search takes seconds, and meshes stay
+
+
+def _sampled_depths(model: LimbModel) -> Array:
+    """Depths below the skin (35, n_cells) of points spread over each tissue cell."""
     corners = model.mesh.points[tissue_block(model).cells[:, :4]]
     n = 4
     steps = [
         (i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)
     ]
     weights = (np.array(steps) + 0.25) / (n + 1)
-    inside = np.zeros(len(corners))
-    for weight in weights:
-        depth = below_skin(model, np.einsum("k,nkd->nd", weight, corners))
-        inside += (depth >= low) & (depth < high)
-    return inside / len(weights)
+    places = np.einsum("wk,nkd->wnd", weights, corners)
+    return below_skin(model, places.reshape(-1, 3)).reshape(places.shape[:2])
 
 
 def limb_axis(model: LimbModel) -> tuple[float, float, float]:

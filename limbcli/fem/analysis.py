@@ -26,6 +26,7 @@ from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
+_BRIEF_CUTS = 2  # of a level that need not be reached
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 _LOOSE = 3e-2  # residual at which a stride on the way is good enough
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
@@ -60,7 +61,7 @@ class Analysis:
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
-        self._wary = 0
+        self._wary, self._brief = 0, False
         self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
         self._histories: Histories | None = None
 
@@ -93,15 +94,19 @@ class Analysis:
     def system(self) -> System:
         return self.newton.system
 
-    def run(self, visit: Visitor | None = None, *, guesses: Guesses | None = None) -> list[Snapshot]:
+    def run(
+        self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None
+    ) -> list[Snapshot]:
         """All steps from rest to the end; `visit` is called at every converged time.
 
         guesses : first guess at a time, from earlier runs of the same load, or None
+        required : how many levels must be reached; a later one is tried briefly, and where it fails the run
+            ends with those before it. None: all
         """
         snapshots: list[Snapshot] = []
         state: State | None = None
         self._histories = None
-        begin = 0.0
+        begin, n_must = 0.0, 0
         n_levels = sum(len(step_times(step, every=self.remembers)) for step in self.model.steps)
         number = 0
         for step in self.model.steps:
@@ -119,8 +124,15 @@ class Analysis:
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
                 newton.system.remember(state)
-                state = self._reach(begin + target, step, reached, level, known)
+                self._brief = required is not None and n_must >= required
+                try:
+                    state = self._reach(begin + target, step, reached, level, known)
+                except SolveError:
+                    if self._brief:
+                        return snapshots
+                    raise
                 must = begin + target in musts
+                n_must += must
                 snapshot = Snapshot(len(snapshots) + 1, state, self._last_forces, must)
                 snapshots.append(snapshot)
                 if visit is not None:
@@ -173,7 +185,7 @@ class Analysis:
             rest = target - begin
             n = 1 if known is not None else int(np.ceil(rest / self._stride - 1e-6))
             aim = target if n <= 1 else begin + rest / n
-            last = cuts >= max(_MAX_CUTS, step.max_retries)
+            last = cuts >= (_BRIEF_CUTS if self._brief else max(_MAX_CUTS, step.max_retries))
             before = newton.counts.iterations
             try:
                 patient = last or self._rubbing or newton.system.jumps
@@ -186,7 +198,7 @@ class Analysis:
                 if isinstance(error, SingularMatrix):
                     newton.linearised.inverse = None
                 if last or aim - begin < _SMALLEST * step.step_size or _hopeless(error, reached):
-                    if not newton.mixed or self.remembers or _hopeless(error, reached):
+                    if not newton.mixed or self.remembers or self._brief or _hopeless(error, reached):
                         raise _explained(error, level, aim, len(reached) - 1) from error
                     self._start_again(reached, *start)
                     cuts, aim, begin = 0, target, reached[-1].time
@@ -309,10 +321,10 @@ class Analysis:
         return float(depths[0]) if depths else 0.0
 
     def _collect(self) -> None:
-        """Counts of a Newton object that is about to be closed."""
+        """Counts of the Newton object, which starts anew: others hold on to them."""
         for name in ("iterations", "residuals", "krylov", "factorisations", "retries"):
             setattr(self.counts, name, getattr(self.counts, name) + getattr(self.newton.counts, name))
-        self.newton.counts = Counts()
+            setattr(self.newton.counts, name, 0)
 
     def totals(self) -> Counts:
         self._collect()

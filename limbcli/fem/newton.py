@@ -188,6 +188,8 @@ class Newton:
             residual=forces.error,
             target=self.settings.tolerance,
             depth=level.depth,
+            krylov=self.counts.krylov,
+            factorisations=self.counts.factorisations,
         )
 
     def failure(self, state: State, forces: Forces, level: Level, iteration: int, why: str) -> NotConverged:

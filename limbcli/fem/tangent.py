@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
+from limbcli.fem.jumps import Jumps, find_jumps
 from limbcli.fem.linear import LinearSolver
 from limbcli.fem.state import State
 from limbcli.fem.system import System
@@ -33,7 +34,7 @@ class Tangent:
     blocks (n_pairs, 3, 3) : of all pairs of nodes, see `assembly.Pattern`
     columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
     corner (n_rigid, n_rigid) : springs and the turning of tied forces, and those elastic forces
-    jumps : the elastic tangent is not symmetric; `blocks` are of its symmetric part
+    jumps : what makes the elastic tangent unsymmetric; `blocks` are of its symmetric part
     """
 
     system: System
@@ -41,7 +42,7 @@ class Tangent:
     blocks: Array
     columns: Array
     corner: Array
-    jumps: bool = False
+    jumps: Jumps | None = None
 
     def times(self, state: State, step: Array) -> Array:
         """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
@@ -54,11 +55,13 @@ class Tangent:
         x = step[:n]
         out = np.zeros_like(step)
         v = system.spread(x)
-        elastic = system.tangent_times(self.state, v) if self.jumps else self._times_blocks(v)
+        elastic = self._times_blocks(v)
+        if self.jumps is not None:
+            elastic += self.jumps.times(v)
         out[:n] = system.collect(elastic)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
-            if self.jumps:
+            if self.jumps is not None:
                 bodies = np.zeros((len(system.bodies), 6))
                 system.gather_tied(self.state, elastic, bodies)
                 out[n + k] += bodies[system.rigid[k]]
@@ -99,7 +102,7 @@ def assemble(system: System, state: State, nodal: Array) -> Tangent:
     """The tangent at a state; `nodal` are the forces there."""
     blocks = system.stiffness(state)
     columns, corner = _border(system, state, nodal)
-    return Tangent(system, state, blocks, columns, corner, system.jumps)
+    return Tangent(system, state, blocks, columns, corner, find_jumps(system, state))
 
 
 def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:

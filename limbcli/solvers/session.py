@@ -87,6 +87,7 @@ class ReferenceSession:
         weights: Mapping[Parameter, Array] | None = None,
         records: bool = False,
         field_gradients: bool = False,
+        required: int | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -96,6 +97,8 @@ class ReferenceSession:
             theta moves by 1: their derivative is by theta
         records : also fill the node and element tables that the model asks for
         field_gradients : fill them, and differentiate all that they hold by `wrt`
+        required : how many levels must be reached, the rest as far as the solver gets without much ado;
+            None: all
 
         Raises
         ------
@@ -114,7 +117,7 @@ class ReferenceSession:
         asked = self._records(model, records or field_gradients)
         parameters = {(each[0], each[1]): _law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
-        snapshots = self._analysis.run(watch, guesses=warm.guess)
+        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required)
         self.model = model
         warm.keep(
             Solved(
@@ -133,6 +136,12 @@ class ReferenceSession:
         )
         gradients = {name: np.array(each) for name, each in watch.forces.items()}
         return SessionResult(simulation, points, gradients, field_gradient=watch.field_gradient())
+
+    def start_like(self, other: ReferenceSession) -> None:
+        """Take first guesses from another session's levels, where its model has the same nodes."""
+        same = self.model.mesh.points.shape == other.model.mesh.points.shape
+        if same and len(self.model.bodies) == len(other.model.bodies):
+            self._warm = other._warm
 
     def close(self) -> None:
         self._analysis.close()

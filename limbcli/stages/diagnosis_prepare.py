@@ -168,13 +168,15 @@ class _Preparation:
     def _book(self, more: float) -> CurveBook:
         """At a usual stiffness and down to a whole millimetre where that is far beyond the readings: what
         was solved then serves other measurements of the place too."""
-        deepest = _BEYOND * float(np.nanmax(self.levels.depth)) + more
+        needed = _BEYOND * float(np.nanmax(self.levels.depth)) + _BEYOND_MM[-1]
+        deepest = needed + more - _BEYOND_MM[-1]
         if more == _BEYOND_MM[0]:
             deepest = float(np.ceil(deepest))
         depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         return CurveBook(
             self._working_mesh(), depths.tolist(), c=USUAL_C, f_kappa=F_KAPPA, windows=self.windows,
             keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
+            needed=needed,
         )  # fmt: skip
 
     def _working_mesh(self) -> LimbModel:

@@ -45,7 +45,7 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
     protocol = Protocol(max_force=options.max_force_n)
     synth(
         source, out=work / "truth-out", out_case=made, sites=options.site,
-        options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0),
+        options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0, size=options.size_mm, far_size=3 * options.size_mm),
     )  # fmt: skip
     simulated, processor = time.perf_counter(), time.process_time()
     trial = work / "case"
@@ -95,6 +95,7 @@ def main() -> None:
     parser.add_argument("--site", nargs="+", default=["p1"])
     parser.add_argument("--max-force-n", type=float, default=12.0)
     parser.add_argument("--arms", nargs="*", default=ARMS.split())
+    parser.add_argument("--size-mm", type=float, default=4.0)
     parser.add_argument("--seed", type=int, default=100)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
