@@ -45,7 +45,10 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
     protocol = Protocol(max_force=options.max_force_n)
     synth(
         source, out=work / "truth-out", out_case=made, sites=options.site,
-        options=SynthOptions(tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0, size=options.size_mm, far_size=3 * options.size_mm),
+        options=SynthOptions(
+            tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0,
+            size=options.size_mm, far_size=3 * options.size_mm,
+        ),
     )  # fmt: skip
     simulated, processor = time.perf_counter(), time.process_time()
     trial = work / "case"

@@ -9,7 +9,8 @@ import pytest
 
 from limbcli.effects.reading import Curves
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_numerics import log_force_at, measured_slope
+from limbcli.stages.diagnosis_curves import continued
+from limbcli.stages.diagnosis_numerics import Numerics, log_force_at, measured_slope
 from limbcli.stages.diagnosis_site import filled
 
 
@@ -39,3 +40,30 @@ def test_gaps_are_closed_by_the_nearest_depth_but_too_many_are_not():
     assert filled(table) == pytest.approx(np.array([[0.0, 1.0, 2.0], [0.1, 2.0, 2.0], [0.2, 3.0, 2.0]]))
     empty = np.array([[0.0, np.nan, np.nan], [0.1, np.nan, np.nan], [0.2, 1.0, 1.0]])
     assert np.isnan(filled(empty)).any()
+
+
+def test_curves_go_on_beyond_what_was_reached():
+    depth = np.array([0.0, 1.0, 2.0, 4.0])
+    speeds = np.column_stack([0.1 * depth, 0.2 - 0.05 * depth])
+    known = Curves(depth, 0.7 * depth**1.4, speeds, np.zeros(2))
+    found = continued(known, [5.0, 8.0])
+    assert found.depth == pytest.approx([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
+    assert found.force == pytest.approx(0.7 * found.depth**1.4, rel=1e-9)
+    assert found.log_speed[-1] == pytest.approx([0.8, -0.2])
+
+
+def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
+    """Whatever c and the readings' scatter."""
+
+    class Book:
+        def curves(self, m: float) -> Curves:
+            return curve(1.0 + 0.1 * m)
+
+    for m in (2.0, 5.0, 10.0):
+        depth = np.array([0.0, 1.0, 2.0, 4.0, 6.0, 7.0])
+        n = len(depth)
+        nan, one = np.full(n, np.nan), np.ones(n)
+        force = 3.0 * depth ** (1.02 + 0.1 * m) * (1 + 0.02 * np.cos(9 * depth))
+        levels = Levels(force, depth, nan, nan, nan, ("load",) * n, one, nan, nan, Path("x"))
+        numerics = Numerics(None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None)
+        assert numerics._likely_m() == m

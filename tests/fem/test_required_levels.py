@@ -1,0 +1,60 @@
+"""Levels that need not be reached, guesses from another session, and what a session's solves count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import punch
+
+from limbcli.errors import SolveError
+from limbcli.materials import ogden_type
+from limbcli.model import Drive, LimbModel
+from limbcli.solvers.session import ReferenceSession
+
+
+def too_deep() -> LimbModel:
+    """Levels at 1 mm and, which no solver reaches, beyond the bottom of the block."""
+    model = punch(levels=2)
+    down = Drive("probe", "z", "displacement", -1.0, "way")
+    drives = tuple(down if each.dof == "z" else each for each in model.drives)
+    way = replace(model.curves["ramp"], points=((0.0, 0.0), (0.5, 1.0), (1.0, 9.0)))
+    return replace(model, drives=drives, curves={**model.curves, "way": way})
+
+
+def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
+    session = ReferenceSession(too_deep(), threads=1)
+    reached = session.solve(required=1).must_points
+    assert reached.depths == pytest.approx([1.05])
+    alone = ReferenceSession(punch(levels=2), threads=1)
+    with pytest.raises(SolveError, match="level 2 of 2"):
+        session.solve()
+    assert session.solve(required=1).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
+    session.close()
+    alone.close()
+
+
+def test_every_solve_of_a_session_counts_its_own_work():
+    session = ReferenceSession(punch(), threads=1)
+    first = session.solve().simulation
+    other = session.model.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
+    second = session.solve(other).simulation
+    assert second.n_iterations > first.n_iterations > 0
+    assert session._analysis.newton.linearised.counts is session._analysis.newton.counts
+    assert session._analysis.counts.krylov > 0 == session._analysis.newton.counts.krylov
+    session.close()
+
+
+def test_guesses_from_another_session_lead_to_the_same_force_in_fewer_iterations():
+    base = punch(depth=2.0)
+    harder = replace(base, contacts=tuple(replace(each, penalty=80.0) for each in base.contacts))
+    first = ReferenceSession(base, threads=1)
+    first.solve()
+    alone, led = ReferenceSession(harder, threads=1), ReferenceSession(harder, threads=1)
+    led.start_like(first)
+    found, expected = led.solve(), alone.solve()
+    np.testing.assert_allclose(found.must_points.forces, expected.must_points.forces, rtol=1e-4)
+    assert found.simulation.n_iterations < expected.simulation.n_iterations
+    for each in (first, alone, led):
+        each.close()
