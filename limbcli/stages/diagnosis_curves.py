@@ -102,7 +102,7 @@ class CurveBook:
             raise self._failed[key]
         if key not in self._known:
             try:
-                self._known[key] = self._load(key) or self._solve(key, m, ingredients)
+                self._known[key] = self._load(key, plain=not ingredients) or self._solve(key, m, ingredients)
             except SolveError as error:
                 self._failed[key] = error
                 raise
@@ -271,7 +271,7 @@ class CurveBook:
             )
         return hashlib.sha256((text + self._changed.get(text, "")).encode()).hexdigest()[:24]
 
-    def _load(self, key: str) -> Curves | None:
+    def _load(self, key: str, *, plain: bool) -> Curves | None:
         if self.keep is None:
             return None
         path = self.keep / f"{key}.npz"
@@ -281,6 +281,8 @@ class CurveBook:
             with np.load(path) as stored:
                 if len(stored["depth"]) != self.n_depths + 1:
                     return None
+                if plain:
+                    self._usual.append(int(stored["work"]))
                 return Curves(
                     stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
                     float(stored["thickness"]),
@@ -294,7 +296,7 @@ class CurveBook:
         with atomic_file(self.keep / f"{key}.npz") as path:
             np.savez(
                 path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
-                window_depth=curves.window_depth, thickness=curves.thickness,
+                window_depth=curves.window_depth, thickness=curves.thickness, work=self._work,
             )  # fmt: skip
 
 

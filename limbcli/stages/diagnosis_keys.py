@@ -38,7 +38,9 @@ def changed_to(*models: LimbModel) -> str:
 
 
 def fingerprint(model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows) -> str:
-    """What is solved, before effects: mesh, depths, tissue, and the window that is read."""
+    """What is solved, before effects: mesh, contact, depths, tissue, and the window that is read."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
-    digest.update(json.dumps([[round(float(d), 6) for d in depths], c, f_kappa, repr(windows)]).encode())
+    penalties = [each.penalty for each in model.contacts]
+    asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties]
+    digest.update(json.dumps(asked).encode())
     return digest.hexdigest()[:16]
