@@ -24,6 +24,7 @@ from limbcli.diagnostics.verdict import Diagnosis, Word
 from limbcli.progress import SILENT, Progress
 
 LEFT = ALPHA  # a name leaves nothing that would be detected
+SECOND = 0.15  # adjusted p of what is left, below which one effect more is tried beside a member of the set
 
 
 def diagnose(
@@ -80,12 +81,12 @@ class _Run:
         return []
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
-        """Where a member leaves something at the level of detection, one more effect is tried with it.
+        """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.
 
-        Members pass at a lower level, since the model's own error is known only roughly. So a
+        Of two effects the second is weak evidence once the first has moved c and m. So a
         member stays beside its own extension: both are told.
         """
-        found = [each for refit in kept for each in candidates.extended(refit, below=ALPHA)]
+        found = [each for refit in kept for each in candidates.extended(refit, below=SECOND)]
         larger = list({frozenset(each): each for each in found}.values())
         if not larger:
             return kept
@@ -93,7 +94,7 @@ class _Run:
         first = {refit.explanation for refit in kept}
         return [
             each for each in compared
-            if each.explanation in first or (each.in_set and self._each_is_needed(each, refits, ALPHA))
+            if each.explanation in first or (each.in_set and self._each_is_needed(each, refits, SECOND))
         ]  # fmt: skip
 
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = ADEQUATE) -> bool:
