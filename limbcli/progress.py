@@ -5,7 +5,7 @@ whether that becomes a bar, a line in a log or a point of a plot is the
 listener's business.
 
 Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step,
-n_steps, iteration, residual, target, depth), "fit" (iteration, cost, parameters),
+n_steps, iteration, residual, target, depth, krylov, factorisations), "fit" (iteration, cost, parameters),
 "compile" (what), "note" (text).
 """
 

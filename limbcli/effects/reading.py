@@ -7,8 +7,8 @@ effects are pure changes of the `Reading`, as tissue effects are of the `LimbMod
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -133,6 +133,31 @@ def force_at(curves: Curves, depth: Array) -> Array:
     end = curves.depth[-1]
     inside = curve(np.clip(depth, 0.0, end))
     return np.asarray(inside + np.maximum(depth - end, 0.0) * curve.slope(end))
+
+
+def log_force_at(curves: Curves, depth: Array) -> Array:
+    """ln N at depths > 0: a curve through ln force over ln depth, a power of depth below and beyond."""
+    x, y = np.log(curves.depth[1:]), np.log(np.maximum(curves.force[1:], 1e-9))
+    at = np.log(np.maximum(depth, 1e-6))
+    if len(x) < 2:
+        return np.asarray(y[0] + 1.5 * (at - x[0]))
+    curve = Monotone.through(x, y)
+    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
+    inside = curve(np.clip(at, x[0], x[-1]))
+    return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
+
+
+def continued(curves: Curves, depths: Sequence[float]) -> Curves:
+    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line."""
+    further = np.asarray(depths, dtype=float)
+    rise = (curves.log_speed[-1] - curves.log_speed[-2]) / (curves.depth[-1] - curves.depth[-2])
+    speed = curves.log_speed[-1] + np.multiply.outer(further - curves.depth[-1], rise)
+    return replace(
+        curves,
+        depth=np.concatenate([curves.depth, further]),
+        force=np.concatenate([curves.force, np.exp(log_force_at(curves, further))]),
+        log_speed=np.vstack([curves.log_speed, speed]),
+    )
 
 
 def depth_of_force(curves: Curves, force: float) -> float:

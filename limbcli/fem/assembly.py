@@ -46,6 +46,13 @@ class Threads:
             self._pool.shutdown(wait=False)
 
 
+def total(parts: list[Array]) -> Array:
+    """What the threads added up, each into its own part, in one array: the first of them."""
+    for each in parts[1:]:
+        parts[0] += each
+    return parts[0]
+
+
 @dataclass(frozen=True, eq=False)
 class Pattern:
     """Pairs of nodes with a block of the stiffness matrix, and its upper triangle in CSR.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem import kernels, wide_kernels
-from limbcli.fem.assembly import Pattern, Threads
+from limbcli.fem.assembly import Pattern, Threads, total
 from limbcli.fem.groups import Group, Operands
 from limbcli.fem.halves import Halves
 from limbcli.fem.state import State
@@ -41,7 +41,7 @@ class ElementLoops:
             low, cell = min(found)
             if low < worst:
                 worst, place = low, (k, cell)
-        return _total(parts), worst, place
+        return total(parts), worst, place
 
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
@@ -56,7 +56,7 @@ class ElementLoops:
         for o, volumes in zip(self.operands, state.volumes, strict=True):
             args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
             self._add(kernels.volume_force, state, o, args, parts)
-        return _total(parts)
+        return total(parts)
 
     def stiffness(self, state: State) -> Array:
         """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
@@ -81,7 +81,7 @@ class ElementLoops:
         for k, o in enumerate(self.operands):
             args = (*o.sloped().arguments(), *self._mixed(state, k), v)
             self._add(kernels.tangent_times, state, o, args, parts)
-        return _total(parts)
+        return total(parts)
 
     def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
         volumes = state.volumes[group] if state.volumes else _NO_VOLUMES
@@ -96,9 +96,3 @@ class ElementLoops:
             return kernel(begin, end, state.u, *args, parts[worker])
 
         return self.threads.run(task, len(o.cells))
-
-
-def _total(parts: list[Array]) -> Array:
-    for each in parts[1:]:
-        parts[0] += each
-    return parts[0]

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem import kernels
-from limbcli.fem.assembly import Threads
+from limbcli.fem.assembly import Threads, total
 from limbcli.fem.groups import Operands
 from limbcli.fem.state import State
 from limbcli.fem.system import System
-from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array, IntArray
 
 
@@ -48,12 +46,10 @@ class Jumps:
         for p in self.groups:
 
             def task(worker: int, begin: int, end: int, p: Points = p) -> None:
-                slope_times(begin, end, p.nodes, p.grad, p.F, p.slope, v, parts[worker])
+                kernels.slope_times(begin, end, p.nodes, p.grad, p.F, p.slope, v, parts[worker])
 
             self.threads.run(task, len(p.nodes))
-        for each in parts[1:]:
-            parts[0] += each
-        return parts[0]
+        return total(parts)
 
 
 def find_jumps(system: System, state: State) -> Jumps | None:
@@ -78,32 +74,3 @@ def _points(threads: Threads, state: State, o: Operands) -> Points:
     cell, point = np.nonzero(np.abs(slope).max(axis=(2, 3)))
     weighted = slope[cell, point] * o.weight[cell, point, None, None]
     return Points(o.cells[cell], o.grad[cell, point], F[cell, point], weighted)
-
-
-@njit(cache=True, nogil=True)
-def slope_times(begin, end, nodes, grad, F, slope, v, force):  # type: ignore[no-untyped-def]
-    """force (n_points, 3) += the slopes' part of K of the points begin..end times v."""
-    dF, E, dS = np.empty((3, 3)), np.empty(6), np.empty(6)
-    for n in range(begin, end):
-        dF[:] = 0.0
-        for a in range(nodes.shape[1]):
-            for i in range(3):
-                for j in range(3):
-                    dF[i, j] += v[nodes[n, a], i] * grad[n, a, j]
-        for i in range(3):
-            for j in range(i, 3):
-                value = 0.0
-                for k in range(3):
-                    value += F[n, k, i] * dF[k, j] + dF[k, i] * F[n, k, j]
-                E[VOIGT[i, j]] = 0.5 * value * (1.0 if i == j else 2.0)
-        for q in range(6):
-            dS[q] = 0.0
-            for r in range(6):
-                dS[q] += slope[n, q, r] * E[r]
-        for i in range(3):
-            for j in range(3):
-                value = 0.0
-                for k in range(3):
-                    value += F[n, i, k] * dS[VOIGT[k, j]]
-                for a in range(nodes.shape[1]):
-                    force[nodes[n, a], i] += value * grad[n, a, j]

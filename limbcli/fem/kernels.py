@@ -141,6 +141,17 @@ def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force
         _scatter(pushes, cells[e], force)
 
 
+@njit(cache=True)
+def _strain_change(F, dF, E):
+    """E (6,), shear doubled = change of Green's strain with a change dF of F."""
+    for i in range(3):
+        for j in range(i, 3):
+            value = 0.0
+            for k in range(3):
+                value += F[k, i] * dF[k, j] + dF[k, i] * F[k, j]
+            E[VOIGT[i, j]] = 0.5 * value * (1.0 if i == j else 2.0)
+
+
 @njit(cache=True, nogil=True)
 def tangent_times(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
@@ -168,12 +179,7 @@ def tangent_times(
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, D, S, CC)
             w = weight[e, g]
-            for i in range(3):
-                for j in range(i, 3):
-                    value = 0.0
-                    for k in range(3):
-                        value += F[k, i] * dF[k, j] + dF[k, i] * F[k, j]
-                    E[VOIGT[i, j]] = 0.5 * value * (1.0 if i == j else 2.0)
+            _strain_change(F, dF, E)
             for q in range(6):
                 value = 0.0
                 for r in range(6):
@@ -190,6 +196,29 @@ def tangent_times(
                     P[i, j] = w * value
             _add_force(P, grad[e, g], pushes)
         _scatter(pushes, cells[e], force)
+
+
+@njit(cache=True, nogil=True)
+def slope_times(start, stop, nodes, grad, F, slope, v, force):
+    """force (n_points, 3) += K v of single points: of their cells' nodes (n, n_nodes), with grad N
+    (n, n_nodes, 3), F (n, 3, 3) and a tangent times volume (n, 6, 6)."""
+    zero = np.zeros((3, 3))
+    dF, E, P = np.empty((3, 3)), np.empty(6), np.empty((3, 3))
+    change, pushes = np.empty((nodes.shape[1], 3)), np.empty((nodes.shape[1], 3))
+    for n in range(start, stop):
+        _gather(v, nodes[n], change)
+        _gradient(change, grad[n], zero, dF)
+        _strain_change(F[n], dF, E)
+        dS = slope[n] @ E
+        for i in range(3):
+            for j in range(3):
+                value = 0.0
+                for k in range(3):
+                    value += F[n, i, k] * dS[VOIGT[k, j]]
+                P[i, j] = value
+        pushes[:] = 0.0
+        _add_force(P, grad[n], pushes)
+        _scatter(pushes, nodes[n], force)
 
 
 @njit(cache=True, nogil=True)

@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
+from limbcli.fem.assembly import total
 from limbcli.fem.jumps import Jumps, find_jumps
 from limbcli.fem.linear import LinearSolver
 from limbcli.fem.state import State
@@ -81,9 +82,7 @@ class Tangent:
             blocks_times(rows[0], rows[1], pattern.first, pattern.high, *flat)
 
         threads.run(task, len(pattern.high))
-        for each in parts[1:]:
-            parts[0] += each
-        return parts[0]
+        return total(parts)
 
     def upper(self) -> Array:
         """Upper triangle of the unknowns' matrix, its values in CSR (see `assembly.Pattern`)."""

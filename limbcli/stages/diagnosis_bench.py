@@ -20,13 +20,13 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis_curves import FIRST_M
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, Slot
 from limbcli.stages.diagnosis_menu import menu
 from limbcli.stages.diagnosis_numerics import Tie
 from limbcli.stages.diagnosis_site import Book, SiteCurves, only_febio
 
-_M_START = (2.0, 5.0, 10.0)
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
@@ -156,7 +156,7 @@ class SiteBench(Fits):
         return np.asarray(moved / (up[k] - down[k]))
 
     def _fit_base(self) -> Fitted:
-        for m in _M_START:
+        for m in FIRST_M:
             self._solve_node(m)
         for _ in range(_MAX_NODES):
             fitted = self.best_fit((), (), {})[1]
@@ -186,7 +186,7 @@ class SiteBench(Fits):
         return set.intersection(*(set(each.nodes) for each in self.sites))
 
     def _nearest(self, m: float) -> float:
-        return min(self._nodes() or {_M_START[0]}, key=lambda node: abs(np.log(node / m)))
+        return min(self._nodes() or {FIRST_M[0]}, key=lambda node: abs(np.log(node / m)))
 
     def _each(
         self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],

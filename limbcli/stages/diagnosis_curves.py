@@ -19,7 +19,7 @@ import numpy as np
 
 from limbcli.effects.base import Effect, Theta, applied
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
-from limbcli.effects.reading import Curves
+from limbcli.effects.reading import Curves, continued
 from limbcli.effects.tissue import thickness
 from limbcli.effects.waves import log_speed
 from limbcli.errors import MeasurementError, SolveError
@@ -36,6 +36,8 @@ from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
+# m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
+FIRST_M = (2.0, 5.0, 10.0)
 _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
@@ -184,6 +186,8 @@ class CurveBook:
         )
         missing = self.n_depths - len(values)
         if missing:
+            text = f"{missing} depths beyond the readings are not reached; curves go on there as they were"
+            self.progress.event("note", text=text)
             curves = continued(curves, [each + offset for each in self.depths[-missing:]])
             values = np.concatenate([values, *[values[-1:]] * missing])
         if not ingredients:
@@ -298,21 +302,6 @@ class CurveBook:
                 path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
                 window_depth=curves.window_depth, thickness=curves.thickness, work=self._work,
             )  # fmt: skip
-
-
-def continued(curves: Curves, depths: Sequence[float]) -> Curves:
-    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line."""
-    x, further = curves.depth[-2:], np.asarray(depths, dtype=float)
-    slope = np.log(curves.force[-1] / curves.force[-2]) / np.log(x[1] / x[0])
-    force = curves.force[-1] * (further / x[1]) ** slope
-    rise = (curves.log_speed[-1] - curves.log_speed[-2]) / (x[1] - x[0])
-    speed = curves.log_speed[-1] + np.multiply.outer(further - x[1], rise)
-    return replace(
-        curves,
-        depth=np.concatenate([curves.depth, further]),
-        force=np.concatenate([curves.force, force]),
-        log_speed=np.vstack([curves.log_speed, speed]),
-    )
 
 
 def _touches_loads(effect: Effect) -> bool:

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from limbcli.case import Case, Site
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.reading import Curves
+from limbcli.effects.reading import Curves, log_force_at
 from limbcli.effects.tissue import core, thickness, with_core
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.measurement.indentation import Levels
@@ -24,7 +23,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.units import mpa_from_kpa
 
@@ -41,7 +40,6 @@ _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.15, 0.02)  # mm, fraction: surfaces that were given are taken for better
 _USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
-_M = (2.0, 5.0, 10.0)
 
 
 def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
@@ -181,9 +179,9 @@ class Numerics:
         force, depth = self.levels.force, self.levels.depth
         rising = (force > 0) & (depth > 0)
         if rising.sum() < 2:
-            return _M[0]
+            return FIRST_M[0]
         scatter = {}
-        for m in _M:
+        for m in FIRST_M:
             try:
                 off = np.log(force[rising]) - log_force_at(self.book.curves(m), depth[rising])
             except SolveError:
@@ -273,18 +271,6 @@ def read_spacing(out: Path) -> list[float] | None:
         return None
     found = image.get("spacing_mm") if isinstance(image, dict) else None
     return [float(each) for each in found] if found else None
-
-
-def log_force_at(curves: Curves, depth: Array) -> Array:
-    """ln N at depths > 0: a curve through ln force over ln depth, a power of depth below and beyond."""
-    x, y = np.log(curves.depth[1:]), np.log(np.maximum(curves.force[1:], 1e-9))
-    at = np.log(np.maximum(depth, 1e-6))
-    if len(x) < 2:
-        return np.asarray(y[0] + 1.5 * (at - x[0]))
-    curve = PchipInterpolator(x, y)
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    inside = curve(np.clip(at, x[0], x[-1]))
-    return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
 
 
 def measured_slope(levels: Levels) -> Array:

@@ -24,7 +24,7 @@ from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis_curves import Ingredients, _touches_loads
+from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, _touches_loads
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_numerics import Tie
 
@@ -32,7 +32,6 @@ _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
 _OF_LEVELS = ("force", "swe", "map", "travel")
 _BEND, _NEAR = 8.0, 5  # m at which the one turns into the other; solved values that are used
-_SOLVED_AT = (2.0, 5.0, 10.0)  # m; a change hardly depends on it, and is kept for other measurements
 
 
 class Book(Typed):
@@ -209,7 +208,8 @@ class SiteCurves:
     def _by_solving(self, effect: Effect, point: Theta, name: str) -> tuple[None, Array, Array]:
         p = next(each for each in effect.parameters if each.name == name)
         theta = {**effect.null, **point, name: p.start}
-        m = min(_SOLVED_AT, key=lambda each: abs(np.log(each / self.m_reference)))
+        # a change hardly depends on m, and at one of these it serves other measurements too
+        m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m_reference)))
         moved = logs(self.book.curves(m, ((effect, theta),)))
         change = moved - logs(self.book.curves(m))
         return None, np.array([p.null, p.start - p.null]), np.nan_to_num(change)

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves
+from limbcli.effects.reading import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_curves import continued
-from limbcli.stages.diagnosis_numerics import Numerics, log_force_at, measured_slope
+from limbcli.stages.diagnosis_numerics import Numerics, measured_slope
 from limbcli.stages.diagnosis_site import filled
 
 
