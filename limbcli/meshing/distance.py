@@ -89,20 +89,24 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
     """
     corners = np.ascontiguousarray((surface.corners - grid.origin) / grid.spacing)
     near = _near_distance(corners, grid.shape, _BAND)
-    inside = winding(corners, grid.shape) > 0.5
+    inside = winding(corners, grid.shape) > 0
     distance = np.where(near < _BAND, near, _FAR)
     _sweep(distance, near < _BAND)
     return Field(grid, np.where(inside, -distance, distance) * grid.spacing)
 
 
 def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
-    """How often a surface (corners in grid units) goes round each sample: mean over three ray directions."""
-    total = np.zeros(shape, np.float32)
+    """How often a surface (corners in grid units) goes round each sample: the median of three ray directions.
+
+    Where a part of the surface is turned inside out, or missing, the rays that pass it are outvoted.
+    """
+    counts = np.empty((3, *shape), np.int32)
     for k in range(3):
         order = [k, (k + 1) % 3, (k + 2) % 3]
         rays = _crossings(np.ascontiguousarray(corners[:, :, order]), *(shape[i] for i in order), _JITTER)  # type: ignore[call-arg]
-        total += np.moveaxis(np.cumsum(rays, axis=0, dtype=np.int32), [0, 1, 2], order)
-    return total / 3
+        counts[k] = np.moveaxis(np.cumsum(rays, axis=0, dtype=np.int32), [0, 1, 2], order)
+    low, high = np.minimum(counts[0], counts[1]), np.maximum(counts[0], counts[1])
+    return np.maximum(low, np.minimum(high, counts[2]))
 
 
 def rounded(field: Field, radius: float) -> Field:

@@ -140,10 +140,15 @@ def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) ->
 
 
 def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
-    """Faces turned to agree with their neighbours, where they do not."""
+    """Faces turned to agree with their neighbours, where they do not.
+
+    They agree where every edge is passed as often one way as the other, or but once: two sheets may meet
+    in an edge of four faces, and to part them would open the surface.
+    """
     edges = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    if (counts == 1).all():
+    _, which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    balance = np.bincount(which.reshape(-1), weights=np.where(edges[:, 0] < edges[:, 1], 1.0, -1.0))
+    if (np.abs(balance) <= 1).all():
         return body
     import pymeshlab
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.meshing.distance import Field, distance_again, grid_over, rounded, signed_distance
-from limbcli.meshing.surfaces import join
+from limbcli.meshing.surfaces import Triangles, join
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +58,13 @@ def test_projection_lands_on_the_surface(make_ball, grid, rng):
     points = rng.normal(size=(50, 3))
     points *= (12 + rng.uniform(-2, 2, 50))[:, None] / np.linalg.norm(points, axis=1)[:, None]
     assert np.linalg.norm(field.project(points), axis=1) == pytest.approx(np.full(50, 12.0), abs=0.05)
+
+
+def test_a_patch_turned_inside_out_is_outvoted(make_ball, grid):
+    ball = make_ball((0, 0, 0), 12.0)
+    turned = ball.faces.copy()
+    patch = ball.centroids[:, 2] > 11.5
+    turned[patch] = turned[patch][:, ::-1]
+    field = signed_distance(Triangles(ball.points, turned), grid)
+    exact = np.linalg.norm(grid.points(), axis=-1) - 12.0
+    assert (np.sign(field.values) == np.sign(exact))[np.abs(exact) > 1].all()

@@ -53,3 +53,21 @@ def test_faces_turned_inward_are_turned_back(make_tube):
 def test_a_surface_in_metres_is_refused(make_tube):
     with pytest.raises(MeshError, match="check the unit"):
         mend(make_tube((0, 0, 0), (0, 0, 0.15), (0.04, 0.045)), [])
+
+
+def test_two_sheets_that_meet_in_an_edge_are_left_alone(make_tube):
+    skin = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
+    a, b = skin.faces[400][:2]
+    middle = skin.points[[a, b]].mean(axis=0)
+    out = middle * [1, 1, 0] / np.linalg.norm(middle[:2])
+    along = skin.points[b] - skin.points[a]
+    side = np.cross(along, out) / np.linalg.norm(along)
+    tent = np.array([middle + 2 * out - side, middle + 2 * out + side])
+    p, q = len(skin.points), len(skin.points) + 1
+    faces = np.array([[a, b, p], [b, a, q], [b, q, p], [a, p, q]])
+    if Triangles(np.vstack([skin.points, tent]), faces).volume < 0:
+        faces = faces[:, ::-1]
+    both = Triangles(np.vstack([skin.points, tent]), np.vstack([skin.faces, faces]))
+    limb = mend(both, [])
+    assert len(limb.skin.faces) == len(both.faces)
+    assert not any("non-manifold" in note for note in limb.notes)
