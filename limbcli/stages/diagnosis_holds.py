@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from limbcli.effects.reading import Curves, Reading, force_at, true_depth
@@ -19,6 +20,9 @@ from limbcli.model import Array, IntArray
 STEP_S = 0.25
 _RAMP_SHARE = 0.2  # of the steepest ramps: what is steeper is a ramp (steps of a force)
 _DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
+# Of the steepest ramps of force: what is steeper is a ramp although the recorded depth is steady, as it is
+# where the tissue is so stiff that the step is smaller than the reading's error. Relaxation is less steep.
+_FORCE_SHARE = 0.4
 _NOISE_TIMES = 5.0  # a slope within so many deviations of its noise is none
 _MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
 _LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
@@ -83,7 +87,10 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     force = _binned(trace.time, trace.force, time)
     recorded = trace.depth is not None and np.isfinite(trace.depth).mean() > 0.9
     steering = _binned(trace.time, trace.depth, time) if recorded and trace.depth is not None else force
-    holds = find_plateaus(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
+    steady = is_steady(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
+    if recorded:
+        steady &= is_steady(force, share=_FORCE_SHARE)
+    holds = stretches(steady)
     if not holds:
         return None, f"the record has no hold of {_LEAST_HOLD_S:g} s"
     depth = steering if recorded else _depth_of_levels(holds, force, levels, len(time))
@@ -101,13 +108,17 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     return found, ""
 
 
-def find_plateaus(signal: Array, *, share: float = _RAMP_SHARE) -> list[tuple[int, int]]:
-    """Stretches [from, to) of the grid between ramps, of 3 s at least; `share` of the steepest is a ramp."""
+def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]:
+    """Where a signal (n,) of the grid is not on a ramp; `share` of the steepest is a ramp."""
     slope = np.abs(np.gradient(signal))
     noise = 1.4826 * float(np.median(slope))
     slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
     limit = max(share * float(np.quantile(slope, 0.98)), _NOISE_TIMES * noise)
-    steady = slope <= limit
+    return np.asarray(slope <= limit)
+
+
+def stretches(steady: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where the grid is steady for 3 s at least: [from, to)."""
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return [(a, b) for a, b in pairs if (b - a) * STEP_S >= _LEAST_HOLD_S]

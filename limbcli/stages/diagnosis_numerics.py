@@ -233,9 +233,9 @@ class Numerics:
     def noise(self, tie: Tie, interventions: list[Intervention]) -> list[ModelError]:
         """What of all this the data have to allow for."""
         # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
-        # What a quarter of the penalty takes from the force is twice what the gap still takes (three times,
-        # were the force linear in it).
-        share = {"crop": 0.5, "contact": 0.5, INCOMPRESSIBILITY.name: 1.0}
+        # What a quarter of the penalty takes from the force is one and a half times to three times what the
+        # gap still takes; counted whole, as skin gives way under a probe too.
+        share = {"crop": 0.5, "contact": 1.0, INCOMPRESSIBILITY.name: 1.0}
         errors = [
             ModelError(f"model: {each.name}", share[each.name] * each.log_force,
                        share[each.name] * each.log_speed)

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.effects.reading import Curves, Reading
 from limbcli.measurement.indentation import Levels, Trace
-from limbcli.stages.diagnosis_holds import STEP_S, find_plateaus, held_forces, relaxing
+from limbcli.stages.diagnosis_holds import STEP_S, held_forces, is_steady, relaxing, stretches
 
 DEPTHS = np.array([0.0, 3.0, 6.0, 9.0])
 HOLD_S, RAMP_S, RATE_HZ = 20.0, 1.0, 60.0
@@ -54,7 +54,7 @@ def test_plateaus_are_the_holds(rng):
     found = held_forces(record(rng), levels())[0]
     assert found is not None
     assert len(found) == 4  # two holds carry more than 1 N, two numbers each
-    assert len(find_plateaus(found.depth)) == len(DEPTHS)
+    assert len(stretches(is_steady(found.depth))) == len(DEPTHS)
 
 
 def test_elastic_record_falls_by_nothing_and_is_predicted_so(rng):
@@ -103,3 +103,17 @@ def test_a_small_step_between_two_holds_is_not_taken_for_a_hold(rng):
     found, _ = held_forces(Trace(trace.time, force, depth, None, None, trace.path), levels())
     assert last.any()
     assert np.all(np.abs(found.y) < 5 * found.deviation)
+
+
+@pytest.mark.parametrize("shares", [(), ((0.4, 2.0), (0.2, 15.0))])
+def test_a_step_that_the_recorded_depth_does_not_show_parts_two_holds(rng, shares):
+    """Where the tissue is stiff, a depth may be read no deeper than the one before."""
+    trace = record(rng, shares=shares)
+    late = trace.time > 3 * HOLD_S + 2 * RAMP_S
+    read = np.where(late, 5.98 + 0.02 * rng.standard_normal(len(late)), trace.depth)
+    found, _ = held_forces(Trace(trace.time, trace.force, read, None, None, trace.path), levels())
+    assert len(found) == 4
+    parted = found.windows[2, 0, 0] * STEP_S
+    assert parted >= 3 * HOLD_S + 2 * RAMP_S
+    if not shares:
+        assert np.all(np.abs(found.y) < 4 * found.deviation)
