@@ -26,6 +26,17 @@ def command(
             "default: the case's, else assumed values. May be repeated.",
         ),
     ] = None,
+    contact_penalty: Annotated[
+        float | None,
+        typer.Option(
+            "--contact-penalty",
+            min=1,
+            max=1000,
+            show_default=False,
+            help="Times the skin's stiffness at rest; default 20, with which FEBio converges. More where fit "
+            "warns that the probe sinks in.",
+        ),
+    ] = None,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -41,7 +52,13 @@ def command(
         Case.open(case),
         out=out or default_out(case),
         sites=site,
-        options=TissueOptions(c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=dict(map(parse_law, layer or []))),
+        options=TissueOptions(
+            c_kpa=c_kpa,
+            f_kappa=f_kappa,
+            m=m,
+            layers=dict(map(parse_law, layer or [])),
+            contact_penalty=contact_penalty,
+        ),
         templates=templates,
         progress=terminal(quiet=quiet, verbose=verbose),
     )

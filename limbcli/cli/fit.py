@@ -6,6 +6,7 @@ from limbcli.cli.fit_options import (
     CDeviationOpt,
     CompareElementOpt,
     CompareLawsOpt,
+    ContactCheckOpt,
     GainDeviationOpt,
     IntervalsOpt,
     LawOpt,
@@ -47,6 +48,7 @@ def command(
     law: LawOpt = "ogden",
     compare_laws: CompareLawsOpt = False,
     gain_deviation: GainDeviationOpt = None,
+    contact_check: ContactCheckOpt = True,
     compare_element: CompareElementOpt = False,
     templates: TemplatesOpt = None,
     json: JsonOpt = False,
@@ -61,7 +63,7 @@ def command(
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation, stiffness_map=stiffness_map, tolerance=tolerance,
         max_iterations=max_iterations, intervals=intervals, gain_deviation=gain_deviation,
-        templates=templates, time_limit_s=time_limit_s,
+        contact_check=contact_check, templates=templates, time_limit_s=time_limit_s,
     )  # fmt: skip
     given = {"--law": law != "ogden", "--compare-laws": compare_laws}
     check_choice(

@@ -42,6 +42,9 @@ GainDeviationOpt = Annotated[
         show_default=False,
     ),
 ]
+ContactCheckOpt = Annotated[
+    bool, typer.Option(help="The fitted model once more with a harder contact: how far the probe sinks in.")
+]
 CompareElementOpt = Annotated[
     bool, typer.Option("--compare-element", help="tet4 and tet10 side by side on the same mesh.")
 ]

@@ -9,6 +9,7 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.synth_options import (
+    ContactPenaltyOpt,
     CStiffOpt,
     FKappaOpt,
     MaxForceOpt,
@@ -60,6 +61,7 @@ def command(
     far_size_mm: SynthFarSizeOpt = 12.0,
     margin_mm: SynthMarginOpt = None,
     same_mesh: SameMeshOpt = False,
+    contact_penalty: ContactPenaltyOpt = None,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -80,6 +82,7 @@ def command(
         far_size=far_size_mm,
         margin=margin_mm,
         same_mesh=same_mesh,
+        contact_penalty=contact_penalty,
         hidden=tuple(hide(each) for each in effect or ()),
         protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )

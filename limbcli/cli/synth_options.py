@@ -67,3 +67,14 @@ SameMeshOpt = Annotated[
     bool,
     typer.Option("--same-mesh", help="Simulate on the very mesh that is fitted.", rich_help_panel=_MESH),
 ]
+ContactPenaltyOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--contact-penalty",
+        min=1.0,
+        max=1000.0,
+        help="Times the skin's stiffness at rest; default: 20. With more the probe sinks in less.",
+        rich_help_panel=_MESH,
+        show_default=False,
+    ),
+]

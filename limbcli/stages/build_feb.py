@@ -27,6 +27,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.asked import asked_of, asked_of_options
+from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.indentation_model import (
     PROBE,
     TISSUE,
@@ -55,12 +56,14 @@ class TissueOptions:
     """Start values of the law. c_kpa: c = 2 mu by hand (None: from SWE at level 0).
 
     layers : a table (law, c_kpa, f_kappa, m, beta) for "skin" or "fat", over what the case says
+    contact_penalty : multiple of the skin's stiffness at rest; None: the one FEBio converges with
     """
 
     c_kpa: float | None = None
     f_kappa: float = 100.0
     m: float = 2.0
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    contact_penalty: float | None = None
 
 
 def build_feb(
@@ -104,6 +107,8 @@ def _build_site(
     laws = layer_laws(site, layers_in(meshed_model), options.layers)
     layered = with_layer_laws(meshed_model, laws)
     model = indentation_model(layered, plan, c=c, f_kappa=options.f_kappa, m=options.m)
+    if options.contact_penalty is not None:
+        model = with_penalty(model, options.contact_penalty)
     write_feb(model, writer.file("feb", MODEL_FILE), templates)
     writer.used("mesh", path)
     writer.used("levels", site.levels)

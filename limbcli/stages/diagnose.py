@@ -38,6 +38,7 @@ from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
 
+_SOFT = 0.02  # of ln force, what the written model's contact may take untold
 _SAME_PLACE = 2.0  # mm
 
 
@@ -246,6 +247,13 @@ class _Diagnosed:
                     f"{100 * point[each.onset]:.0f} % of the levels"
                 )
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
+        softer = [each.log_force for each in mine.interventions if each.name == "contact"]
+        lost = -float(np.min(softer)) if softer else 0.0
+        if lost > _SOFT:
+            writer.warnings.append(
+                "diagnosed.feb has the contact penalty that FEBio converges with; the diagnosis had a harder "
+                f"one, which gives up to {100 * (np.exp(lost) - 1):.0f} % more force"
+            )
 
 
 def _locked(found: Intervention) -> str:

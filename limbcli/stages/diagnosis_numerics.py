@@ -234,7 +234,7 @@ class Numerics:
         """What of all this the data have to allow for."""
         # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
         # What a quarter of the penalty takes from the force is one and a half times to three times what the
-        # gap still takes; counted whole, as skin gives way under a probe too.
+        # gap still takes; counted whole, as it is of one sign, which a deviation does not know.
         share = {"crop": 0.5, "contact": 1.0, INCOMPRESSIBILITY.name: 1.0}
         errors = [
             ModelError(f"model: {each.name}", share[each.name] * each.log_force,

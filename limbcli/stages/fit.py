@@ -28,6 +28,7 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
@@ -124,6 +125,8 @@ def _fit_site(
     fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+    if options.contact_check:
+        leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
     leave_speeds(fitted, simulation, levels, site, writer)
 
 

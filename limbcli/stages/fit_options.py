@@ -21,6 +21,7 @@ class FitOptions:
     intervals : profile intervals (more simulations), or only standard errors
     gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
         `mesh --study` where it was run, else by element and edge length)
+    contact_check : solve the fitted model once more with a harder contact, and tell what that changes
     """
 
     c_kpa: float | None = None
@@ -31,6 +32,7 @@ class FitOptions:
     max_interval_solves: int = 12
     intervals: bool = True
     gain_deviation: float | None = None
+    contact_check: bool = True
     templates: Path | None = None
     time_limit_s: float | None = None
 

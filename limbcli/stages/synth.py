@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
 from limbcli.stages.synth_case import case_table, copy_imaging
@@ -45,8 +47,9 @@ class SynthOptions:
 
     element None is the case's; size, far_size, margin : of the mesh simulated on (mm), None the
     usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
-    noise : factor on the case's [site.noise] (0: none); alter : a change of the meshed model;
-    hidden : effects in tissue and readings.
+    contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
+    one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
+    alter : a change of the meshed model; hidden : effects in tissue and readings.
     """
 
     tissue: KnownTissue = field(default_factory=KnownTissue)
@@ -57,6 +60,7 @@ class SynthOptions:
     far_size: float | None = 12.0
     margin: float | None = None
     same_mesh: bool = False
+    contact_penalty: float | None = None
     protocol: Protocol = field(default_factory=Protocol)
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
@@ -172,6 +176,8 @@ def _measure_site(
     model = _meshed(case, site, folder, options, progress)
     if options.alter is not None:
         model = options.alter(model)
+    penalty = options.contact_penalty
+    contact = None if penalty is None else partial(with_penalty, penalty=penalty)
     true = indent(
         model,
         options.tissue,
@@ -180,8 +186,8 @@ def _measure_site(
         density_kg_per_m3=site.density_kg_per_m3,
         tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
         progress=progress,
-        change=_change([each.in_model for each in options.hidden]),
-        change_for_waves=_change([each.for_waves or each.in_model for each in options.hidden]),
+        change=_change([contact, *(each.in_model for each in options.hidden)]),
+        change_for_waves=_change([contact, *(each.for_waves or each.in_model for each in options.hidden)]),
     )
     law = noise_law(site.noise).times(options.noise)
     rng = np.random.default_rng([options.seed, 3, number])
@@ -222,6 +228,7 @@ def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[
         "made_by": f"limbcli {__version__}",
         "measurement_seed": options.seed,
         "tissue": vars(options.tissue),
+        **({} if options.contact_penalty is None else {"contact_penalty": options.contact_penalty}),
         "hidden": [each.facts() for each in options.hidden],
         "site": [
             {

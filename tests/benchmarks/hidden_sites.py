@@ -47,7 +47,7 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
         source, out=work / "truth-out", out_case=made, sites=options.site,
         options=SynthOptions(
             tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0,
-            size=options.size_mm, far_size=3 * options.size_mm,
+            size=options.size_mm, far_size=3 * options.size_mm, contact_penalty=options.contact_penalty,
         ),
     )  # fmt: skip
     simulated, processor = time.perf_counter(), time.process_time()
@@ -99,6 +99,9 @@ def main() -> None:
     parser.add_argument("--max-force-n", type=float, default=12.0)
     parser.add_argument("--arms", nargs="*", default=ARMS.split())
     parser.add_argument("--size-mm", type=float, default=4.0)
+    parser.add_argument(
+        "--contact-penalty", type=float, help="of the truth; 160 is near a real one"
+    )
     parser.add_argument("--seed", type=int, default=100)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,8 @@ from limbcli.model import (
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.build_feb import build_feb
+from limbcli.stages.build_feb import TissueOptions, build_feb
+from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.indentation_model import indentation_model
 
 PROBE = ProbeShape(20.0, 10.0, 3.0)
@@ -116,9 +117,12 @@ def _graded(n: int) -> np.ndarray:
     return 0.6 * s + 0.4 * s**3
 
 
-def true_curve(element: str, depths: np.ndarray, *, c: float, f_kappa: float, m: float) -> np.ndarray:
+def true_curve(
+    element: str, depths: np.ndarray, *, c: float, f_kappa: float, m: float, penalty: float = 20.0
+) -> np.ndarray:
     """Forces (N) at depths (mm) of the block with these parameters."""
     model = indentation_model(block_model(element), schedule(list(depths)), c=c, f_kappa=f_kappa, m=m)
+    model = with_penalty(model, penalty)
     session = ReferenceSession(model)
     try:
         return session.solve().must_points.forces
@@ -128,7 +132,7 @@ def true_curve(element: str, depths: np.ndarray, *, c: float, f_kappa: float, m:
 
 def make_case(
     folder: Path, out: Path, depths: np.ndarray, forces: np.ndarray, *, c: float, element: str = "tet4",
-    build: bool = True, speeds: np.ndarray | None = None,
+    build: bool = True, speeds: np.ndarray | None = None, penalty: float | None = None,
 ) -> Case:  # fmt: skip
     """A case folder with this measurement; mesh and build-feb are done in `out`."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -146,7 +150,7 @@ def make_case(
     with open_stage(out, "mesh", subject="B1", site="p1") as writer:
         save_model(block_model(element), writer.file("model", "model.npz"))
     if build:
-        build_feb(case, out=out)
+        build_feb(case, out=out, options=TissueOptions(contact_penalty=penalty))
     return case
 
 

@@ -211,3 +211,21 @@ def test_the_mesh_error_is_counted_stated_and_can_be_given(fitted, forces, tmp_p
     for name in ("f_kappa", "m"):
         assert exact["standard_error"][name] < data["standard_error"][name]
     assert exact["standard_error"]["c_kpa"] == pytest.approx(data["standard_error"]["c_kpa"])
+
+
+def test_what_a_harder_contact_changes_is_told(fitted, forces):
+    check = fitted[0].data["contact_check"]
+    assert (check["penalty"], check["tried"]) == (20.0, 80.0)
+    change = np.array(check["force_change_fraction"])
+    assert len(change) == len(DEPTHS)
+    harder = block.true_curve("tet4", DEPTHS, **TRUTH, penalty=80.0)
+    assert change == pytest.approx(harder / forces - 1.0, abs=2e-3)
+    assert np.all(change > 0.005)
+    assert any("contact's penalty changes the force" in line for line in fitted[0].summary)
+
+
+def test_a_contact_that_the_fit_makes_up_for_is_warned_of(forces, tmp_path):
+    case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=TRUTH["c"], penalty=2.0)
+    options = FitOptions(intervals=False)
+    result = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
+    assert any("--contact-penalty 8 and fit again" in line for line in result.warnings)
