@@ -26,7 +26,7 @@ def penalties(
     contact: Contact, patch: Patch, groups: Sequence[Group], curve: CurveAt, dt: float = 1.0
 ) -> Array:
     """eps (n_facets,) of a patch, MPa/mm. dt : first step (s): a viscoelastic law is as stiff as in it."""
-    eps = np.full(len(patch.facets), contact.penalty)
+    eps = np.full(len(patch.facets), float(contact.penalty))
     if contact.auto_penalty:
         for k, group in enumerate(groups):
             mine = patch.group == k

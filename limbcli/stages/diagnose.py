@@ -30,10 +30,11 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
-from limbcli.stages.diagnosis_numerics import F_KAPPA, MATTERS, Intervention
+from limbcli.stages.diagnosis_numerics import MATTERS, Intervention
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis_tie import F_KAPPA
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa

@@ -24,8 +24,8 @@ from limbcli.stages.diagnosis_curves import FIRST_M
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, Slot
 from limbcli.stages.diagnosis_menu import menu
-from limbcli.stages.diagnosis_numerics import Tie
 from limbcli.stages.diagnosis_site import Book, SiteCurves, only_febio
+from limbcli.stages.diagnosis_tie import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5

@@ -140,6 +140,18 @@ class CurveBook:
                 self._kinematics[key] = self._load_kinematics(key)
         return self._kinematics[key]
 
+    def log_speeds(self, m: float, *, law_m: float) -> Array | None:
+        """ln speeds (n, n_parts) where the tissue is deformed as with m, but stiff as with `law_m`.
+
+        None where deformations are not kept on disk.
+        """
+        curves = self.curves(m)
+        if self.keep is None:
+            return None
+        with np.load(self.keep / f"{self._key(m, ())}-cells.npz") as stored:
+            values = stored["values"].astype(float)
+        return self._log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
+
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
@@ -242,17 +254,19 @@ class CurveBook:
     def _read(
         self, model: LimbModel, in_window: LimbModel, depths: Array, forces: Array, values: Array
     ) -> Curves:
+        return Curves(
+            np.concatenate([[0.0], depths]), np.concatenate([[0.0], forces]),
+            self._log_speeds(in_window, depths, values), self.windows.depths, thickness(model),
+        )  # fmt: skip
+
+    def _log_speeds(self, model: LimbModel, depths: Array, values: Array) -> Array:
+        """At rest, and at every depth with these places and gradients of the cells."""
         rest = np.zeros((len(self.near), 12))
         rest[:, :3] = centers(model, self.cells)[self.near]
         rest[:, [3, 7, 11]] = 1.0
-        rows = [self._speeds(in_window, 0.0, rest)]
-        rows += [
-            self._speeds(in_window, d, table[self.near]) for d, table in zip(depths, values, strict=True)
-        ]
-        return Curves(
-            np.concatenate([[0.0], depths]), np.concatenate([[0.0], forces]), np.array(rows),
-            self.windows.depths, thickness(model),
-        )  # fmt: skip
+        rows = [self._speeds(model, 0.0, rest)]
+        rows += [self._speeds(model, d, table[self.near]) for d, table in zip(depths, values, strict=True)]
+        return np.array(rows)
 
     def _speeds(self, model: LimbModel, depth: float, table: Array) -> Array:
         F = table[:, 3:].reshape(-1, 3, 3)

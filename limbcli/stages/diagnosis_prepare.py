@@ -31,9 +31,10 @@ from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
 from limbcli.stages.diagnosis_noise import ModelError
-from limbcli.stages.diagnosis_numerics import F_KAPPA, USUAL_C, Intervention, Numerics
+from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis_tie import F_KAPPA
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.mesh import read_limb, site_position
 

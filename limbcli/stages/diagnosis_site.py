@@ -26,7 +26,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, _touches_loads
 from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_numerics import Tie
+from limbcli.stages.diagnosis_tie import Tie
 
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)

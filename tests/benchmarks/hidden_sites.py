@@ -2,7 +2,7 @@
 
     python tests/benchmarks/hidden_sites.py --case CASE --out OUT [--truth CASE] --work DIR
 
-CASE must have been segmented, meshed and run into OUT. The measurement is simulated on --truth (the case
+CASE must have been segmented and meshed into OUT. The measurement is simulated on --truth (the case
 itself by default; for a phantom its true surfaces) with a mesh of its own, and every arm is one
 line of <work>/sites.jsonl. A summary of verdicts ends the run. Several sites are simulated with the same
 hidden effects; those that share a place (two orientations) are diagnosed together.
@@ -22,9 +22,11 @@ from limbcli.case import Case
 from limbcli.effects import effect
 from limbcli.errors import LimbError
 from limbcli.phantom.protocol import Protocol
+from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.hidden import hide
 from limbcli.stages.indent import KnownTissue
+from limbcli.stages.run import run
 from limbcli.stages.synth import SynthOptions, synth
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
@@ -60,6 +62,8 @@ def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
     out = work / "out"
     if not out.is_dir():
         shutil.copytree(options.out, out, ignore=shutil.ignore_patterns("fit", "report", "diagnose"))
+    for prepared in (build_feb, run):
+        prepared(Case.open(trial), out=out, sites=options.site)
     found = diagnose(Case.open(trial), out=out, sites=options.site, options=DiagnoseOptions())[0].data
     kept = work / "kept" / f"{arm}-{seed}.json"
     kept.parent.mkdir(exist_ok=True)
@@ -99,9 +103,7 @@ def main() -> None:
     parser.add_argument("--max-force-n", type=float, default=12.0)
     parser.add_argument("--arms", nargs="*", default=ARMS.split())
     parser.add_argument("--size-mm", type=float, default=4.0)
-    parser.add_argument(
-        "--contact-penalty", type=float, help="of the truth; 160 is near a real one"
-    )
+    parser.add_argument("--contact-penalty", type=float, help="of the truth; 160 is near a real one")
     parser.add_argument("--seed", type=int, default=100)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
