@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.effects.base import Effect, Theta, applied
+from limbcli.effects.contact import EFFECT as CONTACT
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.reading import Curves, continued
 from limbcli.effects.tissue import thickness
@@ -140,15 +141,19 @@ class CurveBook:
                 self._kinematics[key] = self._load_kinematics(key)
         return self._kinematics[key]
 
-    def log_speeds(self, m: float, *, law_m: float) -> Array | None:
+    def usual_contact(self) -> Ingredients:
+        """What makes of this book's contact the one that the site's own model has."""
+        return ((CONTACT, {"penalty_factor": 1.0 / _CONTACT_STIFFER}),)
+
+    def log_speeds(self, m: float, ingredients: Ingredients = (), *, law_m: float) -> Array | None:
         """ln speeds (n, n_parts) where the tissue is deformed as with m, but stiff as with `law_m`.
 
-        None where deformations are not kept on disk.
+        ingredients : none or numerical ones. None where deformations are not kept on disk.
         """
-        curves = self.curves(m)
+        curves = self.curves(m, ingredients)
         if self.keep is None:
             return None
-        with np.load(self.keep / f"{self._key(m, ())}-cells.npz") as stored:
+        with np.load(self.keep / f"{self._key(m, ingredients)}-cells.npz") as stored:
             values = stored["values"].astype(float)
         return self._log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
 
@@ -205,6 +210,7 @@ class CurveBook:
         if not ingredients:
             self._usual.append(self._work)
             self._kinematics[key] = self._deformation(model, curves.depth, values)
+        if all(effect.kind == "numerical" for effect, _ in ingredients):
             self._store_deformation(key, values)
         self._store(key, curves)
         return curves

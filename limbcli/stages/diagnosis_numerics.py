@@ -98,11 +98,11 @@ class Numerics:
         working = self.book.curves(START_M)
         try:
             own = self._own_run()
+            if own.element == "tet10":
+                return self._tied(working, own)
         except LimbError as error:
             self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
         else:
-            if own.element == "tet10":
-                return self._tied(working, own)
             self.notes.warnings.append(
                 f"the site's own run has {own.element} elements and is not used to tie the working mesh to it"
             )
@@ -111,7 +111,8 @@ class Numerics:
         return Tie(np.zeros(len(working.depth)), none, 1.0, usual, self._at_levels(working, none))
 
     def _tied(self, working: Curves, own: OwnRun) -> Tie:
-        ratio = np.log(np.maximum(own.force, 1e-9)) - log_force_at(working, own.depth)
+        same = self.book.curves(START_M, self.book.usual_contact())
+        ratio = np.log(np.maximum(own.force, 1e-9)) - log_force_at(same, own.depth)
         at = np.maximum(working.depth, own.depth[0])
         log_force = np.interp(at, own.depth, ratio)
         log_force[0] = 0.0

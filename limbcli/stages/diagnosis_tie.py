@@ -1,7 +1,8 @@
 """From the diagnosis' coarse working mesh to the site's own: what its finished `run` gives beside it.
 
-Force is compared as it was run (f_kappa 100, m 2). Wave speeds hang on stretches to the power of m, so
-they are compared for the tissue's likely m, each mesh with its own deformation at m 2.
+Both have the contact of that run, and force is compared as it was run (f_kappa 100, m 2). Wave speeds
+hang on stretches to the power of m, so they are compared for the tissue's likely m, each mesh with its own
+deformation at m 2.
 """
 
 from __future__ import annotations
@@ -108,7 +109,8 @@ def speed_ratio(own: OwnRun, book: CurveBook, m: float) -> Array:
     depth = book.curves(START_M).depth
     nothing = np.zeros((len(depth), len(book.windows.depths)))
     try:
-        theirs, ours = own.log_speeds(book, m), book.log_speeds(START_M, law_m=m)
+        theirs = own.log_speeds(book, m)
+        ours = book.log_speeds(START_M, book.usual_contact(), law_m=m)
     except LimbError as error:
         book.progress.event("note", text=f"speeds are not tied to the site's own mesh: {error.what}")
         return nothing

@@ -1,0 +1,95 @@
+"""The working mesh beside the site's own run."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.stages.build_feb import TissueOptions, build_feb
+from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis_tie import own_run, speed_ratio
+from limbcli.stages.run import run
+
+C = 0.008
+DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
+
+
+def _block_case():
+    path = Path(__file__).with_name("block_case.py")
+    spec = importlib.util.spec_from_file_location("block_case_for_tie", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+block = _block_case()
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A case whose own mesh, tet4 of the usual block, was run at the start values."""
+    root = tmp_path_factory.mktemp("tie")
+    case = block.make_case(root / "case", root / "out", DEPTHS, DEPTHS**1.5, c=C)
+    run(case, out=root / "out", solver="reference")
+    return case, root / "out"
+
+
+def _book(folder: Path, **counts) -> CurveBook:
+    model = block.block_model("tet4", **counts)
+    return CurveBook(model, [0.45, *DEPTHS], c=C, keep=folder, tolerance=1e-6, threads=1)
+
+
+def test_run_is_scaled_to_the_reference_stiffness(ran):
+    case, out = ran
+    site = case.sites[0]
+    own, twice = own_run(site, out, c=C), own_run(site, out, c=2 * C)
+    assert own.element == "tet4"
+    assert own.depth == pytest.approx(DEPTHS, abs=1e-6)
+    assert twice.force == pytest.approx(2 * own.force, rel=1e-12)
+    true = block.true_curve("tet4", DEPTHS, c=C, f_kappa=100.0, m=2.0)
+    assert own.force == pytest.approx(true, rel=1e-3)
+
+
+def test_on_the_same_mesh_the_speeds_are_the_same(ran, tmp_path):
+    """Although the diagnosis has a harder contact, which changes them by a tenth here."""
+    case, out = ran
+    book = _book(tmp_path)
+    own = own_run(case.sites[0], out, c=C)
+    ratio, theirs = speed_ratio(own, book, 6.0), own.log_speeds(book, 6.0)
+    harder = book.log_speeds(2.0, law_m=6.0)
+    book.close()
+    assert ratio.shape == (6, len(book.windows.depths))
+    assert np.abs(ratio).max() < 0.03
+    assert np.nanmax(np.abs(harder[-1] - theirs[-1])) > 0.06
+
+
+def test_on_a_coarser_mesh_they_are_put_right_where_they_were_run(ran, tmp_path):
+    """Working speeds times the ratio are those of the site's own mesh, at any m, and rest is rest."""
+    case, out = ran
+    book, own = _book(tmp_path, counts=(6, 4, 2)), own_run(case.sites[0], out, c=C)
+    ratio = speed_ratio(own, book, 6.0)
+    tied = book.log_speeds(2.0, book.usual_contact(), law_m=6.0) + ratio
+    book.close()
+    theirs = own.log_speeds(book, 6.0)
+    known = np.isfinite(theirs)
+    assert known.sum() > 4
+    assert np.abs(ratio[2:][known]).max() > 0.01
+    assert tied[2:][known] == pytest.approx(theirs[known], abs=1e-6)
+    assert np.all(ratio[0] == 0.0)
+
+
+def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
+    case, _ = ran
+    out = tmp_path / "out"
+    other = block.make_case(tmp_path / "case", out, DEPTHS, DEPTHS**1.5, c=C, build=False)
+    build_feb(other, out=out, options=TissueOptions(f_kappa=50.0))
+    run(other, out=out, solver="reference")
+    with pytest.raises(CaseError, match="other start values"):
+        own_run(other.sites[0], out, c=C)
+    assert case.sites[0].name == other.sites[0].name
