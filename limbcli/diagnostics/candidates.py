@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from limbcli.diagnostics.bench import Bench, Explanation, Facts, Fitted
 from limbcli.diagnostics.calibrate import Family
-from limbcli.diagnostics.explain import Refit, best_pairs
+from limbcli.diagnostics.explain import Refit, best_pairs, joint_trial
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, cosine, score
 from limbcli.errors import LimbError
@@ -83,6 +83,19 @@ class Candidates:
         left = [t for t in refit.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
         left.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
         return [(*refit.explanation, t.name) for t in left[:_GROWN]]
+
+    def exchanged(self, refits: Sequence[Refit]) -> list[Explanation]:
+        """These with one effect exchanged for another that looks like it: those that explain most."""
+        found = {}
+        for refit in refits:
+            for name in refit.explanation:
+                for other in self.trials:
+                    if other not in refit.explanation and self._alike(other, name):
+                        new = tuple(other if each == name else each for each in refit.explanation)
+                        found[frozenset(new)] = new
+        explains = {key: score(self.state, joint_trial([self.trials[n] for n in each])).statistic
+                    for key, each in found.items()}  # fmt: skip
+        return [found[key] for key in sorted(found, key=lambda key: -explains[key])]
 
     def _statistic(self, name: str) -> float:
         found = self.family.of(name)

@@ -25,6 +25,7 @@ from limbcli.progress import SILENT, Progress
 
 LEFT = ALPHA  # a name leaves nothing that would be detected
 SECOND = 0.15  # adjusted p of what is left, below which one effect more is tried beside a member of the set
+_EXCHANGED = 3  # explanations whose look-alikes are tried, and look-alikes that are
 
 
 def diagnose(
@@ -75,10 +76,24 @@ class _Run:
         """The confidence set of the smallest size that is not empty, and what it may still lack."""
         for size in range(1, self.max_effects + 1):
             compared = refits.compared(candidates.of_size(size, names, refits.known.values()))
+            if size > 1:
+                compared = self._with_look_alikes(compared, candidates, refits)
             kept = [each for each in compared if each.in_set and self._each_is_needed(each, refits)]
             if kept:
                 return self._repeated(kept, candidates, refits) if size < self.max_effects else kept
         return []
+
+    def _with_look_alikes(self, compared: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
+        """Beside the best of several effects those with one of them exchanged for its look-alike, if untried.
+
+        A pair's rank is that of its first-order score without either effect, and that order fails for
+        strong ones.
+        """
+        usable = sorted((r for r in compared if not r.fitted.at_bound), key=lambda r: r.state.chi2)
+        new = [each for each in candidates.exchanged(usable[:_EXCHANGED]) if not refits.tried(each)]
+        if not new:
+            return compared
+        return refits.compared([*(refit.explanation for refit in compared), *new[:_EXCHANGED]])
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
         """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.

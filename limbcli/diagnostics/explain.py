@@ -15,7 +15,7 @@ from limbcli.diagnostics.noise import unit_errors
 from limbcli.diagnostics.score import Direction, Trial, score, statistics
 from limbcli.model import Array
 
-LEVEL = 0.025  # of the test against the best of the set
+LEVEL = 0.01  # of the test against the best of the set
 ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
 _N_DRAWS = 4000
@@ -62,9 +62,9 @@ def compare(
 ) -> list[Refit]:  # fmt: skip
     """Give each refit its deviance gap and the quantile of that gap were it the truth.
 
-    Under explanation k the whitened data are P(mu_k + f_k + e), mu_k the finite change that k
-    makes to the prediction, f_k the error of its form (covariance `form_error(fitted)`, the same that the
-    tests of what it leaves allow for); the gap is (best score over all - score of k), to first order.
+    Under explanation k the whitened data are mu_k + f_k + e, mu_k its prediction, f_k the error of its
+    form (covariance `form_error(fitted)`, the same that the tests of what it leaves allow for). The gap is
+    k's deviance over the best one's, each linear round its own fit (for rivals also round the base).
     """
     eligible = [each for each in refits if not each.fitted.at_bound]
     if not eligible:
@@ -83,36 +83,36 @@ def _allowed(
     trials: Mapping[Explanation, Trial], whiten: Whitener, form_error: Array, rng: np.random.Generator,
     scale: float,
 ) -> float:  # fmt: skip
-    shift = state.project(whiten(truth.fitted.prediction - base.prediction))
     form = _root(whiten(whiten(form_error).T))
-    draws = unit_errors(rng, (_N_DRAWS, len(shift))) * np.sqrt(scale)
-    draws = draws + rng.standard_normal((_N_DRAWS, len(shift))) @ form
-    draws = state.project((draws + shift).T).T
-    tangent = Trial("", (_tangent(truth, whiten),))
-    own = statistics(state, tangent, draws)
-    top = own.copy()
+    n = len(form)
+    errors = unit_errors(rng, (_N_DRAWS, n)) * np.sqrt(scale) + rng.standard_normal((_N_DRAWS, n)) @ form
+    own = _deviance(truth.state, errors)
+    seen = state.project((errors + whiten(truth.fitted.prediction - base.prediction)).T).T
+    best = own.copy()
     for rival in rivals:
         if rival.explanation == truth.explanation:
             continue
+        apart = whiten(truth.fitted.prediction - rival.fitted.prediction)
+        best = np.minimum(best, _deviance(rival.state, errors + apart))
         trial = trials.get(rival.explanation)
-        if set(truth.explanation) < set(rival.explanation):  # what it has more, beside its own tangent
-            more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
-            trial = joint_trial([tangent, *more])
         if trial is not None:
-            top = np.maximum(top, statistics(state, trial, draws))
-    return float(np.quantile(top - own, 1 - LEVEL))
+            best = np.minimum(best, np.sum(seen**2, axis=1) - statistics(state, trial, seen))
+        if set(truth.explanation) < set(rival.explanation):  # what it has more, beside its own parameters
+            more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
+            left = truth.state.project(errors.T).T
+            best = np.minimum(best, own - statistics(truth.state, joint_trial(more), left))
+    return float(np.quantile(own - best, 1 - LEVEL))
+
+
+def _deviance(state: LinearFit, errors: Array) -> Array:
+    """(n_draws,) that a fit leaves of errors (n_draws, n) round it."""
+    return np.asarray(np.sum(state.project(errors.T) ** 2, axis=0))
 
 
 def _root(covariance: Array) -> Array:
     """Symmetric square root of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def _tangent(truth: Refit, whiten: Whitener) -> Direction:
-    """What an explanation's own parameters move at its fit (its size is not small there)."""
-    columns = whiten(truth.fitted.jacobian[:, len(truth.fitted.base_names) :])
-    return Direction(columns, (0,) * columns.shape[1])
 
 
 def joint_trial(trials: Sequence[Trial]) -> Trial:

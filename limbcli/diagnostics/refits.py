@@ -55,6 +55,11 @@ class Refits:
                 self._settle(explanation, fitted, simulated=self.ground.linearised(fitted).chi2 <= limit)
         return self.known.get(explanation)
 
+    def tried(self, explanation: Explanation) -> bool:
+        """Whether it was refitted, or drafted and dropped, its effects in any order."""
+        labels = [*map(" + ".join, self.known), *self.left_out, *self.not_evaluated]
+        return any(set(label.split(" + ")) == set(explanation) for label in labels)
+
     def best(self) -> Refit | None:
         """The one that leaves least, none of its parameters on a bound."""
         usable = [refit for refit in self.known.values() if not refit.fitted.at_bound]
