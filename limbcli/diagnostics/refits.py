@@ -33,7 +33,7 @@ class Refits:
 
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
         """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
-        ground = self.ground
+        ground, several = self.ground, [self._in_order(each) for each in several]
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
         joint |= {each: joint_trial([self.trials[name] for name in each]) for each in several}
         found = self._refitted(several)
@@ -47,6 +47,7 @@ class Refits:
 
     def of(self, explanation: Explanation) -> Refit | None:
         """One refit, made now if it was not; None where it has no answer."""
+        explanation = self._in_order(explanation)
         if explanation not in self.known:
             fitted = self._draft(explanation)
             if fitted is not None:
@@ -57,8 +58,9 @@ class Refits:
 
     def tried(self, explanation: Explanation) -> bool:
         """Whether it was refitted, or drafted and dropped, its effects in any order."""
-        labels = [*map(" + ".join, self.known), *self.left_out, *self.not_evaluated]
-        return any(set(label.split(" + ")) == set(explanation) for label in labels)
+        explanation = self._in_order(explanation)
+        label = " + ".join(explanation)
+        return explanation in self.known or label in self.left_out or label in self.not_evaluated
 
     def best(self) -> Refit | None:
         """The one that leaves least, none of its parameters on a bound."""
@@ -66,6 +68,10 @@ class Refits:
         return min(usable, key=lambda refit: refit.state.chi2) if usable else None
 
     # ------------------------------------------------------------
+
+    def _in_order(self, explanation: Explanation) -> Explanation:
+        """The same effects in the candidates' order, so that none is refitted twice."""
+        return tuple(name for name in self.trials if name in explanation)
 
     def _refitted(self, several: Sequence[Explanation]) -> list[Refit]:
         drafts = [(each, self._draft(each)) for each in several if each not in self.known]
