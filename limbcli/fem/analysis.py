@@ -28,7 +28,8 @@ from limbcli.progress import SILENT, Progress
 _MAX_CUTS = 8
 _BRIEF_CUTS = 2  # of a level that need not be reached
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
-_LOOSE = 3e-2  # residual at which a stride on the way is good enough
+_LOOSE = 3e-2  # residual at which a stride on the way is good enough,
+_FIRM, _HARD = 1e-3, 3  # and after so many cuts at one level: loose strides then lead nowhere, however short
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
 _FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
@@ -61,7 +62,7 @@ class Analysis:
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
         self._stride = np.inf
-        self._wary, self._brief = 0, False
+        self._wary, self._cuts, self._brief = 0, 0, False
         self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
         self._histories: Histories | None = None
 
@@ -178,7 +179,7 @@ class Analysis:
         Strides on the way serve as first guesses only: they are solved loosely and not kept.
         """
         newton = self.newton
-        cuts, start = 0, (len(reached), self._n_pressed, self._n_touching)
+        cuts, self._cuts, start = 0, 0, (len(reached), self._n_pressed, self._n_touching)
         newton.mixed = self.settings.mixed
         while True:
             begin = reached[-1].time
@@ -194,6 +195,7 @@ class Analysis:
                     state, forces = self._augmented(state, forces, level)
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
+                self._cuts += 1
                 newton.counts.retries += 1
                 if isinstance(error, SingularMatrix):
                     newton.linearised.inverse = None
@@ -243,7 +245,7 @@ class Analysis:
         patient: bool,
     ) -> tuple[State, Forces]:
         newton = self.newton
-        tolerance = None if must or self._timed else _LOOSE
+        tolerance = None if must or self._timed else _LOOSE if self._cuts < _HARD else _FIRM
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
         guess, forces = self._guess(time, reached, level, known, patient)
