@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from limbcli.diagnostics.bench import Bench, Explanation, Facts, Fitted
 from limbcli.diagnostics.calibrate import Family
-from limbcli.diagnostics.explain import Refit, best_pairs, joint_trial
+from limbcli.diagnostics.explain import Refit, best_pairs
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, cosine, score
 from limbcli.errors import LimbError
@@ -85,22 +85,25 @@ class Candidates:
         return [(*refit.explanation, t.name) for t in left[:_GROWN]]
 
     def exchanged(self, refits: Sequence[Refit]) -> list[Explanation]:
-        """These with one effect exchanged for another that looks like it: those that explain most."""
-        found = {}
+        """These with one effect exchanged for another that looks like it, the most alike first."""
+        found: dict[frozenset[str], tuple[float, Explanation]] = {}
         for refit in refits:
             for name in refit.explanation:
                 for other in self.trials:
-                    if other not in refit.explanation and self._alike(other, name):
-                        new = tuple(other if each == name else each for each in refit.explanation)
-                        found[frozenset(new)] = new
-        explains = {key: score(self.state, joint_trial([self.trials[n] for n in each])).statistic
-                    for key, each in found.items()}  # fmt: skip
-        return [found[key] for key in sorted(found, key=lambda key: -explains[key])]
+                    alike = 0.0 if other in refit.explanation else self._likeness(other, name)
+                    new = tuple(other if each == name else each for each in refit.explanation)
+                    if alike > found.get(frozenset(new), (ALIKE, new))[0]:
+                        found[frozenset(new)] = alike, new
+        return [new for _, new in sorted(found.values(), key=lambda each: -each[0])]
 
     def _statistic(self, name: str) -> float:
         found = self.family.of(name)
         return found.score.statistic if found else 0.0
 
     def _alike(self, first: str, second: str) -> bool:
+        return self._likeness(first, second) > ALIKE
+
+    def _likeness(self, first: str, second: str) -> float:
+        """|cosine| of the two effects' best directions; 0 where one has none."""
         a, b = self.family.of(first), self.family.of(second)
-        return bool(a and b and abs(cosine(self.state, a.score.direction, b.score.direction)) > ALIKE)
+        return abs(cosine(self.state, a.score.direction, b.score.direction)) if a and b else 0.0

@@ -25,7 +25,7 @@ from limbcli.progress import SILENT, Progress
 
 LEFT = ALPHA  # a name leaves nothing that would be detected
 SECOND = 0.15  # adjusted p of what is left, below which one effect more is tried beside a member of the set
-_EXCHANGED = 3  # explanations whose look-alikes are tried, and look-alikes that are
+_EXCHANGED, _LOOK_ALIKES = 3, 8  # explanations whose look-alikes are tried; how many of them
 
 
 def diagnose(
@@ -89,11 +89,12 @@ class _Run:
         A pair's rank is that of its first-order score without either effect, and that order fails for
         strong ones.
         """
-        usable = sorted((r for r in compared if not r.fitted.at_bound), key=lambda r: r.state.chi2)
+        several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
+        usable = sorted(several, key=lambda r: r.state.chi2)
         new = [each for each in candidates.exchanged(usable[:_EXCHANGED]) if not refits.tried(each)]
         if not new:
             return compared
-        return refits.compared([*(refit.explanation for refit in compared), *new[:_EXCHANGED]])
+        return refits.compared([*(refit.explanation for refit in compared), *new[:_LOOK_ALIKES]])
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
         """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.
@@ -106,6 +107,7 @@ class _Run:
         if not larger:
             return kept
         compared = refits.compared([*(refit.explanation for refit in kept), *larger])
+        compared = self._with_look_alikes(compared, candidates, refits)
         first = {refit.explanation for refit in kept}
         return [
             each for each in compared
