@@ -14,8 +14,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from mesh_sites import limbs
-
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.surfaces import Triangles
 
@@ -74,6 +72,8 @@ def main() -> None:
     parser.add_argument("--maps", action="store_true")
     parser.add_argument("--both", action="store_true", help="a second orientation at the same place")
     options = parser.parse_args()
+    from mesh_sites import limbs  # the file beside this one
+
     limb, heights = next((limb, heights) for name, limb, heights in limbs() if name == options.limb)
     folder: Path = options.case
     (folder / "surfaces").mkdir(parents=True)
