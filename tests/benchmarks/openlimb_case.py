@@ -14,6 +14,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.surfaces import Triangles
 
