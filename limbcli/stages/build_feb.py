@@ -192,6 +192,7 @@ def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Level
         kappa_kpa=kpa_from_mpa(kappa),
         density_kg_per_m3=site.density_kg_per_m3,
         element=block.kind,
+        contact_penalty=model.contacts[0].penalty,
         n_nodes=len(tissue_nodes(model)),
         n_elements=n_cells,
         start_depth_mm=plan.start,

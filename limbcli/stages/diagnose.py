@@ -23,18 +23,19 @@ from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.reading import true_depth
 from limbcli.errors import CaseError, LimbError
-from limbcli.feb.settings import least_level, schedule
+from limbcli.feb.settings import USUAL_PENALTY, least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
+from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import MATTERS, Intervention
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.diagnosis_site import SiteCurves
-from limbcli.stages.diagnosis_tie import F_KAPPA
+from limbcli.stages.diagnosis_tie import F_KAPPA, contact_penalty
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
@@ -237,7 +238,9 @@ class _Diagnosed:
         meshed = load_model(path)
         plan = schedule(depths, start=starting_depth(meshed, depths[0]))
         c = mpa_from_kpa(fitted.values["c_kpa"])
+        penalty = contact_penalty(mine.site, self.out)
         model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
+        model = with_penalty(model, penalty)
         theta = bench.theta(fitted.values, fitted.explanation, k)
         for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
             each = bench.effects[name]
@@ -249,11 +252,12 @@ class _Diagnosed:
                 )
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
         softer = [each.log_force for each in mine.interventions if each.name == "contact"]
-        lost = -float(np.min(softer)) if softer else 0.0
+        lost = -float(np.min(softer)) if softer and penalty <= USUAL_PENALTY else 0.0
         if lost > _SOFT:
             writer.warnings.append(
-                "diagnosed.feb has the contact penalty that FEBio converges with; the diagnosis had a harder "
-                f"one, which gives up to {100 * (np.exp(lost) - 1):.0f} % more force"
+                "diagnosed.feb has the contact penalty that the site's model was built with (build-feb "
+                "--contact-penalty); the diagnosis had a harder one, which gives up to "
+                f"{100 * (np.exp(lost) - 1):.0f} % more force"
             )
 
 

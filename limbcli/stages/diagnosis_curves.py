@@ -141,19 +141,21 @@ class CurveBook:
                 self._kinematics[key] = self._load_kinematics(key)
         return self._kinematics[key]
 
-    def usual_contact(self) -> Ingredients:
-        """What makes of this book's contact the one that the site's own model has."""
-        return ((CONTACT, {"penalty_factor": 1.0 / _CONTACT_STIFFER}),)
+    def with_contact(self, penalty: float) -> Ingredients:
+        """What makes of this book's contact one with another penalty."""
+        factor = penalty / self.model.contacts[0].penalty
+        return () if abs(factor - 1.0) < 1e-9 else ((CONTACT, {"penalty_factor": factor}),)
 
     def log_speeds(self, m: float, ingredients: Ingredients = (), *, law_m: float) -> Array | None:
         """ln speeds (n, n_parts) where the tissue is deformed as with m, but stiff as with `law_m`.
 
-        ingredients : none or numerical ones. None where deformations are not kept on disk.
+        ingredients : none or numerical ones. None where the deformation was not kept on disk.
         """
         curves = self.curves(m, ingredients)
-        if self.keep is None:
+        path = None if self.keep is None else self.keep / f"{self._key(m, ingredients)}-cells.npz"
+        if path is None or not path.is_file():
             return None
-        with np.load(self.keep / f"{self._key(m, ingredients)}-cells.npz") as stored:
+        with np.load(path) as stored:
             values = stored["values"].astype(float)
         return self._log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
 

@@ -111,7 +111,7 @@ class Numerics:
         return Tie(np.zeros(len(working.depth)), none, 1.0, usual, self._at_levels(working, none))
 
     def _tied(self, working: Curves, own: OwnRun) -> Tie:
-        same = self.book.curves(START_M, self.book.usual_contact())
+        same = self.book.curves(START_M, self.book.with_contact(own.penalty))
         ratio = np.log(np.maximum(own.force, 1e-9)) - log_force_at(same, own.depth)
         at = np.maximum(working.depth, own.depth[0])
         log_force = np.interp(at, own.depth, ratio)

@@ -14,6 +14,7 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.errors import CaseError, LimbError
+from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, IntArray
 from limbcli.results import read_result
 from limbcli.solvers.tables import read_finished
@@ -42,10 +43,11 @@ class Tie:
 
 @dataclass(frozen=True, eq=False)
 class OwnRun:
-    """The site's own run at the start values: its element, and depths (mm) and forces (N, at the reference c)
-    of the levels that are deeper than those before; where they are in the records."""
+    """The site's own run at the start values: its element and contact's penalty; depths (mm) and forces
+    (N, at the reference c) of the levels that are deeper than those before; where the records are."""
 
     element: str
+    penalty: float
     depth: Array
     force: Array
     times: Array
@@ -95,9 +97,18 @@ def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
         )  # fmt: skip
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
     return OwnRun(
-        str(built.data.get("element")), depth[rising], force[rising] * scale, time[rising], ran.folder,
-        str(ran.data.get("solver")),
+        str(built.data.get("element")), contact_penalty(site, out), depth[rising],
+        force[rising] * scale, time[rising], ran.folder, str(ran.data.get("solver")),
     )  # fmt: skip
+
+
+def contact_penalty(site: Site, out: Path) -> float:
+    """The penalty that the site's model was built with; the usual one where that is not known."""
+    try:
+        found = read_result(out, "build-feb", site=site.name).data.get("contact_penalty")
+    except LimbError:
+        return USUAL_PENALTY
+    return float(found) if isinstance(found, int | float) else USUAL_PENALTY
 
 
 def speed_ratio(own: OwnRun, book: CurveBook, m: float) -> Array:
@@ -110,7 +121,7 @@ def speed_ratio(own: OwnRun, book: CurveBook, m: float) -> Array:
     nothing = np.zeros((len(depth), len(book.windows.depths)))
     try:
         theirs = own.log_speeds(book, m)
-        ours = book.log_speeds(START_M, book.usual_contact(), law_m=m)
+        ours = book.log_speeds(START_M, book.with_contact(own.penalty), law_m=m)
     except LimbError as error:
         book.progress.event("note", text=f"speeds are not tied to the site's own mesh: {error.what}")
         return nothing

@@ -74,7 +74,7 @@ def test_on_a_coarser_mesh_they_are_put_right_where_they_were_run(ran, tmp_path)
     case, out = ran
     book, own = _book(tmp_path, counts=(6, 4, 2)), own_run(case.sites[0], out, c=C)
     ratio = speed_ratio(own, book, 6.0)
-    tied = book.log_speeds(2.0, book.usual_contact(), law_m=6.0) + ratio
+    tied = book.log_speeds(2.0, book.with_contact(20.0), law_m=6.0) + ratio
     book.close()
     theirs = own.log_speeds(book, 6.0)
     known = np.isfinite(theirs)
@@ -82,6 +82,19 @@ def test_on_a_coarser_mesh_they_are_put_right_where_they_were_run(ran, tmp_path)
     assert np.abs(ratio[2:][known]).max() > 0.01
     assert tied[2:][known] == pytest.approx(theirs[known], abs=1e-6)
     assert np.all(ratio[0] == 0.0)
+
+
+def test_a_run_with_a_harder_contact_is_compared_with_such_a_one(ran, tmp_path):
+    _, usual = ran
+    out = tmp_path / "out"
+    case = block.make_case(tmp_path / "case", out, DEPTHS, DEPTHS**1.5, c=C, penalty=80.0)
+    run(case, out=out, solver="reference")
+    own, book = own_run(case.sites[0], out, c=C), _book(tmp_path)
+    ratio = speed_ratio(own, book, 6.0)
+    book.close()
+    assert (own.penalty, own_run(case.sites[0], usual, c=C).penalty) == (80.0, 20.0)
+    assert book.with_contact(80.0) == ()
+    assert np.abs(ratio).max() < 0.03
 
 
 def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
