@@ -28,8 +28,9 @@ from limbcli.progress import SILENT, Progress
 _MAX_CUTS = 8
 _BRIEF_CUTS = 2  # of a level that need not be reached
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
-_LOOSE = 3e-2  # residual at which a stride on the way is good enough,
-_FIRM, _HARD = 1e-3, 3  # and after so many cuts at one level: loose strides then lead nowhere, however short
+# Residual at which a stride on the way is good enough, and once one was cut at the level: loose ones then
+# lead nowhere, however short.
+_LOOSE, _FIRM = 3e-2, 1e-3
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
 _FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
@@ -245,7 +246,7 @@ class Analysis:
         patient: bool,
     ) -> tuple[State, Forces]:
         newton = self.newton
-        tolerance = None if must or self._timed else _LOOSE if self._cuts < _HARD else _FIRM
+        tolerance = None if must or self._timed else _FIRM if self._cuts else _LOOSE
         if self._histories is not None:
             self._histories.begin(time - reached[-1].time)
         guess, forces = self._guess(time, reached, level, known, patient)
