@@ -27,7 +27,6 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.asked import asked_of, asked_of_options
-from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.indentation_model import (
     PROBE,
     TISSUE,
@@ -36,6 +35,7 @@ from limbcli.stages.indentation_model import (
     starting_depth,
     tissue_nodes,
     touching_points,
+    with_penalty,
 )
 from limbcli.stages.site_layers import (
     LayerLaw,

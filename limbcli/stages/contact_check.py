@@ -7,8 +7,6 @@ a fit makes up for that with a larger m.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from limbcli.errors import SolveError
@@ -16,15 +14,11 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.indentation_model import with_penalty
 
 HARDER = 4.0  # times the model's penalty
 MATTERS = 0.05  # of the force; below it a mesh's own doubt is larger
 _TOLERANCE = 1e-4
-
-
-def with_penalty(model: LimbModel, penalty: float) -> LimbModel:
-    """The model with this penalty in its contacts."""
-    return replace(model, contacts=tuple(replace(each, penalty=penalty) for each in model.contacts))
 
 
 def contact_change(model: LimbModel, forces: Array, *, progress: Progress = SILENT) -> Array:

@@ -28,7 +28,6 @@ from limbcli.feb.write import write_feb
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
-from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import MATTERS, Intervention
@@ -36,7 +35,7 @@ from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepa
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_tie import F_KAPPA, contact_penalty
-from limbcli.stages.indentation_model import indentation_model, starting_depth
+from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
 

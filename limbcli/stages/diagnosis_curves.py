@@ -34,7 +34,13 @@ from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, sof
 from limbcli.stages.diagnosis_keys import changed_to, fingerprint
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.fit_curves import with_tissue
-from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, window_cells
+from limbcli.stages.indentation_model import (
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    window_cells,
+    with_penalty,
+)
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
@@ -72,8 +78,8 @@ class CurveBook:
         self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
         self.near = window_cells(model, depths[-1]) - first_cell(model)
         record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
-        contacts = tuple(replace(each, penalty=_CONTACT_STIFFER * each.penalty) for each in model.contacts)
-        self.model = replace(model, records=(*model.records[:1], record), contacts=contacts)
+        model = with_penalty(model, _CONTACT_STIFFER * model.contacts[0].penalty)
+        self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
         self.keep, self.progress = keep, progress.also(self._watch)
         self._work, self._allowed = 0, math.inf

@@ -54,6 +54,11 @@ def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: fl
     )
 
 
+def with_penalty(model: LimbModel, penalty: float) -> LimbModel:
+    """The model with this penalty in its contacts."""
+    return replace(model, contacts=tuple(replace(each, penalty=penalty) for each in model.contacts))
+
+
 def _check(model: LimbModel) -> None:
     bodies = {body.name for body in model.bodies}
     if TISSUE not in model.materials or PROBE not in bodies or not model.contacts:

@@ -30,9 +30,9 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
-from limbcli.stages.contact_check import with_penalty
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
+from limbcli.stages.indentation_model import with_penalty
 from limbcli.stages.synth_case import case_table, copy_imaging
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
