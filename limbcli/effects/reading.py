@@ -147,17 +147,34 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
     return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
 
 
-def continued(curves: Curves, depths: Sequence[float]) -> Curves:
-    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line."""
-    further = np.asarray(depths, dtype=float)
-    rise = (curves.log_speed[-1] - curves.log_speed[-2]) / (curves.depth[-1] - curves.depth[-2])
-    speed = curves.log_speed[-1] + np.multiply.outer(further - curves.depth[-1], rise)
+def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:
+    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line.
+
+    like : curves that reach further; then their course, and the difference to it as its last line
+    """
+    further, last = np.asarray(depths, dtype=float), curves.depth[-2:]
+    if like is None:
+        rise = (curves.log_speed[-1] - curves.log_speed[-2]) / (last[1] - last[0])
+        speed = curves.log_speed[-1] + np.multiply.outer(further - last[1], rise)
+        log_force = log_force_at(curves, further)
+    else:
+        known = np.column_stack([np.log(np.maximum(curves.force[-2:], 1e-9)), curves.log_speed[-2:]])
+        apart = known - _logs_at(like, last)
+        rise = (apart[1] - apart[0]) / (last[1] - last[0])
+        found = _logs_at(like, further) + apart[1] + np.multiply.outer(further - last[1], rise)
+        log_force, speed = found[:, 0], found[:, 1:]
     return replace(
         curves,
         depth=np.concatenate([curves.depth, further]),
-        force=np.concatenate([curves.force, np.exp(log_force_at(curves, further))]),
+        force=np.concatenate([curves.force, np.exp(log_force)]),
         log_speed=np.vstack([curves.log_speed, speed]),
     )
+
+
+def _logs_at(curves: Curves, depth: Array) -> Array:
+    """ln force and ln speeds (n, 1 + n_parts) at depths > 0."""
+    speeds = [np.interp(depth, curves.depth, column) for column in curves.log_speed.T]
+    return np.column_stack([log_force_at(curves, depth), *speeds])
 
 
 def depth_of_force(curves: Curves, force: float) -> float:

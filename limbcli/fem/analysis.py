@@ -26,7 +26,7 @@ from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 _MAX_CUTS = 8
-_BRIEF_CUTS = 2  # of a level that need not be reached
+_BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a level that is tried briefly
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 # Residual at which a stride on the way is good enough, and once one was cut at the level: loose ones then
 # lead nowhere, however short.
@@ -66,6 +66,7 @@ class Analysis:
         self._wary, self._cuts, self._brief = 0, 0, False
         self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
         self._histories: Histories | None = None
+        self._last_forces: Forces
 
     @property
     def remembers(self) -> bool:
@@ -97,18 +98,21 @@ class Analysis:
         return self.newton.system
 
     def run(
-        self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None
-    ) -> list[Snapshot]:
+        self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
+        hoped: int | None = None,
+    ) -> list[Snapshot]:  # fmt: skip
         """All steps from rest to the end; `visit` is called at every converged time.
 
         guesses : first guess at a time, from earlier runs of the same load, or None
-        required : how many levels must be reached; a later one is tried briefly, and where it fails the run
-            ends with those before it. None: all
+        required : how many levels must be reached; where a later one fails the run ends with those before
+            it. None: all
+        hoped : how many are worth the full effort, later ones are tried briefly. None: those required
         """
         snapshots: list[Snapshot] = []
         state: State | None = None
         self._histories = None
         begin, n_must = 0.0, 0
+        hoped = required if hoped is None else hoped
         n_levels = sum(len(step_times(step, every=self.remembers)) for step in self.model.steps)
         number = 0
         for step in self.model.steps:
@@ -126,11 +130,11 @@ class Analysis:
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
                 newton.system.remember(state)
-                self._brief = required is not None and n_must >= required
+                self._brief = hoped is not None and n_must >= hoped
                 try:
                     state = self._reach(begin + target, step, reached, level, known)
                 except SolveError:
-                    if self._brief:
+                    if required is not None and n_must >= required:
                         return snapshots
                     raise
                 must = begin + target in musts
@@ -181,6 +185,7 @@ class Analysis:
         """
         newton = self.newton
         cuts, self._cuts, start = 0, 0, (len(reached), self._n_pressed, self._n_touching)
+        until = newton.counts.iterations + _BRIEF_ITERATIONS
         newton.mixed = self.settings.mixed
         while True:
             begin = reached[-1].time
@@ -189,6 +194,8 @@ class Analysis:
             aim = target if n <= 1 else begin + rest / n
             last = cuts >= (_BRIEF_CUTS if self._brief else max(_MAX_CUTS, step.max_retries))
             before = newton.counts.iterations
+            if self._brief and before > until:
+                raise newton.failure(reached[-1], self._last_forces, level, before - until, "it takes long")
             try:
                 patient = last or self._rubbing or newton.system.jumps
                 state, forces = self._solve(aim, reached, level, known, aim == target, patient=patient)

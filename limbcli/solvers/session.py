@@ -88,6 +88,7 @@ class ReferenceSession:
         records: bool = False,
         field_gradients: bool = False,
         required: int | None = None,
+        hoped: int | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -97,8 +98,8 @@ class ReferenceSession:
             theta moves by 1: their derivative is by theta
         records : also fill the node and element tables that the model asks for
         field_gradients : fill them, and differentiate all that they hold by `wrt`
-        required : how many levels must be reached, the rest as far as the solver gets without much ado;
-            None: all
+        required : how many levels must be reached, the rest as far as the solver gets; None: all
+        hoped : how many are worth the full effort, later ones are tried briefly; None: those required
 
         Raises
         ------
@@ -117,7 +118,7 @@ class ReferenceSession:
         asked = self._records(model, records or field_gradients)
         parameters = {(each[0], each[1]): _law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
-        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required)
+        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped)
         self.model = model
         warm.keep(
             Solved(

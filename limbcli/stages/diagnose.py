@@ -188,6 +188,8 @@ class _Diagnosed:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
             writer.warnings.extend(mine.notes.warnings)
+            if mine.book.in_part:
+                writer.warnings.append(_in_part(mine.book.in_part))
             content = self._content(found, bench, mine, all_)
             path = writer.file("diagnosis", "diagnosis.json")
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
@@ -212,6 +214,7 @@ class _Diagnosed:
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
+        content["solved_in_part_mm"] = mine.book.in_part
         lines = sentences(found)
         moved = [i.name for i in mine.interventions if i.deviations > MATTERS and i.name != "locking"]
         lines[1:1] = [
@@ -258,6 +261,11 @@ class _Diagnosed:
                 "--contact-penalty); the diagnosis had a harder one, which gives up to "
                 f"{100 * (np.exp(lost) - 1):.0f} % more force"
             )
+
+
+def _in_part(reached: Mapping[str, float]) -> str:
+    parts = "; ".join(f"{name}: {depth:.1f} mm" for name, depth in reached.items())
+    return f"not solved as deep as the readings, their curves go on beside others from there: {parts}"
 
 
 def _locked(found: Intervention) -> str:

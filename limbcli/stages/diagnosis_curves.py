@@ -25,12 +25,12 @@ from limbcli.effects.tissue import thickness
 from limbcli.effects.waves import log_speed
 from limbcli.errors import MeasurementError, SolveError
 from limbcli.feb.settings import schedule
-from limbcli.files import atomic_file
 from limbcli.measurement.swe_prediction import predict_map
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, softer_jumps, volumes
+from limbcli.stages.diagnosis_kept import Kept
 from limbcli.stages.diagnosis_keys import changed_to, fingerprint
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.fit_curves import with_tissue
@@ -44,7 +44,8 @@ from limbcli.stages.indentation_model import (
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
-FIRST_M = (2.0, 5.0, 10.0)
+# The stiffer law keeps its stability further, and its levels lead the softer ones through.
+FIRST_M = (10.0, 5.0, 2.0)
 _CENTER = ("x", "y", "z")
 _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
@@ -55,6 +56,7 @@ _LEAST_ALLOWED, _TIMES_USUAL = 2000, 2.5  # of a candidate's solve; that of the 
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
 # the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
 _CONTACT_STIFFER = 4.0
+_ENOUGH = 0.7  # of the depth needed: what must be solved
 _MOST_CHANGE = 10.0  # of the force, by stretched cells where a law is exponential
 
 
@@ -64,7 +66,9 @@ class CurveBook:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    needed : mm, the least depth that must be reached; beyond it curves go on as they were
+    needed : mm, the depth to be reached; the deeper levels are tried briefly. Where the solver stops short of
+        it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the model without
+        effects: `in_part` tells which do
     c : MPa, the reference stiffness; keep : folder of curves already solved
     """
 
@@ -81,16 +85,19 @@ class CurveBook:
         model = with_penalty(model, _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.keep, self.progress = keep, progress.also(self._watch)
+        self.kept, self.progress = Kept(keep), progress.also(self._watch)
         self._work, self._allowed = 0, math.inf
         self._usual: list[int] = []
         self._counted = (0, 0)
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
-        self.n_needed = (
-            len(depths) if needed is None else min(int(np.searchsorted(depths, needed)) + 1, len(depths))
+        needed = self.depths[-1] if needed is None else needed
+        self._hoped, self._required = (
+            min(int(np.searchsorted(self.depths, share * needed - 1e-9)) + 1, self.n_depths)
+            for share in (1.0, _ENOUGH)
         )
+        self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
         self._session: ReferenceSession | None = None
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
@@ -111,7 +118,7 @@ class CurveBook:
             raise self._failed[key]
         if key not in self._known:
             try:
-                self._known[key] = self._load(key, plain=not ingredients) or self._solve(key, m, ingredients)
+                self._known[key] = self._load(key, m, ingredients) or self._solve(key, m, ingredients)
             except SolveError as error:
                 self._failed[key] = error
                 raise
@@ -142,9 +149,13 @@ class CurveBook:
         """The deformation of every tissue cell in the model without effects."""
         key = self._key(m, ())
         if key not in self._kinematics:
-            self.curves(m)
-            if key not in self._kinematics and self.keep is not None:
-                self._kinematics[key] = self._load_kinematics(key)
+            curves = self.curves(m)
+        if key not in self._kinematics:  # the curves were kept from an earlier run
+            values = self.kept.cells(key)
+            if values is None:
+                self._known[key] = self._solve(key, m, ())
+            else:
+                self._kinematics[key] = self._deformation(self.model, curves.depth, values)
         return self._kinematics[key]
 
     def with_contact(self, penalty: float) -> Ingredients:
@@ -158,11 +169,9 @@ class CurveBook:
         ingredients : none or numerical ones. None where the deformation was not kept on disk.
         """
         curves = self.curves(m, ingredients)
-        path = None if self.keep is None else self.keep / f"{self._key(m, ingredients)}-cells.npz"
-        if path is None or not path.is_file():
+        values = self.kept.cells(self._key(m, ingredients))
+        if values is None:
             return None
-        with np.load(path) as stored:
-            values = stored["values"].astype(float)
         return self._log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
 
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
@@ -189,7 +198,7 @@ class CurveBook:
             if not same_mesh and self._session is not None:
                 session.start_like(self._session)
             try:
-                result = session.solve(model, records=True, required=self.n_needed)
+                result = session.solve(model, records=True, required=self._required, hoped=self._hoped)
             finally:
                 self._allowed = math.inf
                 if not same_mesh:
@@ -198,6 +207,7 @@ class CurveBook:
             raise SolveError(
                 f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
             ) from error
+        work = self._work
         table = result.simulation.elements[_FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
@@ -209,19 +219,39 @@ class CurveBook:
             result.must_points.forces,
             values,
         )
-        missing = self.n_depths - len(values)
-        if missing:
-            text = f"{missing} depths beyond the readings are not reached; curves go on there as they were"
-            self.progress.event("note", text=text)
-            curves = continued(curves, [each + offset for each in self.depths[-missing:]])
-            values = np.concatenate([values, *[values[-1:]] * missing])
+        n_reached = len(values)
+        if n_reached < self.n_depths:
+            further = [each + offset for each in self.depths[n_reached:]]
+            curves = continued(curves, further, like=self._beside(m, ingredients))
+            values = np.concatenate([values, *[values[-1:]] * len(further)])
         if not ingredients:
-            self._usual.append(self._work)
+            self._usual.append(work)
             self._kinematics[key] = self._deformation(model, curves.depth, values)
         if all(effect.kind == "numerical" for effect, _ in ingredients):
-            self._store_deformation(key, values)
-        self._store(key, curves)
+            self.kept.keep_cells(key, values)
+        self._tell(m, ingredients, n_reached)
+        self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
+
+    def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
+        """What curves go on beside: those without effects, or of a stiffer law, which keeps its stability
+        further; None where there is none."""
+        stiffer = min((each for each in FIRST_M if each > m), default=m)
+        if not ingredients and stiffer == m:
+            return None
+        try:
+            return self.curves(m if ingredients else stiffer)
+        except SolveError:
+            return None
+
+    def _tell(self, m: float, ingredients: Ingredients, n_reached: int) -> None:
+        if n_reached >= self._hoped:
+            return
+        words = " and ".join(effect.name for effect, _ in ingredients) or "no effect"
+        name, reached = f"{words}, m {m:g}", self.depths[n_reached - 1]
+        self.in_part[name] = reached
+        text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
+        self.progress.event("note", text=text)
 
     def _watch(self, kind: str, facts: dict[str, Any]) -> None:
         """A candidate that takes many times the work of the model without it is given up."""
@@ -245,17 +275,6 @@ class CurveBook:
         places = np.concatenate([centers(model, self.cells)[None], values[:, :, :3]])
         parts = [self.windows.members(at, -d) for at, d in zip(places, depth, strict=True)]
         return Kinematics(depth, F, volumes(model), tuple(zip(*parts, strict=True)))
-
-    def _store_deformation(self, key: str, values: Array) -> None:
-        if self.keep is not None:
-            with atomic_file(self.keep / f"{key}-cells.npz") as path:
-                np.savez(path, values=values.astype(np.float32))
-
-    def _load_kinematics(self, key: str) -> Kinematics:
-        assert self.keep is not None
-        with np.load(self.keep / f"{key}-cells.npz") as stored:
-            values = stored["values"].astype(float)
-        return self._deformation(self.model, self._known[key].depth, values)
 
     def _shared(self) -> ReferenceSession:
         if self._session is None:
@@ -303,33 +322,14 @@ class CurveBook:
             )
         return hashlib.sha256((text + self._changed.get(text, "")).encode()).hexdigest()[:24]
 
-    def _load(self, key: str, *, plain: bool) -> Curves | None:
-        if self.keep is None:
+    def _load(self, key: str, m: float, ingredients: Ingredients) -> Curves | None:
+        found = self.kept.curves(key, n_depths=self.n_depths)
+        if found is None:
             return None
-        path = self.keep / f"{key}.npz"
-        if not path.is_file():
-            return None
-        try:
-            with np.load(path) as stored:
-                if len(stored["depth"]) != self.n_depths + 1:
-                    return None
-                if plain:
-                    self._usual.append(int(stored["work"]))
-                return Curves(
-                    stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
-                    float(stored["thickness"]),
-                )  # fmt: skip
-        except (OSError, ValueError, KeyError):
-            return None
-
-    def _store(self, key: str, curves: Curves) -> None:
-        if self.keep is None:
-            return
-        with atomic_file(self.keep / f"{key}.npz") as path:
-            np.savez(
-                path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
-                window_depth=curves.window_depth, thickness=curves.thickness, work=self._work,
-            )  # fmt: skip
+        if not ingredients:
+            self._usual.append(found.work)
+        self._tell(m, ingredients, found.n_reached)
+        return found.curves
 
 
 def _touches_loads(effect: Effect) -> bool:

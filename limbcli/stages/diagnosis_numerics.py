@@ -152,7 +152,7 @@ class Numerics:
         force, depth = self.levels.force, self.levels.depth
         rising = (force > 0) & (depth > 0)
         if rising.sum() < 2:
-            return FIRST_M[0]
+            return START_M
         scatter = {}
         for m in FIRST_M:
             try:

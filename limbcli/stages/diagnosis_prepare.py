@@ -6,6 +6,7 @@ where it was.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
 from limbcli.stages.diagnosis_noise import ModelError
@@ -40,7 +41,8 @@ from limbcli.stages.mesh import read_limb, site_position
 
 STAGE = "diagnose"
 _N_DEPTHS = 7
-_BEYOND, _BEYOND_MM = 1.05, (3.0, 0.5)  # a record may be read too shallow
+_BEYOND, _FURTHER = 1.05, 2.5  # times the deepest reading, and mm more: a record may be read too shallow
+_ROUND = 0.5  # mm
 
 
 @dataclass
@@ -118,6 +120,15 @@ def turned_by_90(
     return curves
 
 
+def _up_to(step: float, value: float) -> float:
+    """The next multiple that is larger.
+
+    >>> _up_to(0.5, 7.2), _up_to(0.5, 7.5)
+    (7.5, 8.0)
+    """
+    return step * float(np.floor(value / step) + 1.0)
+
+
 def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
     """Along the limb where the probe was across it, and the other way round."""
     if isinstance(site.long_axis, str):
@@ -140,6 +151,9 @@ class _Preparation:
     def all(self, effects: Mapping[str, Effect], extras: Sequence[Extra]) -> Prepared:
         book = self.book()
         try:
+            for m in FIRST_M:
+                with contextlib.suppress(SolveError):  # told where the curves are used
+                    book.curves(m)
             numerics = Numerics(
                 self.case, self.site, self.levels, book, out=self.out, size=self.mesh.size,
                 notes=self.notes, progress=self.progress,
@@ -154,30 +168,16 @@ class _Preparation:
         return Prepared(self.site, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
-        """Curves beyond the deepest reading, as far as the solver gets."""
-        for more in _BEYOND_MM[:-1]:
-            book = self._book(more)
-            try:
-                book.curves(2.0)
-            except SolveError as error:
-                self.progress.event("note", text=f"{error.what}: less deep")
-                book.close()
-            else:
-                return book
-        return self._book(_BEYOND_MM[-1])
+        """Curves down to the deepest reading and beyond, as far as the solver gets.
 
-    def _book(self, more: float) -> CurveBook:
-        """At a usual stiffness and down to a whole millimetre where that is far beyond the readings: what
-        was solved then serves other measurements of the place too."""
-        needed = _BEYOND * float(np.nanmax(self.levels.depth)) + _BEYOND_MM[-1]
-        deepest = needed + more - _BEYOND_MM[-1]
-        if more == _BEYOND_MM[0]:
-            deepest = float(np.ceil(deepest))
-        depths = deepest / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
+        At a usual stiffness and at round depths: what was solved then serves other measurements of the place.
+        """
+        needed = _up_to(_ROUND, _BEYOND * float(np.nanmax(self.levels.depth)))
+        depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         return CurveBook(
-            self._working_mesh(), depths.tolist(), c=USUAL_C, f_kappa=F_KAPPA, windows=self.windows,
-            keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3, progress=self.progress,
-            needed=needed,
+            self._working_mesh(), [*depths.tolist(), needed + _FURTHER], c=USUAL_C, f_kappa=F_KAPPA,
+            windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
+            progress=self.progress, needed=needed,
         )  # fmt: skip
 
     def _working_mesh(self) -> LimbModel:

@@ -51,6 +51,21 @@ def test_curves_go_on_beyond_what_was_reached():
     assert found.log_speed[-1] == pytest.approx([0.8, -0.2])
 
 
+def test_curves_go_on_beside_others_that_reach_further():
+    depth = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
+    speeds = np.column_stack([0.1 * depth**2, 0.2 - 0.05 * depth])
+    like = Curves(depth, 0.7 * depth**1.4, speeds, np.zeros(2))
+    known = Curves(
+        depth[:4],
+        2.0 * (like.force * np.exp(0.03 * depth))[:4],
+        (speeds + 0.02 * depth[:, None])[:4],
+        np.zeros(2),
+    )
+    found = continued(known, depth[4:], like=like)
+    assert found.force == pytest.approx(2.0 * like.force * np.exp(0.03 * depth), rel=1e-9)
+    assert found.log_speed == pytest.approx(speeds + 0.02 * depth[:, None])
+
+
 def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
     """Whatever c and the readings' scatter."""
 

@@ -69,17 +69,6 @@ def test_an_effect_that_was_written_anew_is_solved_anew():
     assert book._key(3.0, ((mended, theta),)) != key
 
 
-def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(tmp_path):
-    model = _block_case().block_model(counts=(4, 2, 2))
-    book, again = (CurveBook(model, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
-    first, second = book.curves(3.0), again.curves(3.0)
-    assert (book.n_solves, again.n_solves) == (1, 0)
-    assert second.force == pytest.approx(first.force)
-    assert again._usual == book._usual
-    assert book._usual[0] > 0
-    book.close()
-
-
 @pytest.mark.slow
 def test_a_force_offset_on_the_block(tmp_path, rng):
     block = _block_case()

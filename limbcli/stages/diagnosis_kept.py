@@ -1,0 +1,66 @@
+"""Solved curves and deformations of a site, kept on disk by a key of what they were solved from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.effects.reading import Curves
+from limbcli.files import atomic_file
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class KeptCurves:
+    """Curves, the work of their solve, and how many of their depths it reached."""
+
+    curves: Curves
+    work: int
+    n_reached: int
+
+
+@dataclass(frozen=True)
+class Kept:
+    """folder : None where nothing is kept."""
+
+    folder: Path | None
+
+    def curves(self, key: str, *, n_depths: int) -> KeptCurves | None:
+        """None where there are none, or of another number of depths."""
+        if self.folder is None:
+            return None
+        try:
+            with np.load(self.folder / f"{key}.npz") as stored:
+                if len(stored["depth"]) != n_depths + 1:
+                    return None
+                curves = Curves(
+                    stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
+                    float(stored["thickness"]),
+                )  # fmt: skip
+                return KeptCurves(curves, int(stored["work"]), int(stored["n_reached"]))
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def keep_curves(self, key: str, curves: Curves, *, work: int, n_reached: int) -> None:
+        if self.folder is None:
+            return
+        with atomic_file(self.folder / f"{key}.npz") as path:
+            np.savez(
+                path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
+                window_depth=curves.window_depth, thickness=curves.thickness, work=work, n_reached=n_reached,
+            )  # fmt: skip
+
+    def cells(self, key: str) -> Array | None:
+        """Places and gradients (n_depths, n_cells, 12) of the tissue's cells at every depth."""
+        path = None if self.folder is None else self.folder / f"{key}-cells.npz"
+        if path is None or not path.is_file():
+            return None
+        with np.load(path) as stored:
+            return np.asarray(stored["values"], dtype=float)
+
+    def keep_cells(self, key: str, values: Array) -> None:
+        if self.folder is not None:
+            with atomic_file(self.folder / f"{key}-cells.npz") as path:
+                np.savez(path, values=values.astype(np.float32))

@@ -1,0 +1,105 @@
+"""Curves of which the solver reaches a part only, and simulations kept on disk."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.effects import effect
+from limbcli.errors import SolveError
+from limbcli.progress import Progress
+from limbcli.stages.diagnosis_curves import CurveBook
+
+DEPTHS = (1.0, 2.0, 3.0, 4.0)
+THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
+
+
+@pytest.fixture(scope="module")
+def block():
+    path = Path(__file__).with_name("block_case.py")
+    spec = importlib.util.spec_from_file_location("block_case_for_curves", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module.block_model(counts=(4, 2, 2))
+
+
+class Stops:
+    """A solver that gets no further than so many levels."""
+
+    def __init__(self, after: int):
+        self.after = after
+
+    def __call__(self, kind, facts):
+        if kind == "newton" and facts["step"] > self.after:
+            raise SolveError("as far as it goes", where="level", fix="none")
+
+
+def whole(block, m, ingredients=()):
+    book = CurveBook(block, DEPTHS, c=0.006, threads=1, tolerance=1e-6)
+    curves = book.curves(m, ingredients)
+    book.close()
+    assert book.in_part == {}
+    return curves
+
+
+@pytest.mark.parametrize(
+    ("m", "ingredients", "words", "within"),
+    [(5.0, (), "no effect", 0.01), (10.0, THICKER, "thickness", 0.001)],
+)
+def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredients, words, within):
+    stops = Stops(9)
+    book = CurveBook(
+        block, DEPTHS, c=0.006, threads=1, tolerance=1e-6, progress=Progress(stops), keep=tmp_path
+    )
+    book.curves(10.0)
+    stops.after = 3
+    found, expected = book.curves(m, ingredients), whole(block, m, ingredients)
+    book.close()
+    assert book.in_part == {f"{words}, m {m:g}": 3.0}
+    np.testing.assert_allclose(found.depth, expected.depth)
+    np.testing.assert_allclose(found.force[:-1], expected.force[:-1], rtol=1e-4)
+    assert found.force[-1] == pytest.approx(expected.force[-1], rel=within)
+    again = CurveBook(block, DEPTHS, c=0.006, keep=tmp_path)
+    assert again.curves(m, ingredients).force == pytest.approx(found.force)
+    assert again.n_solves == 0
+    assert again.in_part == book.in_part
+
+
+def test_what_stops_far_short_has_no_curves(block):
+    book = CurveBook(block, DEPTHS, c=0.006, threads=1, progress=Progress(Stops(2)))
+    with pytest.raises(SolveError, match="as far as it goes"):
+        book.curves(5.0)
+    book.close()
+    fits = CurveBook(block, DEPTHS, c=0.006, threads=1, progress=Progress(Stops(2)), needed=2.0)
+    assert len(fits.curves(5.0).depth) == len(DEPTHS) + 1  # the deeper levels are tried, not needed
+    assert fits.in_part == {}
+    fits.close()
+
+
+def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(block, tmp_path):
+    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
+    first, second = book.curves(3.0), again.curves(3.0)
+    assert (book.n_solves, again.n_solves) == (1, 0)
+    assert second.force == pytest.approx(first.force)
+    assert again._usual == book._usual
+    assert book._usual[0] > 0
+    kept = again.kinematics(3.0).gradient
+    assert again.n_solves == 0
+    assert kept == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
+    book.close()
+
+
+def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path):
+    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
+    book.curves(3.0)
+    for path in tmp_path.glob("*-cells.npz"):
+        path.unlink()
+    assert again.kinematics(3.0).gradient == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
+    assert again.n_solves == 1
+    book.close()
+    again.close()
