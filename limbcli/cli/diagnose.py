@@ -25,7 +25,12 @@ def command(
     ] = None,
     max_effects: Annotated[int, typer.Option(min=1, max=3, help="Effects added in turn, at most.")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 7,
-    size_mm: Annotated[float, typer.Option("--size-mm", help="Working mesh under the probe.")] = 5.0,
+    size_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--size-mm", help="Working mesh under the probe; default: 5, less where tissue is thin."
+        ),
+    ] = None,
     far_size_mm: Annotated[float, typer.Option("--far-size-mm", help="Working mesh far from it.")] = 14.0,
     interventions: Annotated[
         bool, typer.Option(help="Try crop and contact first (a few more simulations).")

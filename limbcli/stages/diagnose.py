@@ -45,7 +45,8 @@ _SAME_PLACE = 2.0  # mm
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """effects : names to try (empty: all); size, far_size : mm, of the working mesh's edges;
+    """effects : names to try (empty: all);
+    size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
     measured : numbers measured besides (see `diagnosis_menu.known`), of the first site of each place.
     """
@@ -54,7 +55,7 @@ class DiagnoseOptions:
     effect_file: Path | None = None
     max_effects: int = 3
     seed: int = 7
-    size: float = 5.0
+    size: float | None = None
     far_size: float = 14.0
     templates: Path | None = None
     interventions: bool = True

@@ -38,11 +38,13 @@ from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_tie import F_KAPPA
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.mesh import read_limb, site_position
+from limbcli.stages.mesh_checks import measured_skin_bone
 
 STAGE = "diagnose"
 _N_DEPTHS = 7
 _BEYOND, _FURTHER = 1.05, 2.5  # times the deepest reading, and mm more: a record may be read too shallow
 _ROUND = 0.5  # mm
+_LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
 
 
 @dataclass
@@ -56,18 +58,23 @@ class Notes:
 
 @dataclass(frozen=True)
 class WorkingMesh:
-    """size, far_size : mm, edges of the working mesh; interventions : whether crop and contact are tried."""
+    """size, far_size : mm, edges of the working mesh (size None: `size_for` the site's tissue);
+    interventions : whether crop and contact are tried."""
 
-    size: float = 5.0
+    size: float | None = None
     far_size: float = 14.0
     interventions: bool = True
 
 
 @dataclass
 class Prepared:
-    """One site, ready: its curves beside its data, what was tried on its mesh, and what to tell."""
+    """One site, ready: its curves beside its data, what was tried on its mesh, and what to tell.
+
+    size : mm, of the working mesh's edges under the probe
+    """
 
     site: Site
+    size: float
     book: CurveBook
     curves: SiteCurves
     interventions: list[Intervention]
@@ -108,7 +115,7 @@ def turned_by_90(
     site, known = prepared.site, prepared.curves
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
-    book = _Preparation(case, other, out, mesh, progress).book()
+    book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
     curves = SiteCurves(known.site, book, known.effects, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     try:
@@ -118,6 +125,15 @@ def turned_by_90(
     finally:
         book.close()
     return curves
+
+
+def size_for(skin_bone: float | None) -> float:
+    """Edges under the probe (mm): three to the bone, but 2.5 at least and 5 at most.
+
+    >>> size_for(None), size_for(34.0), size_for(9.0), size_for(4.0)
+    (5.0, 5.0, 3.0, 2.5)
+    """
+    return _COARSEST if skin_bone is None else float(np.clip(skin_bone / _LAYERS, _FINEST, _COARSEST))
 
 
 def _up_to(step: float, value: float) -> float:
@@ -145,6 +161,7 @@ class _Preparation:
         self.work.mkdir(parents=True, exist_ok=True)
         self.levels = read_levels(site.levels)
         self.windows = Windows()
+        self.size = size_for(self._skin_bone()) if mesh.size is None else mesh.size
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
@@ -155,7 +172,7 @@ class _Preparation:
                 with contextlib.suppress(SolveError):  # told where the curves are used
                     book.curves(m)
             numerics = Numerics(
-                self.case, self.site, self.levels, book, out=self.out, size=self.mesh.size,
+                self.case, self.site, self.levels, book, out=self.out, size=self.size,
                 notes=self.notes, progress=self.progress,
             )  # fmt: skip
             tie = numerics.tie()
@@ -165,7 +182,7 @@ class _Preparation:
             book.close()
             raise
         curves = SiteCurves(data, book, effects, tie=tie, progress=self.progress)
-        return Prepared(self.site, book, curves, interventions, self.notes)
+        return Prepared(self.site, self.size, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
         """Curves down to the deepest reading and beyond, as far as the solver gets.
@@ -180,6 +197,14 @@ class _Preparation:
             progress=self.progress, needed=needed,
         )  # fmt: skip
 
+    def _skin_bone(self) -> float | None:
+        """mm of tissue under the probe's centre in the site's own model, else on the B-mode image."""
+        try:
+            found = read_result(self.out, "mesh", site=self.site.name).data["checks"]["skin_bone_mm"]
+        except (LimbError, KeyError):
+            found = None
+        return float(found) if found is not None else measured_skin_bone(self.site)
+
     def _working_mesh(self) -> LimbModel:
         """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
         own = self.out / "mesh" / self.site.name / "model.npz"
@@ -190,14 +215,14 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.mesh.size, self.mesh.far_size]  # fmt: skip
+                  self.size, self.mesh.far_size]  # fmt: skip
         text = json.dumps(plain(recipe))
         kept, key = self.work / "model.npz", self.work / "model.json"
         if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
             return load_model(kept)
         self.progress.event("note", text="making the working mesh")
         probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.mesh.size, far=self.mesh.far_size)
+        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size)
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
