@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,6 +31,7 @@ from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, sof
 from limbcli.stages.diagnosis_kept import Kept
 from limbcli.stages.diagnosis_keys import changed_to, fingerprint
 from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis_work import Work
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import (
     TISSUE,
@@ -51,10 +50,6 @@ _GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
 _FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
 _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
-# A solve's work, in products of the factor: what an iteration and a factor cost beside the Krylov iterations.
-_PER_ITERATION, _PER_FACTOR = 10, 20
-# Of a candidate's solve; that of the model without it, by the mean; the same with friction, which goes by steps.
-_LEAST_ALLOWED, _TIMES_USUAL, _TIMES_WITH_FRICTION = 2000, 2.0, 6.0
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
 # the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
 _CONTACT_STIFFER = 4.0
@@ -77,7 +72,8 @@ class CurveBook:
     def __init__(
         self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
-        progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2, needed: float | None = None,
+        progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
+        needed: float | None = None,
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
@@ -87,10 +83,8 @@ class CurveBook:
         model = with_penalty(model, _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.kept, self.progress = Kept(keep), progress.also(self._watch)
-        self._work, self._allowed = 0, math.inf
-        self._usual: list[int] = []
-        self._counted = (0, 0)
+        self.work = Work()
+        self.kept, self.progress = Kept(keep), progress.also(self.work)
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
@@ -192,10 +186,7 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        self._work = 0
-        usual = float(np.mean(self._usual)) if self._usual else 0.0
-        times = _TIMES_WITH_FRICTION if rubs else _TIMES_USUAL
-        self._allowed = max(_LEAST_ALLOWED, times * usual) if ingredients else math.inf
+        self.work.begin(candidate=bool(ingredients), rubs=rubs)
         same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
@@ -204,14 +195,14 @@ class CurveBook:
             try:
                 result = session.solve(model, records=True, required=self._required, hoped=self._hoped)
             finally:
-                self._allowed = math.inf
+                self.work.end()
                 if not same_mesh:
                     session.close()
         except ArithmeticError as error:
             raise SolveError(
                 f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
             ) from error
-        work = self._work
+        work = self.work.done
         table = result.simulation.elements[_FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
@@ -229,7 +220,7 @@ class CurveBook:
             curves = continued(curves, further, like=self._beside(m, ingredients))
             values = np.concatenate([values, *[values[-1:]] * len(further)])
         if not ingredients:
-            self._usual.append(work)
+            self.work.usual.append(work)
             self._kinematics[key] = self._deformation(model, curves.depth, values)
         if all(effect.kind == "numerical" for effect, _ in ingredients):
             self.kept.keep_cells(key, values)
@@ -256,22 +247,6 @@ class CurveBook:
         self.in_part[name] = reached
         text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
         self.progress.event("note", text=text)
-
-    def _watch(self, kind: str, facts: dict[str, Any]) -> None:
-        """A candidate that takes many times the work of the model without it is given up."""
-        if kind != "newton":
-            return
-        counts = int(facts.get("krylov", 0)), int(facts.get("factorisations", 0))
-        krylov, factors = (
-            now - before if now >= before else now for now, before in zip(counts, self._counted, strict=True)
-        )
-        self._counted = counts
-        self._work += _PER_ITERATION + krylov + _PER_FACTOR * factors
-        if self._work > self._allowed:
-            raise SolveError(
-                "it takes several times the work of the model without it",
-                where="diagnose", fix="run the written model by itself",
-            )  # fmt: skip
 
     def _deformation(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
         n = len(self.cells)
@@ -331,7 +306,7 @@ class CurveBook:
         if found is None:
             return None
         if not ingredients:
-            self._usual.append(found.work)
+            self.work.usual.append(found.work)
         self._tell(m, ingredients, found.n_reached)
         return found.curves
 

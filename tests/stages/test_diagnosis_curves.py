@@ -13,6 +13,7 @@ from limbcli.effects import effect
 from limbcli.errors import SolveError
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis_work import Work
 
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
 THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
@@ -86,8 +87,8 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
     first, second = book.curves(3.0), again.curves(3.0)
     assert (book.n_solves, again.n_solves) == (1, 0)
     assert second.force == pytest.approx(first.force)
-    assert again._usual == book._usual
-    assert book._usual[0] > 0
+    assert again.work.usual == book.work.usual
+    assert book.work.usual[0] > 0
     kept = again.kinematics(3.0).gradient
     assert again.n_solves == 0
     assert kept == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
@@ -103,3 +104,18 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path):
     assert again.n_solves == 1
     book.close()
     again.close()
+
+
+@pytest.mark.parametrize(("options", "iterations"), [({}, 200), ({"rubs": True}, 600)])
+def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
+    work = Work(usual=[2000, 4000])
+    work.begin(candidate=True, **options)
+    with pytest.raises(SolveError, match="several times the work"):
+        for k in range(1, 10_000):
+            work("newton", {"krylov": 20 * k, "factorisations": 0})
+    assert work.done == 30 * (iterations + 1)
+    work.end()
+    work.begin(candidate=False)
+    for k in range(1, 2000):  # a session's counts begin anew
+        work("newton", {"krylov": 20 * k, "factorisations": k})
+    assert work.done == 1999 * 50

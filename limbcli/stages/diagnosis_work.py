@@ -1,0 +1,58 @@
+"""How much work a candidate's simulation may take, by the work of the model without it.
+
+Work is counted, not timed, so that a diagnosis says the same on any machine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import SolveError
+
+# In products of the factor: what an iteration and a factor cost beside the Krylov iterations.
+_PER_ITERATION, _PER_FACTOR = 10, 20
+# Of the mean work of the model without effects; the same with friction, which goes by steps.
+_TIMES_USUAL, _TIMES_WITH_FRICTION = 2.0, 6.0
+_LEAST_ALLOWED = 2000
+
+
+@dataclass
+class Work:
+    """The work of one solve after another: listens to the solver's progress, and stops what takes too long.
+
+    usual : of every solve without effects; done : of the solve that is on, or was last
+    """
+
+    usual: list[int] = field(default_factory=list)
+    done: int = 0
+    _allowed: float = math.inf
+    _counted: tuple[int, int] = (0, 0)
+
+    def begin(self, *, candidate: bool, rubs: bool = False) -> None:
+        """candidate : it has an effect in it; rubs : it has friction"""
+        self.done = 0
+        times = _TIMES_WITH_FRICTION if rubs else _TIMES_USUAL
+        usual = float(np.mean(self.usual)) if self.usual else 0.0
+        self._allowed = max(_LEAST_ALLOWED, times * usual) if candidate else math.inf
+
+    def end(self) -> None:
+        self._allowed = math.inf
+
+    def __call__(self, kind: str, facts: dict[str, Any]) -> None:
+        if kind != "newton":
+            return
+        counts = int(facts.get("krylov", 0)), int(facts.get("factorisations", 0))
+        krylov, factors = (
+            now - before if now >= before else now for now, before in zip(counts, self._counted, strict=True)
+        )
+        self._counted = counts
+        self.done += _PER_ITERATION + krylov + _PER_FACTOR * factors
+        if self.done > self._allowed:
+            raise SolveError(
+                "it takes several times the work of the model without it",
+                where="diagnose", fix="run the written model by itself",
+            )  # fmt: skip
