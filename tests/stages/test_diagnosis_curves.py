@@ -106,16 +106,19 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path):
     again.close()
 
 
+def iterate(work: Work, n: int, *, factors: int = 0) -> None:
+    for k in range(1, n + 1):
+        work("newton", {"krylov": 20 * k, "factorisations": factors * k})
+
+
 @pytest.mark.parametrize(("options", "iterations"), [({}, 200), ({"rubs": True}, 600)])
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])
     work.begin(candidate=True, **options)
     with pytest.raises(SolveError, match="several times the work"):
-        for k in range(1, 10_000):
-            work("newton", {"krylov": 20 * k, "factorisations": 0})
+        iterate(work, 10_000)
     assert work.done == 30 * (iterations + 1)
     work.end()
     work.begin(candidate=False)
-    for k in range(1, 2000):  # a session's counts begin anew
-        work("newton", {"krylov": 20 * k, "factorisations": k})
-    assert work.done == 1999 * 50
+    iterate(work, 2000, factors=1)  # a session's counts begin anew
+    assert work.done == 2000 * 50
