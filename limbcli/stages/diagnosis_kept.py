@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
 from limbcli.effects.reading import Curves
 from limbcli.files import atomic_file
 from limbcli.model import Array
+
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)  # solved again, then
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class Kept:
                     float(stored["thickness"]),
                 )  # fmt: skip
                 return KeptCurves(curves, int(stored["work"]), int(stored["n_reached"]))
-        except (OSError, ValueError, KeyError):
+        except _UNREADABLE:
             return None
 
     def keep_curves(self, key: str, curves: Curves, *, work: int, n_reached: int) -> None:
@@ -57,8 +60,11 @@ class Kept:
         path = None if self.folder is None else self.folder / f"{key}-cells.npz"
         if path is None or not path.is_file():
             return None
-        with np.load(path) as stored:
-            return np.asarray(stored["values"], dtype=float)
+        try:
+            with np.load(path) as stored:
+                return np.asarray(stored["values"], dtype=float)
+        except _UNREADABLE:
+            return None
 
     def keep_cells(self, key: str, values: Array) -> None:
         if self.folder is not None:

@@ -95,11 +95,12 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
     book.close()
 
 
-def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path):
+@pytest.mark.parametrize("spoil", [Path.unlink, lambda path: path.write_bytes(b"PK\x03\x04 cut off")])
+def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, spoil):
     book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
     book.curves(3.0)
     for path in tmp_path.glob("*-cells.npz"):
-        path.unlink()
+        spoil(path)
     assert again.kinematics(3.0).gradient == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
     assert again.n_solves == 1
     book.close()
