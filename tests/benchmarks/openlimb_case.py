@@ -75,7 +75,15 @@ def main() -> None:
     options = parser.parse_args()
     from mesh_sites import limbs  # the file beside this one
 
-    limb, heights = next((limb, heights) for name, limb, heights in limbs() if name == options.limb)
+    known, found = [], None
+    for name, *limb_and_heights in limbs():
+        known.append(name)
+        if name == options.limb:
+            found = limb_and_heights
+            break
+    if found is None:
+        parser.error(f"there is no limb {options.limb}; known here: {', '.join(known)}")
+    limb, heights = found
     folder: Path = options.case
     (folder / "surfaces").mkdir(parents=True)
     write_stl(folder / "surfaces" / "skin.stl", limb.skin)
