@@ -30,7 +30,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
-from limbcli.stages.diagnosis_numerics import MATTERS, Intervention
+from limbcli.stages.diagnosis_numerics import MATTERS, Intervention, too_doubtful
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.diagnosis_site import SiteCurves
@@ -191,6 +191,8 @@ class _Diagnosed:
             writer.warnings.extend(mine.notes.warnings)
             if mine.book.in_part:
                 writer.warnings.append(_in_part(mine.book.in_part))
+            doubt = too_doubtful(mine.interventions)
+            writer.warnings.extend([doubt] if doubt else [])
             content = self._content(found, bench, mine, all_)
             path = writer.file("diagnosis", "diagnosis.json")
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")

@@ -6,6 +6,7 @@ of the incompressibility that is held, of cut and contact enters the noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -27,6 +28,7 @@ from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run, speed_ratio
 
+_DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
 MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
 USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
@@ -256,6 +258,24 @@ class Numerics:
             ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
+
+
+def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
+    """A warning where numerical doubt is a large part of the force: over thin tissue, mostly.
+
+    There nothing missing was told to be something in two of three simulated measurements.
+    """
+    worst = {
+        each.name: float(np.max(np.abs(each.log_force)))
+        for each in interventions if each.name != "locking" and np.max(np.abs(each.log_force)) > _DOUBTFUL
+    }  # fmt: skip
+    if not worst:
+        return None
+    parts = ", ".join(f"{name} {100 * np.expm1(change):.0f} %" for name, change in worst.items())
+    return (
+        f"numerical doubt is a large part of the force here ({parts}): take the verdict with care, and "
+        "measure where there is more tissue over the bone"
+    )
 
 
 def read_spacing(out: Path) -> list[float] | None:

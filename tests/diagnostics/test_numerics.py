@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.effects.reading import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_numerics import Numerics, measured_slope
+from limbcli.stages.diagnosis_numerics import Intervention, Numerics, measured_slope, too_doubtful
 from limbcli.stages.diagnosis_site import filled
 
 
@@ -81,3 +81,13 @@ def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
         levels = Levels(force, depth, nan, nan, nan, ("load",) * n, one, nan, nan, Path("x"))
         numerics = Numerics(None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None)
         assert numerics._likely_m() == m
+
+
+def test_doubt_that_is_a_large_part_of_the_force_is_warned_of():
+    def tried(name: str, change: float) -> Intervention:
+        return Intervention(name, np.array([0.0, change]), np.zeros((2, 0)), 1.0)
+
+    assert too_doubtful([tried("contact", -0.12), tried("locking", 0.9)]) is None
+    told = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
+    assert told is not None
+    assert "contact 35 %, f-kappa 25 %" in told
