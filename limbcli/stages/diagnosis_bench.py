@@ -156,8 +156,8 @@ class SiteBench(Fits):
         return np.asarray(moved / (up[k] - down[k]))
 
     def _fit_base(self) -> Fitted:
-        for m in FIRST_M:
-            self._solve_node(m)
+        for each in self.sites:
+            each.solve_nodes(FIRST_M)
         for _ in range(_MAX_NODES):
             fitted = self.best_fit((), (), {})[1]
             m = fitted.values["m"]

@@ -119,8 +119,7 @@ def turned_by_90(
     curves = SiteCurves(known.site, book, known.effects, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     try:
-        for m in nearest[:3]:
-            curves.solve_node(m)
+        curves.solve_nodes(nearest[:3])
         curves.m_reference = min(curves.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     finally:
         book.close()

@@ -77,13 +77,28 @@ class SiteCurves:
         self._changes: dict[tuple[str, str], Change] = {}
         self._repairs: dict[tuple[Explanation, str], Array] = {}
 
+    def solve_nodes(self, values: Sequence[float]) -> None:
+        """Solve at these m, the stiffest law first; what fails is left out, unless all do.
+
+        Raises
+        ------
+        SolveError
+            If none is solved.
+        """
+        problem = None
+        for m in sorted(values, reverse=True):
+            try:
+                self.nodes[m] = self.book.curves(m)
+            except SolveError as error:
+                problem = error
+        if not self.nodes and problem is not None:
+            raise problem
+
     def solve_node(self, m: float) -> bool:
-        """Solve at this m; False where it fails and others are known."""
+        """Solve at one m more; whether that went well."""
         try:
             self.nodes[m] = self.book.curves(m)
         except SolveError:
-            if not self.nodes:
-                raise
             return False
         return True
 

@@ -13,6 +13,7 @@ from limbcli.effects import effect
 from limbcli.errors import SolveError
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_work import Work
 
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
@@ -123,3 +124,28 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
     work.begin(candidate=False)
     iterate(work, 2000, factors=1)  # a session's counts begin anew
     assert work.done == 2000 * 50
+
+
+@pytest.mark.parametrize(
+    ("reach", "solved"), [((10.0, 5.0, 2.0), [2.0, 5.0, 10.0]), ((5.0, 2.0), [2.0, 5.0])]
+)
+def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
+    class Book:
+        c = 0.006
+
+        def __init__(self):
+            self.asked = []
+
+        def curves(self, m, ingredients=()):
+            self.asked.append(m)
+            if m not in reach:
+                raise SolveError(f"not at {m:g}", where="level", fix="none")
+            return None
+
+    site = SiteCurves(None, Book(), {})
+    site.solve_nodes((2.0, 10.0, 5.0))
+    assert sorted(site.nodes) == solved
+    assert site.book.asked[:3] == [10.0, 5.0, 2.0]
+    assert not site.solve_node(7.0)
+    with pytest.raises(SolveError, match="not at 7"):
+        SiteCurves(None, Book(), {}).solve_nodes((7.0,))
