@@ -26,6 +26,7 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_noise import ModelError
+from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run, speed_ratio
 
 _DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
@@ -92,6 +93,7 @@ class Numerics:
     ):  # fmt: skip
         self.case, self.site, self.levels, self.book = case, site, levels, book
         self.out, self.size, self.notes, self.progress = out, size, notes, progress
+        self.sinking: Sinking | None = None  # of the contact that the curves have; known after interventions
 
     # ------------------------------------------------------------ the tie to the site's own mesh
 
@@ -167,6 +169,8 @@ class Numerics:
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
         plain_curves = self.book.curves(m)
         changed = self.book.curves(m, ((numerical, numerical.start),))
+        if numerical.name == "contact":
+            self.sinking = sinking(plain_curves, changed)
         return self._judged(numerical.name, plain_curves, changed, numerical.sentence)
 
     def _locking(self) -> list[Intervention]:
@@ -210,8 +214,9 @@ class Numerics:
         """What of all this the data have to allow for."""
         # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
         # What a quarter of the penalty takes from the force is one and a half times to three times what the
-        # gap still takes; counted whole, as it is of one sign, which a deviation does not know.
-        share = {"crop": 0.5, "contact": 1.0, INCOMPRESSIBILITY.name: 1.0}
+        # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
+        contact = 1.0 if self.sinking is None else LEFT_ERROR
+        share = {"crop": 0.5, "contact": contact, INCOMPRESSIBILITY.name: 1.0}
         errors = [
             ModelError(f"model: {each.name}", share[each.name] * each.log_force,
                        share[each.name] * each.log_speed)

@@ -116,7 +116,7 @@ def turned_by_90(
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
-    curves = SiteCurves(known.site, book, known.effects, progress=progress)
+    curves = SiteCurves(known.site, book, known.effects, sinking=known.sinking, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
     try:
         curves.solve_nodes(nearest[:3])
@@ -180,7 +180,7 @@ class _Preparation:
         except LimbError:
             book.close()
             raise
-        curves = SiteCurves(data, book, effects, tie=tie, progress=self.progress)
+        curves = SiteCurves(data, book, effects, tie=tie, sinking=numerics.sinking, progress=self.progress)
         return Prepared(self.site, self.size, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:

@@ -26,6 +26,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, _touches_loads
 from limbcli.stages.diagnosis_data import SiteData
+from limbcli.stages.diagnosis_sinking import Sinking
 from limbcli.stages.diagnosis_tie import Tie
 
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
@@ -65,13 +66,15 @@ def _within(spline: CubicSpline, x: float) -> Array:
 
 
 class SiteCurves:
-    """One site's data beside one book of curves; `tie`: from the working mesh to the site's own."""
+    """One site's data beside one book of curves; `tie`: from the working mesh to the site's own; `sinking`:
+    of the probe into the book's models."""
 
     def __init__(
         self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
-        progress: Progress = SILENT,
+        sinking: Sinking | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
         self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
+        self.sinking = sinking
         self.m_reference = 2.0
         self.nodes: dict[float, Curves] = {}
         self._changes: dict[tuple[str, str], Change] = {}
@@ -131,10 +134,13 @@ class SiteCurves:
             if self.effects[name].solves:
                 values = values + self._change(self.effects[name], point).at(theta)
         log_force, log_speed = values[:, 0], values[:, 1:]
-        force = np.concatenate([[0.0], np.exp(log_force[1:]) * c / self.book.c])
+        force = np.concatenate([[0.0], np.exp(log_force[1:])])
+        times = c / self.book.c
         taller = 1.0 if self.tie is None else self.tie.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
-        return Curves(depth, force, log_speed + 0.5 * np.log(c / self.book.c), plain.window_depth, thickness)
+        log_speed = log_speed + 0.5 * np.log(times)
+        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness)
+        return found if self.sinking is None else self.sinking.without(found, force)
 
     def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
         reading = Reading()

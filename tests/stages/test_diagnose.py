@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +21,7 @@ from limbcli.stages.diagnose import DiagnoseOptions, chosen_effects, diagnose, l
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_numerics import USUAL_C
 from limbcli.stages.diagnosis_prepare import prepare
+from tests.stages import block_case as block
 
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
 OWN = """
@@ -33,15 +32,6 @@ def observe(reading, theta):
     return replace(reading, depth_zero=reading.depth_zero - theta["slip_mm"])
 EFFECT = Effect("slip", "the probe slips", "measurement", "none", (SLIP,), observe=observe)
 """
-
-
-def _block_case():
-    path = Path(__file__).with_name("block_case.py")
-    spec = importlib.util.spec_from_file_location("block_case_for_diagnose", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_a_users_effect_is_one_file(tmp_path):
@@ -58,7 +48,7 @@ def test_a_users_effect_is_one_file(tmp_path):
 
 def test_an_effect_that_was_written_anew_is_solved_anew():
     """Kept simulations are told by what an effect makes of the model, not by its name and size alone."""
-    book = CurveBook(_block_case().block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
+    book = CurveBook(block.block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
     known, theta = effect("thickness"), {"thickness_change": 0.1}
     mended = replace(known, apply=lambda model, theta: known.apply(model, {"thickness_change": 0.2}))
     key = book._key(3.0, ((known, theta),))
@@ -71,7 +61,6 @@ def test_an_effect_that_was_written_anew_is_solved_anew():
 
 @pytest.mark.slow
 def test_a_force_offset_on_the_block(tmp_path, rng):
-    block = _block_case()
     model = block.block_model("tet10", counts=(6, 4, 2))
     folder, out = tmp_path / "case", tmp_path / "out"
     folder.mkdir()

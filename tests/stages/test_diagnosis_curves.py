@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_work import Work
+from tests.stages import block_case
 
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
 THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
@@ -22,12 +21,7 @@ THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
 
 @pytest.fixture(scope="module")
 def block():
-    path = Path(__file__).with_name("block_case.py")
-    spec = importlib.util.spec_from_file_location("block_case_for_curves", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module.block_model(counts=(4, 2, 2))
+    return block_case.block_model(counts=(4, 2, 2))
 
 
 class Stops:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +12,10 @@ from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_tie import own_run, speed_ratio
 from limbcli.stages.run import run
+from tests.stages import block_case as block
 
 C = 0.008
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
-
-
-def _block_case():
-    path = Path(__file__).with_name("block_case.py")
-    spec = importlib.util.spec_from_file_location("block_case_for_tie", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-block = _block_case()
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,8 @@
 """fit, on a block whose parameters are known: what it finds, what it leaves, what it refuses."""
 
 import csv
-import importlib.util
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,18 +19,8 @@ from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, run_side_by_side
 from limbcli.stages.fit_joint import fit_joint
+from tests.stages import block_case as block
 
-
-def _load(name: str):
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(f"limbcli_test_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-block = _load("block_case")
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 

@@ -1,10 +1,7 @@
 """The joint fit and the comparison of elements, on a block whose parameters are known."""
 
 import csv
-import importlib.util
 import shutil
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,18 +17,8 @@ from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fit_laws import LAWS, law_named
 from limbcli.stages.indentation_model import indentation_model
 from limbcli.stages.numerical_error import gain_deviation
+from tests.stages import block_case as block
 
-
-def _load(name: str):
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(f"limbcli_test_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-block = _load("block_case")
 C, SHAPE = 0.008, np.array([20.0, 5.0])
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 

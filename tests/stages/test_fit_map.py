@@ -1,8 +1,6 @@
 """fit --stiffness-map: c(x) from the level-0 map, in the law, in the files, and in what comes out."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +17,8 @@ from limbcli.stages.fit import START, FitOptions, check_choice, fit
 from limbcli.stages.fit_curves import ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import tissue_map
 from limbcli.stages.indentation_model import indentation_model
+from tests.stages import block_case as block
 
-
-def _load(name: str):
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(f"limbcli_test_map_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-block = _load("block_case")
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 SOFT, STIFF = 0.005, 0.016
 TRUTH = {"f_kappa": 60.0, "m": 4.0}

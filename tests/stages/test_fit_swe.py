@@ -1,8 +1,6 @@
 """The speeds that a fitted model predicts: right at rest, on the measured pixels, and honest about gaps."""
 
 import csv
-import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +18,8 @@ from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.fit_speeds import element_speeds
 from limbcli.stages.fit_swe import leave_speeds
 from limbcli.stages.indentation_model import indentation_model
+from tests.stages import block_case as block
 
-
-def _load(name: str):
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(f"limbcli_test_swe_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-block = _load("block_case")
 DEPTHS = np.array([1.2, 2.4, 3.6])
 C = 0.008  # MPa: 2 m/s
 
