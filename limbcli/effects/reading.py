@@ -147,6 +147,19 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
     return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
 
 
+def depth_at(curves: Curves, force: Array) -> Array:
+    """mm at forces > 0: a curve through ln depth over ln force, a power of force below and beyond."""
+    rising = np.flatnonzero(np.diff(np.maximum.accumulate(curves.force), prepend=0.0) > 0)
+    x, y = np.log(curves.force[rising]), np.log(np.maximum(curves.depth[rising], 1e-9))
+    at = np.log(np.maximum(force, 1e-9))
+    if len(x) < 2:
+        return np.exp(y[0] + (at - x[0]) / 1.5) if len(x) else np.zeros_like(at)
+    curve = Monotone.through(x, y)
+    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
+    inside = curve(np.clip(at, x[0], x[-1]))
+    return np.exp(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
+
+
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:
     """The curves on to further depths: the force as the last power of depth, ln speeds as the last line.
 

@@ -67,30 +67,32 @@ class CurveBook:
         it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the model without
         effects: `in_part` tells which do
     c : MPa, the reference stiffness; keep : folder of curves already solved
+    penalty : of the contact; None: four times that of the usual model
+    beside : of the same depths on another mesh, whose curves lead where this one's solver stops
     """
 
     def __init__(
         self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
         progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
-        needed: float | None = None,
+        needed: float | None = None, penalty: float | None = None, beside: CurveBook | None = None,
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
         self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
         self.near = window_cells(model, depths[-1]) - first_cell(model)
         record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
-        model = with_penalty(model, _CONTACT_STIFFER * model.contacts[0].penalty)
+        model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.work = Work()
-        self.kept, self.progress = Kept(keep), progress.also(self.work)
+        self.work, self.beside = Work(), beside
+        self.kept, self.progress = Kept(keep), progress
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
-        needed = self.depths[-1] if needed is None else needed
+        self.needed = self.depths[-1] if needed is None else needed
         self._hoped, self._required = (
-            min(int(np.searchsorted(self.depths, share * needed - 1e-9)) + 1, self.n_depths)
+            min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
             for share in (1.0, _ENOUGH)
         )
         self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
@@ -229,8 +231,10 @@ class CurveBook:
         return curves
 
     def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
-        """What curves go on beside: those without effects, or of a stiffer law, which keeps its stability
-        further; None where there is none."""
+        """What curves go on beside: those without effects, of another mesh, or of a stiffer law, which keeps
+        its stability further; None where there is none."""
+        if self.beside is not None and not ingredients:
+            return self.beside.curves(m)
         stiffer = min((each for each in FIRST_M if each > m), default=m)
         if not ingredients and stiffer == m:
             return None
@@ -261,7 +265,8 @@ class CurveBook:
         return self._session
 
     def _fresh(self, model: LimbModel) -> ReferenceSession:
-        return ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, threads=self.threads)
+        watched = self.progress.also(self.work)
+        return ReferenceSession(model, progress=watched, tolerance=self.tolerance, threads=self.threads)
 
     def _read(
         self, model: LimbModel, in_window: LimbModel, depths: Array, forces: Array, values: Array

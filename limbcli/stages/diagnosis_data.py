@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.bench import Data
 from limbcli.diagnostics.noise import Noise
-from limbcli.effects.reading import Curves, Protocol, Reading, read
+from limbcli.effects.reading import Curves, Protocol, Reading, Readout, depth_at, force_at, read, true_depth
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_noise import ModelError, noise_parts
+from limbcli.stages.diagnosis_noise import ModelError, depth_slopes, noise_parts
 from limbcli.stages.diagnosis_rows import (
     Extra,
     Row,
@@ -27,6 +28,9 @@ from limbcli.stages.diagnosis_rows import (
     travel_rows,
 )
 from limbcli.stages.diagnosis_windows import Windows
+
+_LEAST_N = 0.2  # below it a force tells no depth
+_MOST_DEVIATIONS = 4.0  # of the depth's reading: what is further off is no error of reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +45,48 @@ class SiteData:
     missing: tuple[str, ...] = field(default=())
     held: HeldForces | None = None
     extras: tuple[Extra, ...] = ()
+    slope: Array = field(default_factory=lambda: np.zeros(0))
+    depth_error: float = 0.0
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
-        """The prediction (n,) of every datum."""
-        shown = read(curves, self.protocol, reading)
+        """The prediction (n,) of every datum at the depths that were read.
+
+        Depth is the noisy reading: over thin or stiff tissue its error is not small beside the curve's bend.
+        So curves are read where they have the measured force, and taken to the depth that was read by the
+        measured slopes, as the noise has it: an error of depth then moves the data in proportion.
+        """
+        further = self._further(curves, reading)
+        moved = replace(self.protocol, depth=self.protocol.depth + further)
+        out = self._laid_out(read(curves, moved, reading), curves, reading)
+        return out - self.slope * further[self._levels] if len(self.slope) else out
+
+    @cached_property
+    def _levels(self) -> IntArray:
+        """Of every datum (n,), the level, or 0 where it is of none (its slope is 0)."""
+        levels = np.array([row.level for row in self.rows])
+        return np.where(levels < len(self.protocol), levels, 0)
+
+    def _further(self, curves: Curves, reading: Reading) -> Array:
+        """mm (n_levels,) from the depth that was read to the one with the measured force."""
+        none = np.zeros(len(self.protocol))
+        if not len(self.slope) or self.depth_error <= 0:
+            return none
+        depth = true_depth(curves, self.protocol.depth, reading)
+        elastic = force_at(curves, depth)
+        offset = reading.force_zero - reading.force_gain * reading.preload
+        shown = (
+            read(replace(curves, log_speed=curves.log_speed[:, :0]), self.protocol, reading).force - offset
+        )
+        wanted = self.protocol.force - offset
+        known = (depth > 0) & (elastic > _LEAST_N) & (shown > _LEAST_N) & (wanted > _LEAST_N)
+        if not known.any():
+            return none
+        there = depth_at(curves, elastic[known] * wanted[known] / shown[known])
+        most = _MOST_DEVIATIONS * self.depth_error
+        none[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
+        return none
+
+    def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
         out = np.empty(len(self.rows))
         falls = None if self.held is None else self.held.predict(curves, reading)
         more = {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
@@ -83,6 +125,7 @@ def site_data(
         extra_rows(extras),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
+    slope = depth_slopes(protocol, tuple(rows), np.array(y))
     parts = noise_parts(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
@@ -104,6 +147,8 @@ def site_data(
         tuple(c for c in wanted if c not in channels),
         held,
         tuple(extras),
+        slope,
+        noise.depth,
     )
 
 

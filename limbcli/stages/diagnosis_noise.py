@@ -93,20 +93,59 @@ def _model_direction(rows: tuple[Row, ...], y: Array, log_force: Array, log_spee
 
 
 def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
-    """How each datum changes with depth (n,), from smooth curves through the measured values."""
+    """How each datum changes with depth (n,), from smooth curves through the measured values.
+
+    Depth and speeds are smoothed over the force, which is read without much error: over a depth with errors
+    the slope of a steep curve comes out too low.
+    """
     out = np.zeros(len(rows))
+    depth_rate = _rate_over_force(protocol)
     groups: dict[tuple[str, int], list[int]] = {}
     for k, row in enumerate(rows):
         groups.setdefault((row.channel, row.part), []).append(k)
     for (channel, _), members in groups.items():
         if channel not in _WITH_DEPTH:
             continue
-        depth = protocol.depth[[rows[k].level for k in members]]
+        levels = [rows[k].level for k in members]
+        place = _place(protocol)[levels]
         if channel == "travel":
             out[members] = 1.0
-        elif channel != "skin-bone" and len(members) >= 3 and np.ptp(depth) > 0:
-            degree = 2 if channel == "force" and len(members) > 3 else 1
-            curve = np.polynomial.Polynomial.fit(depth, y[members], degree)
-            slope = curve.deriv()(depth)
-            out[members] = np.maximum(slope, 0.0) if channel == "force" else slope
+        elif channel == "force":
+            per_place = protocol.force[levels] + _force_unit(protocol)
+            out[members] = per_place / depth_rate[levels]
+        elif channel != "skin-bone" and len(members) >= 3 and np.ptp(place) > 0:
+            curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(members) > 4 else 1)
+            out[members] = curve.deriv()(place) / depth_rate[levels]
     return out
+
+
+def deepest(protocol: Protocol) -> float:
+    """mm that the probe went in, of a smooth curve through the readings."""
+    along = _depth_over_place(protocol)
+    if along is None:
+        return float(np.max(protocol.depth, initial=0.0))
+    return min(float(np.max(along(_place(protocol)))), float(np.max(protocol.depth)))
+
+
+def _force_unit(protocol: Protocol) -> float:
+    """N: a tenth of the largest force."""
+    return max(0.1 * float(np.max(protocol.force, initial=0.0)), 1e-3)
+
+
+def _place(protocol: Protocol) -> Array:
+    """Where each level (n_levels,) is along the curve: ln(1 + F/F1), in which depth is nearly a parabola."""
+    return np.log1p(np.maximum(protocol.force, 0.0) / _force_unit(protocol))
+
+
+def _depth_over_place(protocol: Protocol) -> np.polynomial.Polynomial | None:
+    """A parabola through the readings; None of fewer than four."""
+    if len(protocol) < 4 or np.ptp(protocol.force) <= 0:
+        return None
+    return np.polynomial.Polynomial.fit(_place(protocol), protocol.depth, 2)
+
+
+def _rate_over_force(protocol: Protocol) -> Array:
+    """d depth / d place (n_levels,) of that parabola; never below a tenth of the mean."""
+    x, along = _place(protocol), _depth_over_place(protocol)
+    mean = max(float(np.ptp(protocol.depth)) / max(float(np.ptp(x)), 1e-9), 1e-9)
+    return np.full(len(x), mean) if along is None else np.maximum(along.deriv()(x), 0.1 * mean)

@@ -16,7 +16,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.reading import Curves, log_force_at
+from limbcli.effects.reading import Curves, depth_at, log_force_at
 from limbcli.effects.tissue import core, thickness, with_core
 from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
@@ -27,7 +27,7 @@ from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
-from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run, speed_ratio
+from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_curves, own_run, speed_ratio
 
 _DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
 MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
@@ -44,6 +44,9 @@ _USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 # Of a part's ln speed, a unit of strain (depth over thickness): by what meshes of 2.8, 3.5 and 5 mm edges
 # differ in single parts (of one limb, at a strain of 0.34: rms 0.05, and 0.2 in the worst, beside bone).
 _PART_ERROR = 0.15
+_OTHER_M = 2.0  # times the speeds' difference between meshes deformed as at m 2: what it leaves at another m
+_PART_ALIKE = 0.8
+_STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # times the reference c
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
 
 
@@ -97,8 +100,13 @@ class Numerics:
 
     # ------------------------------------------------------------ the tie to the site's own mesh
 
-    def tie(self) -> Tie:
-        """To the finished `run` (f_kappa 100, m 2) of the site's own mesh; without it, a usual error."""
+    def tie(self, *, solves: bool = True) -> Tie:
+        """To the site's own mesh: solved there once for the tissue's likely m (`solves`), else to its
+        finished `run` (f_kappa 100, m 2); without either, a usual error."""
+        if solves:
+            solved = self._solved_tie()
+            if solved is not None:
+                return solved
         working = self.book.curves(START_M)
         try:
             own = self._own_run()
@@ -114,6 +122,40 @@ class Numerics:
         none = np.zeros_like(working.log_speed)
         return Tie(np.zeros(len(working.depth)), none, 1.0, usual, self._at_levels(working, none))
 
+    def _solved_tie(self) -> Tie | None:
+        """By the law with the likely m on the site's own mesh; None where it is not to be had."""
+        try:
+            meshed = read_result(self.out, "mesh", site=self.site.name)
+            if meshed.data.get("element") != "tet10":
+                return None
+            model = load_model(meshed.folder / "model.npz")
+        except LimbError:
+            return None
+        m, h = self._likely_m(), float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
+        self.progress.event("note", text=f"m {m:g} on the site's own mesh")
+        try:
+            working = self.book.curves(m)
+            own = own_curves(model, self.book, m, size_ratio=h / self.size)
+        except SolveError as error:
+            self.progress.event("note", text=f"it stopped: {error.what}; the site's own run is used")
+            return None
+        depth, n = working.depth, len(own.depth)
+        ratio = np.log(own.force[1:] / working.force[1:n])
+        log_force = np.interp(depth, own.depth[1:], ratio)
+        log_force[0] = 0.0
+        apart = np.nan_to_num(own.log_speed - working.log_speed[:n])
+        speeds = np.array([np.interp(depth, own.depth, column) for column in apart.T]).T
+        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
+        left = self._left(h)
+        off = np.abs(np.interp(self.levels.depth, own.depth[1:], ratio))
+        tall = _ratio(own.thickness, working.thickness)
+        in_speeds = left * np.abs(self._at_levels(working, speeds))
+        return Tie(log_force, speeds, tall, np.maximum(left * off, _LEAST_ERROR), in_speeds)
+
+    def _left(self, h: float) -> float:
+        """Of what the own mesh, edges h mm, differs from the working mesh: the share it still errs by."""
+        return _SAFETY * h**2 / max(self.size**2 - h**2, h**2)
+
     def _tied(self, working: Curves, own: OwnRun) -> Tie:
         same = self.book.curves(START_M, self.book.with_contact(own.penalty))
         ratio = np.log(np.maximum(own.force, 1e-9)) - log_force_at(same, own.depth)
@@ -121,15 +163,14 @@ class Numerics:
         log_force = np.interp(at, own.depth, ratio)
         log_force[0] = 0.0
         meshed = read_result(self.out, "mesh", site=self.site.name)
-        h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-        left = _SAFETY * h**2 / max(self.size**2 - h**2, h**2)
+        left = self._left(float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE)))
         error = np.maximum(left * np.abs(np.interp(self.levels.depth, own.depth, ratio)), _LEAST_ERROR)
-        theirs, ours = thickness(load_model(meshed.folder / "model.npz")), working.thickness
-        tall = theirs / ours if np.isfinite(theirs) and np.isfinite(ours) and ours > 0 else 1.0
+        tall = _ratio(thickness(load_model(meshed.folder / "model.npz")), working.thickness)
         self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
         speeds = speed_ratio(own, self.book, self._likely_m())
-        # Deformations at the tissue's own m are more uneven than those at m 2: as much may be left again.
-        return Tie(log_force, speeds, tall, error, self._at_levels(working, speeds))
+        # Deformations at the tissue's own m are more uneven than those at m 2.
+        left_in_speeds = _OTHER_M * np.abs(self._at_levels(working, speeds))
+        return Tie(log_force, speeds, tall, error, left_in_speeds)
 
     def _at_levels(self, curves: Curves, table: Array) -> Array:
         """A table over the curves' depths, at the levels."""
@@ -152,7 +193,8 @@ class Numerics:
         return found + self._locking()
 
     def _likely_m(self) -> float:
-        """The m whose force, for any c, follows the measured one most closely, of those solved first."""
+        """The m whose depths at the measured forces, for any c, are nearest to the measured ones, of those
+        solved first."""
         force, depth = self.levels.force, self.levels.depth
         rising = (force > 0) & (depth > 0)
         if rising.sum() < 2:
@@ -160,10 +202,11 @@ class Numerics:
         scatter = {}
         for m in FIRST_M:
             try:
-                off = np.log(force[rising]) - log_force_at(self.book.curves(m), depth[rising])
+                curves = self.book.curves(m)
             except SolveError:
                 continue
-            scatter[m] = float(np.cov(off, aweights=force[rising]))
+            off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]
+            scatter[m] = min(float(np.mean(each**2)) for each in off)
         return min(scatter, key=lambda m: scatter[m])
 
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
@@ -227,19 +270,20 @@ class Numerics:
         return [
             *errors,
             ModelError("model: mesh", tie.mesh_error, no_speed, correlation=_ALIKE),
-            ModelError("model: mesh, in the speeds", no_force, tie.speed_error),
-            *self._parts(),
+            ModelError("model: mesh, in the mean speed", no_force, _only(tie.speed_error, 0)),
+            *self._parts(tie),
         ]
 
-    def _parts(self) -> list[ModelError]:
-        """What any mesh does to single parts of a map, the more the further it is deformed."""
+    def _parts(self, tie: Tie) -> list[ModelError]:
+        """What any mesh does to single parts of a map, the more the further it is deformed, and where two
+        meshes differ."""
         if self.site.swe_maps is None:
             return []
         names = self.book.windows.names()
-        error = _PART_ERROR * np.nan_to_num(self.levels.depth) / self._thickness()
-        none = np.zeros(len(self.levels))
+        usual = _PART_ERROR * np.nan_to_num(self.levels.depth) / self._thickness()
+        error, none = np.hypot(tie.speed_error, usual[:, None]), np.zeros(len(self.levels))
         return [
-            ModelError(f"model: {names[k]} of the window", none, np.outer(error, np.arange(len(names)) == k))
+            ModelError(f"model: {names[k]} of the window", none, _only(error, k), correlation=_PART_ALIKE)
             for k in range(1, len(names))
         ]
 
@@ -263,6 +307,16 @@ class Numerics:
             ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
+
+
+def _only(table: Array, column: int) -> Array:
+    """One column of a table, the others 0."""
+    return np.where(np.arange(table.shape[1]) == column, table, 0.0)
+
+
+def _ratio(theirs: float, ours: float) -> float:
+    """Of two thicknesses; 1 where either is not known."""
+    return theirs / ours if np.isfinite(theirs) and np.isfinite(ours) and ours > 0 else 1.0
 
 
 def too_doubtful(interventions: Sequence[Intervention]) -> str | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
+from limbcli.effects.reading import Protocol
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps
@@ -31,7 +32,7 @@ from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
-from limbcli.stages.diagnosis_noise import ModelError
+from limbcli.stages.diagnosis_noise import ModelError, deepest
 from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
@@ -42,7 +43,8 @@ from limbcli.stages.mesh_checks import measured_skin_bone
 
 STAGE = "diagnose"
 _N_DEPTHS = 7
-_BEYOND, _FURTHER = 1.05, 2.5  # times the deepest reading, and mm more: a record may be read too shallow
+# Times the deepest reading, and mm more, or that share of the tissue: a record may be read too shallow.
+_BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
 
@@ -160,7 +162,8 @@ class _Preparation:
         self.work.mkdir(parents=True, exist_ok=True)
         self.levels = read_levels(site.levels)
         self.windows = Windows()
-        self.size = size_for(self._skin_bone()) if mesh.size is None else mesh.size
+        self.skin_bone = self._skin_bone()
+        self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
@@ -174,7 +177,7 @@ class _Preparation:
                 self.case, self.site, self.levels, book, out=self.out, size=self.size,
                 notes=self.notes, progress=self.progress,
             )  # fmt: skip
-            tie = numerics.tie()
+            tie = numerics.tie(solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
             data = self._data(numerics.noise(tie, interventions), extras)
         except LimbError:
@@ -188,10 +191,14 @@ class _Preparation:
 
         At a usual stiffness and at round depths: what was solved then serves other measurements of the place.
         """
-        needed = _up_to(_ROUND, _BEYOND * float(np.nanmax(self.levels.depth)))
+        known = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
+        readings = Protocol(self.levels.force[known], self.levels.depth[known], self.levels.hold[known])
+        needed = _up_to(_ROUND, _BEYOND * deepest(readings))
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
+        thick = self.skin_bone
+        further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
         return CurveBook(
-            self._working_mesh(), [*depths.tolist(), needed + _FURTHER], c=USUAL_C, f_kappa=F_KAPPA,
+            self._working_mesh(), [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
             progress=self.progress, needed=needed,
         )  # fmt: skip

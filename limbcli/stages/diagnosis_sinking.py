@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.effects.reading import Curves
+from limbcli.effects.reading import Curves, depth_at
 from limbcli.model import Array
 
 # Of the shift between a penalty and a quarter of it, what the harder one still leaves, and one deviation of
@@ -52,19 +52,7 @@ def sinking(harder: Curves, softer: Curves) -> Sinking | None:
     if len(rising) < 2:
         return None
     force = softer.force[rising]
-    further = softer.depth[rising] - _depth_at(harder, force)
+    further = softer.depth[rising] - depth_at(harder, force)
     if further[-1] <= 0:
         return None
     return Sinking(np.r_[0.0, force], np.r_[0.0, _LEFT * np.maximum(further, 0.0)])
-
-
-def _depth_at(curves: Curves, force: Array) -> Array:
-    """mm at which the curve reaches these forces: through ln depth over ln force."""
-    from limbcli.monotone import Monotone
-
-    rising = np.flatnonzero((np.diff(curves.force, prepend=0.0) > 0) & (curves.depth > 0))
-    x, y = np.log(curves.force[rising]), np.log(curves.depth[rising])
-    curve = Monotone.through(x, y)
-    at = np.log(force)
-    before = np.minimum(at - x[0], 0.0) * float(curve.slope(x[0]))
-    return np.asarray(np.exp(curve(np.clip(at, x[0], x[-1])) + before))

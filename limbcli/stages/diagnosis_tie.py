@@ -1,8 +1,9 @@
-"""From the diagnosis' coarse working mesh to the site's own: what its finished `run` gives beside it.
+"""From the diagnosis' coarse working mesh to the site's own.
 
-Both have the contact of that run, and force is compared as it was run (f_kappa 100, m 2). Wave speeds
-hang on stretches to the power of m, so they are compared for the tissue's likely m, each mesh with its own
-deformation at m 2.
+The law with the tissue's likely m is solved on the site's own mesh once. Where that is not to be done, or
+fails, the site's finished `run` takes its place: both meshes then have the contact of that run, and force is
+compared as it was run (f_kappa 100, m 2). Wave speeds hang on stretches to the power of m, so they are
+compared for the likely m all the same, each mesh with its own deformation at m 2.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.effects.reading import Curves
 from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import USUAL_PENALTY
-from limbcli.model import Array, IntArray
+from limbcli.model import Array, IntArray, LimbModel
 from limbcli.results import read_result
 from limbcli.solvers.tables import read_finished
 from limbcli.stages.diagnosis_curves import CurveBook
@@ -24,6 +26,9 @@ from limbcli.stages.fit_speeds import level_maps
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0
+# Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts): two to
+# three times are usual.
+_TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +75,31 @@ class OwnRun:
         model = with_tissue(read_feb(feb), c=book.c, f_kappa=book.f_kappa, m=m)
         maps = level_maps(model, simulation, rows, density_kg_per_m3=book.density, window=book.windows.window)
         return np.array([book.windows.log_means(each)[0] for each in maps])
+
+
+def own_curves(meshed: LimbModel, book: CurveBook, m: float, *, size_ratio: float) -> Curves:
+    """The law with this m on the site's own mesh, beside the working mesh's book; kept as the book's are.
+
+    size_ratio : edges of the own mesh over the working mesh's. A penalty is taken for a facet of its size, so
+    that the same penalty in proportion gives both the same contact.
+
+    Raises
+    ------
+    SolveError
+        If the solver gets not far enough, or takes many times the work of the working mesh.
+    """
+    depths = [each for each in book.depths if each <= book.needed + 1e-9]
+    own = CurveBook(
+        meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
+        windows=book.windows, keep=book.kept.folder, progress=book.progress, threads=book.threads,
+        tolerance=book.tolerance, beside=book,
+        penalty=size_ratio * book.model.contacts[0].penalty,
+    )  # fmt: skip
+    own.work.at_most = _TIMES_USUAL * max(book.work.mean, _LEAST_WORK)
+    try:
+        return own.curves(m)
+    finally:
+        own.close()
 
 
 def own_run(site: Site, out: Path, *, c: float) -> OwnRun:

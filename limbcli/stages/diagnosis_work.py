@@ -25,9 +25,11 @@ class Work:
     """The work of one solve after another: listens to the solver's progress, and stops what takes too long.
 
     usual : of every solve without effects; done : of the solve that is on, or was last
+    at_most : of a solve without effects
     """
 
     usual: list[int] = field(default_factory=list)
+    at_most: float = math.inf
     done: int = 0
     _allowed: float = math.inf
     _counted: tuple[int, int] = (0, 0)
@@ -36,8 +38,12 @@ class Work:
         """candidate : it has an effect in it; rubs : it has friction"""
         self.done = 0
         times = _TIMES_WITH_FRICTION if rubs else _TIMES_USUAL
-        usual = float(np.mean(self.usual)) if self.usual else 0.0
-        self._allowed = max(_LEAST_ALLOWED, times * usual) if candidate else math.inf
+        self._allowed = max(_LEAST_ALLOWED, times * self.mean) if candidate else self.at_most
+
+    @property
+    def mean(self) -> float:
+        """Of the solves without effects; 0 before the first."""
+        return float(np.mean(self.usual)) if self.usual else 0.0
 
     def end(self) -> None:
         self._allowed = math.inf

@@ -190,14 +190,19 @@ def _measure_site(
         change_for_waves=_change([contact, *(each.for_waves or each.in_model for each in options.hidden)]),
     )
     law = noise_law(site.noise).times(options.noise)
-    rng = np.random.default_rng([options.seed, 3, number])
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
+    return SiteMeasurement(site.name, true, read_off(true, law, options, number), law, facts)
+
+
+def read_off(true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int) -> Readings:
+    """One measurement of what is true at the case's site of this number, with the noise of `options.seed`."""
+    rng = np.random.default_rng([options.seed, 3, number])
     readings = measure(true, law, protocol=options.protocol, rng=rng)
     for each in options.hidden:
         if each.in_readings is not None:
             readings = each.in_readings(readings, true)
-    return SiteMeasurement(site.name, true, readings, law, facts)
+    return readings
 
 
 def _change(found: Sequence[Alter | None]) -> Alter | None:

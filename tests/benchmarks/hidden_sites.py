@@ -14,6 +14,7 @@ import argparse
 import json
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,14 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.effects import effect
 from limbcli.errors import LimbError
+from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.protocol import Protocol
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.hidden import hide
 from limbcli.stages.indent import KnownTissue
 from limbcli.stages.run import run
-from limbcli.stages.synth import SynthOptions, synth
+from limbcli.stages.synth import SiteMeasurement, SynthOptions, measure_sites, read_off
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
 anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2
@@ -35,53 +37,55 @@ nonlinearity=0.9 tilt=7 friction=0.3 thickness=0.1 force-gain=1.08 depth-gain=1.
 TISSUE = KnownTissue(8.0, 80.0, 6.0)
 
 
-def one(arm: str, seed: int, options: argparse.Namespace) -> dict:
-    """Simulate, diagnose, and compare with what was hidden."""
-    hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
-    work: Path = options.work
+def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list[SiteMeasurement]]:
+    """The truth with this hidden, once for all its measurements."""
     source = Case.open(options.truth or options.case)
-    made = work / "synth"
-    for each in (made, work / "synth.truth.toml"):
-        shutil.rmtree(each) if each.is_dir() else each.unlink(missing_ok=True)
-    begun = time.perf_counter()
-    protocol = Protocol(max_force=options.max_force_n)
-    synth(
-        source, out=work / "truth-out", out_case=made, sites=options.site,
-        options=SynthOptions(
-            tissue=TISSUE, seed=seed, hidden=hidden, protocol=protocol, margin=50.0,
-            size=options.size_mm, far_size=3 * options.size_mm, contact_penalty=options.contact_penalty,
-        ),
+    hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
+    how = SynthOptions(
+        tissue=TISSUE, hidden=hidden, protocol=Protocol(max_force=options.max_force_n), margin=50.0,
+        size=options.size_mm, far_size=3 * options.size_mm, contact_penalty=options.contact_penalty,
     )  # fmt: skip
-    simulated, processor = time.perf_counter(), time.process_time()
+    chosen = source.selected(options.site)
+    return how, measure_sites(source, chosen, out=options.work / "truth-out", options=how)
+
+
+def one(
+    arm: str, seed: int, how: SynthOptions, truth: list[SiteMeasurement], options: argparse.Namespace
+) -> dict:
+    """Measure, diagnose, and compare with what was hidden."""
+    work: Path = options.work
+    begun, processor = time.perf_counter(), time.process_time()
     trial = work / "case"
     shutil.rmtree(trial, ignore_errors=True)
     shutil.copytree(options.case, trial)
-    for site in options.site:
-        shutil.rmtree(trial / site, ignore_errors=True)
-        shutil.copytree(made / site, trial / site)
+    numbers = {each.name: k for k, each in enumerate(Case.open(options.truth or options.case).sites)}
+    for each in truth:
+        shutil.rmtree(trial / each.site, ignore_errors=True)
+        readings = read_off(each.true, each.law, replace(how, seed=seed), numbers[each.site])
+        write_readings(trial / each.site, readings)
     out = work / "out"
     if not out.is_dir():
         shutil.copytree(options.out, out, ignore=shutil.ignore_patterns("fit", "report", "diagnose"))
-    for prepared in (build_feb, run):
+    for prepared in () if options.skip_run else (build_feb, run):
         prepared(Case.open(trial), out=out, sites=options.site)
     found = diagnose(Case.open(trial), out=out, sites=options.site, options=DiagnoseOptions())[0].data
     kept = work / "kept" / f"{arm}-{seed}.json"
     kept.parent.mkdir(exist_ok=True)
     shutil.copyfile(out / "diagnose" / options.site[0] / "diagnosis.json", kept)
-    truth = sorted(each.name for each in hidden)
+    names = sorted(each.name for each in how.hidden)
     first, last = found["shrink"][0], found["shrink"][-1]
     ranked = sorted(found["candidates"], key=lambda c: c["p_adjusted"])
     return {
         "arm": arm,
         "seed": seed,
-        "truth": truth,
+        "truth": names,
         "verdict": found["verdict"],
         "set": [sorted(each) for each in found["confidence_set"]],
         "best": [(c["name"], round(c["p_adjusted"], 4)) for c in ranked[:4]],
         "chi2_per_nu": [first["chi2_per_nu"], last["chi2_per_nu"]],
         "error": [_error(each["values"]) for each in (first, last)],
         "not_evaluated": found["not_evaluated"],
-        "seconds": [round(simulated - begun, 1), round(time.perf_counter() - simulated, 1)],
+        "seconds": round(time.perf_counter() - begun, 1),
         "processor_seconds": round(time.process_time() - processor, 1),
         "values": [each["values"] for each in (first, last)],
         "intervals": [each["intervals_95"] for each in (first, last)],
@@ -105,24 +109,29 @@ def main() -> None:
     parser.add_argument("--size-mm", type=float, default=4.0)
     parser.add_argument("--contact-penalty", type=float, help="of the truth; 160 is near a real one")
     parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--repeats", type=int, default=1, help="measurements of every truth")
+    parser.add_argument("--skip-run", action="store_true", help="without `build-feb` and `run`")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     store = options.work / "sites.jsonl"
     rows = [json.loads(line) for line in store.read_text().splitlines()] if store.is_file() else []
     done = {(r["arm"], r["seed"]) for r in rows}
     for k, arm in enumerate(options.arms):
-        seed = options.seed + k
-        if (arm, seed) in done:
-            continue
+        seeds = [options.seed + k + 100 * n for n in range(options.repeats)]
         [effect(each.partition("=")[0]) for each in arm.split("+") if arm != "none"]
-        try:
-            row = one(arm, seed, options)
-        except LimbError as error:
-            row = {"arm": arm, "seed": seed, "failed": str(error)}
-        rows.append(row)
-        with store.open("a") as stream:
-            stream.write(json.dumps(row) + "\n")
-        print(json.dumps(row), flush=True)
+        made = None
+        for seed in seeds:
+            if (arm, seed) in done:
+                continue
+            try:
+                made = made or simulated(arm, options)
+                row = one(arm, seed, *made, options)
+            except LimbError as error:
+                row = {"arm": arm, "seed": seed, "failed": str(error)}
+            rows.append(row)
+            with store.open("a") as stream:
+                stream.write(json.dumps(row) + "\n")
+            print(json.dumps(row), flush=True)
     told = [r for r in rows if "verdict" in r]
     real = [r for r in told if r["truth"]]
     print(f"nothing missing: {[r['verdict'] for r in told if not r['truth']]}")

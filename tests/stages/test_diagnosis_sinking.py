@@ -38,7 +38,7 @@ def test_what_is_left_of_the_gap_is_taken_away(book, m):
 
 
 def test_a_known_gap_in_series_with_the_tissue():
-    """A probe that sinks in by F/s reaches the same force deeper by that; a quarter of the penalty, by 4 F/s."""
+    """A probe that sinks in by F/s reaches a force deeper by that; with a quarter of the penalty, by 4 F/s."""
     depth = np.linspace(0.0, 6.0, 25)
     force = 0.5 * depth**2
     share = 0.5  # of what a quarter of the penalty adds, 3 F/s: a third of it would be exact
