@@ -23,7 +23,7 @@ from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.reading import true_depth
 from limbcli.errors import CaseError, LimbError
-from limbcli.feb.settings import USUAL_PENALTY, least_level, schedule
+from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
@@ -39,7 +39,7 @@ from limbcli.stages.indentation_model import indentation_model, starting_depth, 
 from limbcli.stages.mesh import site_position
 from limbcli.units import mpa_from_kpa
 
-_SOFT = 0.02  # of ln force, what the written model's contact may take untold
+_SOFT = 0.02  # of the force, what the written model's contact may take untold
 _SAME_PLACE = 2.0  # mm
 
 
@@ -213,7 +213,7 @@ class _Diagnosed:
         content["sites"] = [each.site.name for each in all_]
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-             "matters": i.deviations > MATTERS, "log_force_change": i.log_force}
+             "matters": i.deviations > MATTERS, "log_force_change": i.log_force, "share_in_doubt": i.left}
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
@@ -256,13 +256,21 @@ class _Diagnosed:
                     f"{100 * point[each.onset]:.0f} % of the levels"
                 )
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
-        softer = [each.log_force for each in mine.interventions if each.name == "contact"]
-        lost = -float(np.min(softer)) if softer and penalty <= USUAL_PENALTY else 0.0
-        if lost > _SOFT:
+        known = mine.curves.sinking
+        if known is None:
+            return
+        # A penalty is taken for a facet of its size.
+        edge = float(
+            read_result(self.out, "mesh", site=mine.site.name).data.get("size_under_probe_mm", mine.size)
+        )
+        asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
+        at_reference = curves.force * mine.book.c / c
+        taken = known.taken(curves, at_reference, depths[-1], penalty=asked)
+        if taken > _SOFT:
             writer.warnings.append(
-                "diagnosed.feb has the contact penalty that the site's model was built with (build-feb "
-                "--contact-penalty); the diagnosis had a harder one, which gives up to "
-                f"{100 * (np.exp(lost) - 1):.0f} % more force"
+                f"diagnosed.feb has the contact penalty that the site's model was built with, {penalty:g}: its "
+                f"probe sinks in, which takes about {100 * taken:.0f} % of the force at {depths[-1]:.1f} mm from "
+                "what the diagnosis says (build-feb --contact-penalty)"
             )
 
 

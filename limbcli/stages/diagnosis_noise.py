@@ -21,6 +21,8 @@ from limbcli.stages.diagnosis_rows import Row
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
 PART_ERROR = 0.025  # of a part's mean speed, at every level: the model's resolution (assumed)
+FEWEST_SMOOTH = 4
+_STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
 _WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
 
 
@@ -99,53 +101,72 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
     the slope of a steep curve comes out too low.
     """
     out = np.zeros(len(rows))
-    depth_rate = _rate_over_force(protocol)
+    smooth = SmoothDepth.through(protocol)
     groups: dict[tuple[str, int], list[int]] = {}
     for k, row in enumerate(rows):
         groups.setdefault((row.channel, row.part), []).append(k)
     for (channel, _), members in groups.items():
         if channel not in _WITH_DEPTH:
             continue
-        levels = [rows[k].level for k in members]
-        place = _place(protocol)[levels]
+        force = protocol.force[[rows[k].level for k in members]]
+        place = smooth.place(force)
         if channel == "travel":
             out[members] = 1.0
         elif channel == "force":
-            per_place = protocol.force[levels] + _force_unit(protocol)
-            out[members] = per_place / depth_rate[levels]
+            out[members] = (np.maximum(force, 0.0) + smooth.unit) / smooth.rate
         elif channel != "skin-bone" and len(members) >= 3 and np.ptp(place) > 0:
             curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(members) > 4 else 1)
-            out[members] = curve.deriv()(place) / depth_rate[levels]
+            out[members] = curve.deriv()(place) / smooth.rate
     return out
 
 
 def deepest(protocol: Protocol) -> float:
-    """mm that the probe went in, of a smooth curve through the readings."""
-    along = _depth_over_place(protocol)
-    if along is None:
-        return float(np.max(protocol.depth, initial=0.0))
-    return min(float(np.max(along(_place(protocol)))), float(np.max(protocol.depth)))
+    """mm that the probe went in, of a smooth curve through the readings, but no deeper than they are."""
+    smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
+    if len(protocol) < FEWEST_SMOOTH:
+        return read
+    return min(float(np.max(smooth.at(protocol.force))), read)
 
 
-def _force_unit(protocol: Protocol) -> float:
-    """N: a tenth of the largest force."""
-    return max(0.1 * float(np.max(protocol.force, initial=0.0)), 1e-3)
+@dataclass(frozen=True)
+class SmoothDepth:
+    """depth = start + rate ln(1 + F/unit), as a force has it that first grows evenly and then exponentially;
+    mm, mm, N."""
+
+    start: float
+    rate: float
+    unit: float
+
+    @staticmethod
+    def through(protocol: Protocol) -> SmoothDepth:
+        """By least squares over the depths, the noisier reading.
+
+        >>> force = np.linspace(0.0, 20.0, 11)
+        >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
+        >>> round(found.rate, 2), round(found.unit, 2)
+        (3.0, 2.0)
+        """
+        largest = max(float(np.max(protocol.force, initial=0.0)), 1e-3)
+        if len(protocol) < FEWEST_SMOOTH or np.ptp(protocol.force) <= 0:
+            rate = max(float(np.ptp(protocol.depth)), 1e-9) / np.log1p(1.0 / _STRAIGHT)
+            return SmoothDepth(0.0, rate, _STRAIGHT * largest)
+        best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
+        for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
+            x = _place(protocol.force, unit)
+            rate, start = np.polyfit(x, protocol.depth, 1)
+            left = float(np.sum((protocol.depth - start - rate * x) ** 2))
+            if rate > 0 and left < best:
+                best, found = left, SmoothDepth(float(start), float(rate), float(unit))
+        return found
+
+    def at(self, force: Array) -> Array:
+        """mm at these forces."""
+        return self.start + self.rate * self.place(force)
+
+    def place(self, force: Array) -> Array:
+        """Where forces are along the curve: ln(1 + F/unit)."""
+        return _place(force, self.unit)
 
 
-def _place(protocol: Protocol) -> Array:
-    """Where each level (n_levels,) is along the curve: ln(1 + F/F1), in which depth is nearly a parabola."""
-    return np.log1p(np.maximum(protocol.force, 0.0) / _force_unit(protocol))
-
-
-def _depth_over_place(protocol: Protocol) -> np.polynomial.Polynomial | None:
-    """A parabola through the readings; None of fewer than four."""
-    if len(protocol) < 4 or np.ptp(protocol.force) <= 0:
-        return None
-    return np.polynomial.Polynomial.fit(_place(protocol), protocol.depth, 2)
-
-
-def _rate_over_force(protocol: Protocol) -> Array:
-    """d depth / d place (n_levels,) of that parabola; never below a tenth of the mean."""
-    x, along = _place(protocol), _depth_over_place(protocol)
-    mean = max(float(np.ptp(protocol.depth)) / max(float(np.ptp(x)), 1e-9), 1e-9)
-    return np.full(len(x), mean) if along is None else np.maximum(along.deriv()(x), 0.1 * mean)
+def _place(force: Array, unit: float) -> Array:
+    return np.log1p(np.maximum(force, 0.0) / unit)

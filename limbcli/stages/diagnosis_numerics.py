@@ -9,33 +9,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.reading import Curves, depth_at, log_force_at
-from limbcli.effects.tissue import core, thickness, with_core
+from limbcli.effects.reading import Curves, Protocol, depth_at, log_force_at
+from limbcli.effects.tissue import core, with_core
 from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
-from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis_noise import ModelError
+from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, ModelError, SmoothDepth
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
-from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_curves, own_run, speed_ratio
+from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
+from limbcli.stages.diagnosis_tying import Tells, Tying, at_depths
 
 _DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
 MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
 USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
-# Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
-# h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
-_SAFETY = 1.5
-_LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
@@ -44,7 +40,6 @@ _USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 # Of a part's ln speed, a unit of strain (depth over thickness): by what meshes of 2.8, 3.5 and 5 mm edges
 # differ in single parts (of one limb, at a strain of 0.34: rms 0.05, and 0.2 in the worst, beside bone).
 _PART_ERROR = 0.15
-_OTHER_M = 2.0  # times the speeds' difference between meshes deformed as at m 2: what it leaves at another m
 _PART_ALIKE = 0.8
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # times the reference c
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
@@ -70,21 +65,18 @@ INCOMPRESSIBILITY = Effect(
 
 @dataclass(frozen=True, eq=False)
 class Intervention:
-    """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations."""
+    """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations.
+
+    left : the share of the change that is still in doubt
+    """
 
     name: str
     log_force: Array
     log_speed: Array
     deviations: float
     note: str = ""
+    left: float = 1.0
     facts: dict[str, Any] = field(default_factory=dict)
-
-
-class Tells(Protocol):
-    """Where findings and warnings are noted."""
-
-    data: dict[str, Any]
-    warnings: list[str]
 
 
 class Numerics:
@@ -96,85 +88,18 @@ class Numerics:
     ):  # fmt: skip
         self.case, self.site, self.levels, self.book = case, site, levels, book
         self.out, self.size, self.notes, self.progress = out, size, notes, progress
+        self.depth = smooth_depth(levels)
         self.sinking: Sinking | None = None  # of the contact that the curves have; known after interventions
 
-    # ------------------------------------------------------------ the tie to the site's own mesh
-
     def tie(self, *, solves: bool = True) -> Tie:
-        """To the site's own mesh: solved there once for the tissue's likely m (`solves`), else to its
-        finished `run` (f_kappa 100, m 2); without either, a usual error."""
-        if solves:
-            solved = self._solved_tie()
-            if solved is not None:
-                return solved
-        working = self.book.curves(START_M)
-        try:
-            own = self._own_run()
-            if own.element == "tet10":
-                return self._tied(working, own)
-        except LimbError as error:
-            self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
-        else:
-            self.notes.warnings.append(
-                f"the site's own run has {own.element} elements and is not used to tie the working mesh to it"
-            )
-        usual = np.full(len(self.levels), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
-        none = np.zeros_like(working.log_speed)
-        return Tie(np.zeros(len(working.depth)), none, 1.0, usual, self._at_levels(working, none))
-
-    def _solved_tie(self) -> Tie | None:
-        """By the law with the likely m on the site's own mesh; None where it is not to be had."""
-        try:
-            meshed = read_result(self.out, "mesh", site=self.site.name)
-            if meshed.data.get("element") != "tet10":
-                return None
-            model = load_model(meshed.folder / "model.npz")
-        except LimbError:
-            return None
-        m, h = self._likely_m(), float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-        self.progress.event("note", text=f"m {m:g} on the site's own mesh")
-        try:
-            working = self.book.curves(m)
-            own = own_curves(model, self.book, m, size_ratio=h / self.size)
-        except SolveError as error:
-            self.progress.event("note", text=f"it stopped: {error.what}; the site's own run is used")
-            return None
-        depth, n = working.depth, len(own.depth)
-        ratio = np.log(own.force[1:] / working.force[1:n])
-        log_force = np.interp(depth, own.depth[1:], ratio)
-        log_force[0] = 0.0
-        apart = np.nan_to_num(own.log_speed - working.log_speed[:n])
-        speeds = np.array([np.interp(depth, own.depth, column) for column in apart.T]).T
-        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
-        left = self._left(h)
-        off = np.abs(np.interp(self.levels.depth, own.depth[1:], ratio))
-        tall = _ratio(own.thickness, working.thickness)
-        in_speeds = left * np.abs(self._at_levels(working, speeds))
-        return Tie(log_force, speeds, tall, np.maximum(left * off, _LEAST_ERROR), in_speeds)
-
-    def _left(self, h: float) -> float:
-        """Of what the own mesh, edges h mm, differs from the working mesh: the share it still errs by."""
-        return _SAFETY * h**2 / max(self.size**2 - h**2, h**2)
-
-    def _tied(self, working: Curves, own: OwnRun) -> Tie:
-        same = self.book.curves(START_M, self.book.with_contact(own.penalty))
-        ratio = np.log(np.maximum(own.force, 1e-9)) - log_force_at(same, own.depth)
-        at = np.maximum(working.depth, own.depth[0])
-        log_force = np.interp(at, own.depth, ratio)
-        log_force[0] = 0.0
-        meshed = read_result(self.out, "mesh", site=self.site.name)
-        left = self._left(float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE)))
-        error = np.maximum(left * np.abs(np.interp(self.levels.depth, own.depth, ratio)), _LEAST_ERROR)
-        tall = _ratio(thickness(load_model(meshed.folder / "model.npz")), working.thickness)
-        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
-        speeds = speed_ratio(own, self.book, self._likely_m())
-        # Deformations at the tissue's own m are more uneven than those at m 2.
-        left_in_speeds = _OTHER_M * np.abs(self._at_levels(working, speeds))
-        return Tie(log_force, speeds, tall, error, left_in_speeds)
+        """To the site's own mesh; `solves`: by a simulation on it."""
+        return Tying(
+            self.site, self.depth, self.book, out=self.out, size=self.size, m=self._likely_m(),
+            notes=self.notes, progress=self.progress,
+        ).tie(solves=solves)  # fmt: skip
 
     def _at_levels(self, curves: Curves, table: Array) -> Array:
-        """A table over the curves' depths, at the levels."""
-        return np.array([np.interp(self.levels.depth, curves.depth, column) for column in table.T]).T
+        return at_depths(self.depth, curves, table)
 
     def _own_run(self) -> OwnRun:
         return own_run(self.site, self.out, c=self.book.c)
@@ -212,9 +137,14 @@ class Numerics:
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
         plain_curves = self.book.curves(m)
         changed = self.book.curves(m, ((numerical, numerical.start),))
+        judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.sinking = sinking(plain_curves, changed)
-        return self._judged(numerical.name, plain_curves, changed, numerical.sentence)
+        # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
+        # What a quarter of the penalty takes from the force is one and a half times to three times what the
+        # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
+        share = {"crop": 0.5, "contact": 1.0 if self.sinking is None else LEFT_ERROR}
+        return replace(judged, left=share.get(numerical.name, 1.0))
 
     def _locking(self) -> list[Intervention]:
         """Where the site's own run is of linear elements: what it gives against the working tet10."""
@@ -242,7 +172,7 @@ class Numerics:
         change = np.zeros(len(before.depth))
         change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
         change[0] = change[1]
-        at_levels = np.interp(self.levels.depth, before.depth, change)
+        at_levels = np.interp(self.depth, before.depth, change)
         speed = np.nan_to_num(after.log_speed - before.log_speed)
         speeds = self._at_levels(before, speed)
         noise = self.site.noise
@@ -255,15 +185,9 @@ class Numerics:
 
     def noise(self, tie: Tie, interventions: list[Intervention]) -> list[ModelError]:
         """What of all this the data have to allow for."""
-        # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
-        # What a quarter of the penalty takes from the force is one and a half times to three times what the
-        # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
-        contact = 1.0 if self.sinking is None else LEFT_ERROR
-        share = {"crop": 0.5, "contact": contact, INCOMPRESSIBILITY.name: 1.0}
         errors = [
-            ModelError(f"model: {each.name}", share[each.name] * each.log_force,
-                       share[each.name] * each.log_speed)
-            for each in interventions if each.name in share
+            ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
+            for each in interventions if each.name != "locking"
         ]  # fmt: skip
         errors += self._geometry()
         no_force, no_speed = np.zeros(len(self.levels)), np.zeros_like(tie.speed_error)
@@ -289,7 +213,7 @@ class Numerics:
 
     def _thickness(self) -> float:
         """mm of tissue under the probe, as far as it is known."""
-        thick = self.book.curves(START_M).thickness
+        thick = self.book.curves(self._likely_m()).thickness
         return thick if np.isfinite(thick) and thick > 0 else _USUAL_THICKNESS
 
     def _geometry(self) -> list[ModelError]:
@@ -314,20 +238,13 @@ def _only(table: Array, column: int) -> Array:
     return np.where(np.arange(table.shape[1]) == column, table, 0.0)
 
 
-def _ratio(theirs: float, ours: float) -> float:
-    """Of two thicknesses; 1 where either is not known."""
-    return theirs / ours if np.isfinite(theirs) and np.isfinite(ours) and ours > 0 else 1.0
-
-
 def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
-    """A warning where numerical doubt is a large part of the force: over thin tissue, mostly.
-
-    There nothing missing was told to be something in two of three simulated measurements.
-    """
+    """A warning where numerical doubt is a large part of the force: over thin tissue, mostly."""
     worst = {
-        each.name: float(np.max(np.abs(each.log_force)))
-        for each in interventions if each.name != "locking" and np.max(np.abs(each.log_force)) > _DOUBTFUL
-    }  # fmt: skip
+        each.name: each.left * float(np.max(np.abs(each.log_force)))
+        for each in interventions
+        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > _DOUBTFUL
+    }
     if not worst:
         return None
     parts = ", ".join(f"{name} {100 * np.expm1(change):.0f} %" for name, change in worst.items())
@@ -345,6 +262,16 @@ def read_spacing(out: Path) -> list[float] | None:
         return None
     found = image.get("spacing_mm") if isinstance(image, dict) else None
     return [float(each) for each in found] if found else None
+
+
+def smooth_depth(levels: Levels) -> Array:
+    """mm (n_levels,) of a smooth curve through the readings, where there are enough of them."""
+    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
+    readings = Protocol(levels.force[known], levels.depth[known], levels.hold[known])
+    found = levels.depth.copy()
+    if known.sum() >= FEWEST_SMOOTH:
+        found[known] = np.maximum(SmoothDepth.through(readings).at(readings.force), 0.0)
+    return found
 
 
 def measured_slope(levels: Levels) -> Array:

@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.effects.reading import Curves, depth_at
+from limbcli.effects.reading import Curves, depth_at, log_force_at
 from limbcli.model import Array
 
 # Of the shift between a penalty and a quarter of it, what the harder one still leaves, and one deviation of
 # that share: a third where the gap goes with 1/eps; four times the penalty was seen to take 0.33 to 0.43
 # of what the step before took, which comes to 0.5 to 0.7 if it goes on so.
 _LEFT, LEFT_ERROR = 0.5, 0.15
+_POWER = 0.8  # of 1/eps, with which the gap goes: a quarter of the penalty triples it
 _LEAST_STEP = 0.05  # of a step between two depths, after the shift
 
 
@@ -41,6 +42,15 @@ class Sinking:
         shifted = curves.depth - self.at(force)
         steps = np.maximum(np.diff(shifted), _LEAST_STEP * np.diff(curves.depth))
         return replace(curves, depth=np.concatenate([curves.depth[:1], curves.depth[0] + np.cumsum(steps)]))
+
+    def taken(self, curves: Curves, force: Array, depth: float, *, penalty: float) -> float:
+        """The share of the force that a contact takes from these curves of a hard one, at a depth in mm.
+
+        force (n,) : at the reference stiffness; penalty : in units of the one whose gap is known
+        """
+        softer = replace(curves, depth=curves.depth + self.at(force) * penalty**-_POWER)
+        at = np.array([depth])
+        return float(1.0 - np.exp(log_force_at(softer, at) - log_force_at(curves, at))[0])
 
 
 def sinking(harder: Curves, softer: Curves) -> Sinking | None:

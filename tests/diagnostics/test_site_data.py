@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from limbcli.case import Noise
-from limbcli.effects.reading import Curves, Reading
+from limbcli.effects.reading import Curves, Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_noise import ModelError, depth_slopes
+from limbcli.stages.diagnosis_noise import ModelError, deepest, depth_slopes
 from limbcli.stages.diagnosis_windows import Windows
 
 N = 6
@@ -139,3 +139,67 @@ def test_prediction_is_laid_out_like_the_data():
             assert np.exp(value) == pytest.approx(row.part + 2)
         elif row.channel == "skin-bone":
             assert value == 28.0
+
+
+STEEP = np.linspace(0.0, 6.0, 31)
+
+
+def steep() -> Curves:
+    """A force that doubles every 0.6 mm at the end, as over thin tissue, and speeds that rise with it."""
+    speeds = np.column_stack([0.7 + 0.1 * STEEP + 0.02 * STEEP**2] * 10)
+    return Curves(STEEP, 0.3 * np.expm1(1.1 * STEEP), speeds, np.zeros(10))
+
+
+def measured_on_steep(depth_error) -> Levels:
+    force = np.linspace(0.0, 26.0, 14)
+    depth = np.log1p(force / 0.3) / 1.1
+    nan, speed = np.full(14, np.nan), np.exp(0.7 + 0.1 * depth + 0.02 * depth**2)
+    return Levels(
+        force, depth + depth_error, speed, nan, np.full(14, 100.0), ("load",) * 14, nan, nan, nan, Path("x")
+    )
+
+
+@pytest.mark.parametrize("size", [0.3, -0.3, 0.9])
+def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(size):
+    """By the slopes that its noise has: over a curve that bends that much, not those of the curve there."""
+    error = size * np.cos(2.0 * np.arange(14)) * (np.arange(14) > 0)
+    site = site_data("p1", measured_on_steep(error), Noise(), windows=Windows())
+    left = site.data.y - site.predict(steep(), Reading())
+    levels = np.array([row.level for row in site.rows])
+    assert left == pytest.approx(-site.slope * error[levels], rel=0.02, abs=0.02)
+
+
+@pytest.mark.parametrize("reading", [Reading(force_zero=1.0), Reading(preload=1.5), Reading(depth_gain=1.1)])
+def test_a_faithful_record_of_a_distorted_reading_leaves_nothing(reading):
+    true = measured_on_steep(0.0)
+    depth = true.depth / reading.depth_gain
+    if reading.preload:  # force and depth are told from where it rests
+        depth = depth - np.log1p(reading.preload / 0.3) / 1.1
+    force = true.force + reading.force_zero - reading.preload
+    keep = depth > 0.3
+    record = levels(
+        force=force[keep][:N], depth=depth[keep][:N], swe_mean_m_per_s=true.swe_mean_m_per_s[keep][:N],
+        swe_pixels=np.full(N, 100.0),
+    )  # fmt: skip
+    site = site_data("p1", record, Noise(), windows=Windows())
+    assert site.predict(steep(), reading) == pytest.approx(site.data.y, rel=0.01)
+
+
+def test_slopes_of_a_steep_curve_are_not_flattened_by_errors_of_depth():
+    rng, found = np.random.default_rng(3), []
+    for _ in range(40):
+        error = 0.3 * rng.standard_normal(14) * (np.arange(14) > 0)
+        site = site_data("p1", measured_on_steep(error), Noise(), windows=Windows())
+        found.append(site.slope[: len(site.protocol) - 1])
+    true = 1.1 * (np.linspace(0.0, 26.0, 14)[1:] + 0.3)
+    assert np.median(found, axis=0)[3:] == pytest.approx(true[3:], rel=0.25)
+
+
+def test_deepest_is_of_a_smooth_curve_through_the_readings():
+    error = np.zeros(14)
+    error[-2] = 0.9
+    noisy = measured_on_steep(error)
+    found = deepest(Protocol(noisy.force, noisy.depth, noisy.hold))
+    assert found == pytest.approx(measured_on_steep(0.0).depth[-1], abs=0.4)
+    two = Protocol(noisy.force[-2:], noisy.depth[-2:], noisy.hold[-2:])
+    assert deepest(two) == noisy.depth[-2:].max()

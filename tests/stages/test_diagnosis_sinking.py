@@ -38,7 +38,7 @@ def test_what_is_left_of_the_gap_is_taken_away(book, m):
 
 
 def test_a_known_gap_in_series_with_the_tissue():
-    """A probe that sinks in by F/s reaches a force deeper by that; with a quarter of the penalty, by 4 F/s."""
+    """A probe that sinks in by F/s is deeper by that at a force; with a quarter of the penalty, by 4 F/s."""
     depth = np.linspace(0.0, 6.0, 25)
     force = 0.5 * depth**2
     share = 0.5  # of what a quarter of the penalty adds, 3 F/s: a third of it would be exact
@@ -60,3 +60,15 @@ def test_depths_stay_in_order_however_steep_the_force():
     curves = Curves(np.arange(4.0), np.array([0.0, 1.0, 50.0, 5000.0]), np.zeros((4, 0)), np.zeros(0))
     shifted = Sinking(np.array([0.0, 1.0]), np.array([0.0, 0.1])).without(curves, curves.force)
     assert np.all(np.diff(shifted.depth) > 0)
+
+
+def test_what_a_softer_contact_takes_is_what_it_was_seen_to_take(book):
+    """The same pair of simulations, forward: from the hard contact's curve to the softer one's."""
+    usual, softer = book.curves(5.0), book.curves(5.0, SOFTER)
+    found = sinking(usual, softer)
+    assert found is not None
+    hard = found.without(usual, usual.force)
+    for penalty, theirs in ((1.0, usual), (0.25, softer)):
+        at = np.array([3.0])
+        seen = 1.0 - np.exp(log_force_at(theirs, at) - log_force_at(hard, at))[0]
+        assert found.taken(hard, hard.force, 3.0, penalty=penalty) == pytest.approx(seen, rel=0.15)

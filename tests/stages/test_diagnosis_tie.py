@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_tie import own_run, speed_ratio
+from limbcli.stages.diagnosis_tie import own_curves, own_run, speed_ratio
 from limbcli.stages.run import run
 from tests.stages import block_case as block
 
@@ -93,3 +93,33 @@ def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
     with pytest.raises(CaseError, match="other start values"):
         own_run(other.sites[0], out, c=C)
     assert case.sites[0].name == other.sites[0].name
+
+
+def test_the_same_mesh_solved_again_is_the_same(tmp_path):
+    book = _book(tmp_path)
+    again = own_curves(block.block_model("tet4"), book, 5.0, size_ratio=1.0)
+    working = book.curves(5.0)
+    book.close()
+    assert again.force == pytest.approx(working.force, rel=1e-9)
+
+
+def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_path):
+    """The working mesh of twice the edges: with the same penalty its probe would sink in twice as far."""
+    book = _book(tmp_path, counts=(6, 4, 2))
+    fine = block.block_model("tet4", counts=(12, 8, 4))
+    asked = book.model.contacts[0].penalty
+    models = []
+    for ratio in (0.5, 1.0):
+        own = own_curves(fine, book, 2.0, size_ratio=ratio)
+        models.append(own.force[-1] / book.curves(2.0).force[-1])
+    book.close()
+    assert asked == 80.0
+    assert models[1] > 1.02 * models[0]
+
+
+def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
+    monkeypatch.setattr("limbcli.stages.diagnosis_tie._LEAST_WORK", 1.0)
+    book = _book(tmp_path)
+    with pytest.raises(SolveError, match="several times the work"):
+        own_curves(block.block_model("tet4"), book, 5.0, size_ratio=1.0)
+    book.close()
