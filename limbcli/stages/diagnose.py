@@ -260,17 +260,16 @@ class _Diagnosed:
         if known is None:
             return
         # A penalty is taken for a facet of its size.
-        edge = float(
-            read_result(self.out, "mesh", site=mine.site.name).data.get("size_under_probe_mm", mine.size)
-        )
+        meshed_as = read_result(self.out, "mesh", site=mine.site.name).data
+        edge = float(meshed_as.get("size_under_probe_mm", mine.size))
         asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
-        at_reference = curves.force * mine.book.c / c
-        taken = known.taken(curves, at_reference, depths[-1], penalty=asked)
+        at_reference, deep = curves.force * mine.book.c / c, depths[-1]
+        taken = known.taken(curves, at_reference, deep, penalty=asked)
         if taken > _SOFT:
             writer.warnings.append(
-                f"diagnosed.feb has the contact penalty that the site's model was built with, {penalty:g}: its "
-                f"probe sinks in, which takes about {100 * taken:.0f} % of the force at {depths[-1]:.1f} mm from "
-                "what the diagnosis says (build-feb --contact-penalty)"
+                f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: its probe sinks in, "
+                f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
+                "says (build-feb --contact-penalty)"
             )
 
 
