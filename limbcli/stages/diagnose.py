@@ -267,9 +267,9 @@ class _Diagnosed:
         taken = known.taken(curves, at_reference, deep, penalty=asked)
         if taken > _SOFT:
             writer.warnings.append(
-                f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: its probe sinks in, "
-                f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
-                "says (build-feb --contact-penalty)"
+                f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks "
+                f"in, which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the "
+                "diagnosis says (build-feb --contact-penalty)"
             )
 
 
