@@ -169,20 +169,22 @@ def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(
     assert left == pytest.approx(-site.slope * error[levels], rel=0.02, abs=0.02)
 
 
-@pytest.mark.parametrize("reading", [Reading(force_zero=1.0), Reading(preload=1.5), Reading(depth_gain=1.1)])
-def test_a_faithful_record_of_a_distorted_reading_leaves_nothing(reading):
+@pytest.mark.parametrize("reading", [Reading(force_zero=3.0), Reading(preload=1.5), Reading(depth_gain=1.1)])
+def test_so_it_does_where_the_reading_is_distorted(reading):
     true = measured_on_steep(0.0)
     depth = true.depth / reading.depth_gain
     if reading.preload:  # force and depth are told from where it rests
         depth = depth - np.log1p(reading.preload / 0.3) / 1.1
-    force = true.force + reading.force_zero - reading.preload
     keep = depth > 0.3
+    error = (0.3 * np.cos(2.0 * np.arange(14)))[keep][-N:]
     record = levels(
-        force=force[keep][:N], depth=depth[keep][:N], swe_mean_m_per_s=true.swe_mean_m_per_s[keep][:N],
-        swe_pixels=np.full(N, 100.0),
+        force=(true.force + reading.force_zero - reading.preload)[keep][-N:], depth=depth[keep][-N:] + error,
+        swe_mean_m_per_s=true.swe_mean_m_per_s[keep][-N:], swe_pixels=np.full(N, 100.0),
     )  # fmt: skip
     site = site_data("p1", record, Noise(), windows=Windows())
-    assert site.predict(steep(), reading) == pytest.approx(site.data.y, rel=0.01)
+    left = site.data.y - site.predict(steep(), reading)
+    at = np.array([row.level for row in site.rows])
+    assert left == pytest.approx(-site.slope * error[at], rel=0.02, abs=0.03)
 
 
 def test_slopes_of_a_steep_curve_are_not_flattened_by_errors_of_depth():
