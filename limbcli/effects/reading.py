@@ -36,6 +36,16 @@ class Curves:
     def force_curve(self) -> Monotone:
         return Monotone.through(self.depth, self.force)
 
+    @cached_property
+    def depth_curve(self) -> Monotone:
+        """ln depth over ln force, at depths > 0 whose force is larger than all before."""
+        rising = np.flatnonzero(np.diff(np.maximum.accumulate(self.force), prepend=0.0) > 0)
+        x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))
+        if len(rising) < 2:  # too few to tell: force as depth to the power of 1.5, through what there is
+            x0, y0 = (x[0], y[0]) if len(rising) else (0.0, 0.0)
+            x, y = np.array([x0, x0 + 1.5]), np.array([y0, y0 + 1.0])
+        return Monotone.through(x, y)
+
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
@@ -104,7 +114,7 @@ def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Re
     """
     depth = true_depth(curves, protocol.depth, reading)
     elastic = force_at(curves, depth)
-    force = elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
+    force = relaxed(elastic, protocol, reading)
     if reading.preload:
         force = force - reading.preload
     speed = _speeds(curves, depth, reading)
@@ -117,6 +127,11 @@ def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Re
     for change in reading.after:
         shown = change(shown, curves, protocol)
     return shown
+
+
+def relaxed(elastic: Array, protocol: Protocol, reading: Reading) -> Array:
+    """N borne at the end of each hold (n_levels,), by what the tissue bears when all has relaxed."""
+    return elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
 
 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
@@ -149,12 +164,8 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
 
 def depth_at(curves: Curves, force: Array) -> Array:
     """mm at forces > 0: a curve through ln depth over ln force, a power of force below and beyond."""
-    rising = np.flatnonzero(np.diff(np.maximum.accumulate(curves.force), prepend=0.0) > 0)
-    x, y = np.log(curves.force[rising]), np.log(np.maximum(curves.depth[rising], 1e-9))
-    at = np.log(np.maximum(force, 1e-9))
-    if len(x) < 2:
-        return np.exp(y[0] + (at - x[0]) / 1.5) if len(x) else np.zeros_like(at)
-    curve = Monotone.through(x, y)
+    curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
+    x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
     inside = curve(np.clip(at, x[0], x[-1]))
     return np.exp(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))

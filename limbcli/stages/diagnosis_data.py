@@ -11,7 +11,17 @@ import numpy as np
 from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.bench import Data
 from limbcli.diagnostics.noise import Noise
-from limbcli.effects.reading import Curves, Protocol, Reading, Readout, depth_at, force_at, read, true_depth
+from limbcli.effects.reading import (
+    Curves,
+    Protocol,
+    Reading,
+    Readout,
+    depth_at,
+    force_at,
+    read,
+    relaxed,
+    true_depth,
+)
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
@@ -73,37 +83,42 @@ class SiteData:
             return none
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
-        offset = reading.force_zero - reading.force_gain * reading.preload
-        shown = (
-            read(replace(curves, log_speed=curves.log_speed[:, :0]), self.protocol, reading).force - offset
-        )
-        wanted = self.protocol.force - offset
-        known = (depth > 0) & (elastic > _LEAST_N) & (shown > _LEAST_N) & (wanted > _LEAST_N)
+        borne = relaxed(elastic, self.protocol, reading)
+        wanted = (self.protocol.force - reading.force_zero) / reading.force_gain + reading.preload
+        known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
         if not known.any():
             return none
-        there = depth_at(curves, elastic[known] * wanted[known] / shown[known])
+        there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
         most = _MOST_DEVIATIONS * self.depth_error
         none[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
         return none
 
     def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
+        seen: dict[str, Array] = {
+            "force": shown.force, "travel": shown.travel,
+            "skin-bone": np.array([shown.thickness]),
+        }  # fmt: skip
+        if self.held is not None:
+            seen["hold"] = self.held.predict(curves, reading)
+        seen |= {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
         out = np.empty(len(self.rows))
-        falls = None if self.held is None else self.held.predict(curves, reading)
-        more = {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
-        for k, row in enumerate(self.rows):
-            if row.channel == "force":
-                out[k] = shown.force[row.level]
-            elif row.channel in ("swe", "map"):
-                out[k] = shown.log_speed[row.level, row.part]
-            elif row.channel == "travel":
-                out[k] = shown.travel[row.level]
-            elif row.channel == "hold" and falls is not None:
-                out[k] = falls[row.level]
-            elif row.channel in more:
-                out[k] = more[row.channel][row.level]
+        for channel, (places, levels, parts) in self._places.items():
+            if channel in ("swe", "map"):
+                out[places] = shown.log_speed[levels, parts]
             else:
-                out[k] = shown.thickness
+                out[places] = seen[channel][levels]
         return out
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[IntArray, IntArray, IntArray]]:
+        """Of every channel, where its data are among all, their levels and parts."""
+        found = {}
+        for channel in dict.fromkeys(row.channel for row in self.rows):
+            places = [n for n, row in enumerate(self.rows) if row.channel == channel]
+            at = [(n, self.rows[n].level, self.rows[n].part) for n in places]
+            k, level, part = np.array(at, dtype=np.int64).T
+            found[channel] = (k, level, part)
+        return found
 
 
 def site_data(
