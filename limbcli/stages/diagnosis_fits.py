@@ -54,6 +54,7 @@ class Fits:
         self.whiten = Whitener.of(self._data.noise.covariance)
         self.turned: Callable[[], SiteCurves] | None = None
         self.base_end: tuple[float, float] | None = None  # c (MPa), m of the fit without effects
+        self._ends: dict[tuple[Explanation, str], Array] = {}  # where fits ended: ln c, ln m, parameters
 
     @property
     def data(self) -> Data:
@@ -148,11 +149,15 @@ class Fits:
         for each in self.sites:
             each.inherit_parts(explanation, points)
         best = None
-        for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts()):
-            x0 = np.clip(np.array([np.log(c), np.log(m), *guess]), low + 1e-6, high - 1e-6)
+        starts = [
+            np.array([np.log(c), np.log(m), *guess])
+            for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts())
+        ]
+        for x0 in starts + self._ends_of_parts(explanation, points):
             found = least_squares(
                 lambda x: self.whiten(self.data.y - self.predict(x, explanation, points)),
-                x0, bounds=(low, high), x_scale=scale, diff_step=1e-4, max_nfev=60 if thorough else 12,
+                np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=scale, diff_step=1e-4,
+                max_nfev=60 if thorough else 12,
             )  # fmt: skip
             if best is None or found.cost < best.cost:
                 best = found
@@ -161,7 +166,31 @@ class Fits:
         assert best is not None
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
+        if thorough and not held:
+            self._ends[explanation, label(points)] = best.x
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def _ends_of_parts(self, explanation: Explanation, points: Sequence[Theta]) -> list[Array]:
+        """Where this explanation's last fit ended, and those with one effect less, whose fit it cannot be
+        worse than; the effect that they lack begins a tenth of the way to its start."""
+        own = self._ends.get((explanation, label(points)))
+        found = [] if own is None else [own]
+        if len(explanation) < 2:
+            return found
+        for k, name in enumerate(explanation):
+            others = [n for n in range(len(explanation)) if n != k]
+            end = self._ends.get((tuple(explanation[n] for n in others), label([points[n] for n in others])))
+            if end is None:
+                continue
+            known = dict(
+                zip([s.name for s in self.slots(tuple(explanation[n] for n in others))], end[2:], strict=True)
+            )
+            rest = [
+                known.get(s.name, 0.9 * s.parameter.null + 0.1 * s.parameter.start)
+                for s in self.slots(explanation)
+            ]
+            found.append(np.array([*end[:2], *rest]))
+        return found
 
     def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
         """Where a size ran to its bound and a plausible one lies within its interval: the fit with that one.

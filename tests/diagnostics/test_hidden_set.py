@@ -90,3 +90,19 @@ def test_what_the_library_does_not_know_is_named_nothing():
 @pytest.mark.slow
 def test_noise_stated_too_small_is_noticed():
     assert found("noise understated", {}).relative
+
+
+@pytest.mark.slow
+def test_two_effects_fit_no_worse_than_one_of_them():
+    """Fits go on from those of their parts: from their usual starts these two ended five worse."""
+    case = cases.Case("preload", {"preload": ONCE["preload"]}, 10, cases.COARSE, 1500)
+    bench = cases.SiteBench.joint([case.curves(case.levels)], verify=False)
+    bench.fit((), {})
+
+    def deviance(explanation):
+        left = bench.whiten(bench.data.y - bench.fit(explanation, {}).prediction)
+        return float(left @ left)
+
+    one = {name: deviance((name,)) for name in ("anisotropy", "preload", "contraction")}
+    for other in ("preload", "contraction"):
+        assert deviance(("anisotropy", other)) < min(one["anisotropy"], one[other]) + 0.05
