@@ -159,7 +159,6 @@ class _Preparation:
     def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
-        self.work.mkdir(parents=True, exist_ok=True)
         self.levels = read_levels(site.levels)
         self.windows = Windows()
         self.skin_bone = self._skin_bone()
@@ -215,6 +214,7 @@ class _Preparation:
         """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
         own = self.out / "mesh" / self.site.name / "model.npz"
         if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
+            self.work.mkdir(parents=True, exist_ok=True)
             self.notes.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
             return load_model(own)
         segmented = read_result(self.out, "segment")
@@ -223,6 +223,7 @@ class _Preparation:
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
                   self.size, self.mesh.far_size]  # fmt: skip
         text = json.dumps(plain(recipe))
+        self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"
         if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
             return load_model(kept)

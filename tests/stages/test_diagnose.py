@@ -127,3 +127,12 @@ def _leave_own_run(out: Path, curve: dict[str, np.ndarray], *, factor: float) ->
         writer.file("force_depth", "force-depth.csv").write_text(
             "time_s,depth_mm,force_n\n" + "\n".join(rows) + "\n"
         )
+
+
+def test_without_segment_it_says_so_and_leaves_nothing(tmp_path):
+    case = block.make_case(
+        tmp_path / "case", tmp_path / "made", np.array([1.0, 2.0]), np.array([1.0, 3.0]), c=0.006, build=False
+    )
+    with pytest.raises(CaseError, match="there is no result of `segment`"):
+        diagnose(case, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
