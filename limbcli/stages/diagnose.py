@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.diagnostics.bench import Explanation
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
@@ -191,6 +192,8 @@ class _Diagnosed:
             writer.warnings.extend(mine.notes.warnings)
             if mine.book.in_part:
                 writer.warnings.append(_in_part(mine.book.in_part))
+            if bench.not_simulated:
+                writer.warnings.append(_not_simulated(bench.not_simulated))
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
             content = self._content(found, bench, mine, all_)
@@ -217,6 +220,7 @@ class _Diagnosed:
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
+        content["not_simulated"] = sorted(bench.not_simulated)
         content["solved_in_part_mm"] = mine.book.in_part
         lines = sentences(found)
         moved = [i.name for i in mine.interventions if i.deviations > MATTERS and i.name != "locking"]
@@ -271,6 +275,13 @@ class _Diagnosed:
                 f"in, which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the "
                 "diagnosis says (build-feb --contact-penalty)"
             )
+
+
+def _not_simulated(several: Iterable[Explanation]) -> str:
+    names = ", ".join(sorted(" + ".join(each) for each in several))
+    return (
+        f"the simulations took all the work that a diagnosis may take; fitted by sensitivities only: {names}"
+    )
 
 
 def _in_part(reached: Mapping[str, float]) -> str:

@@ -33,7 +33,12 @@ _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
 class SiteBench(Fits):
-    """One site's data against its curves, or several sites' that share the tissue."""
+    """One site's data against its curves, or several sites' that share the tissue.
+
+    not_simulated : explanations whose fit was not simulated as it stands, as the work was spent
+    """
+
+    not_simulated: set[Explanation]
 
     def __init__(
         self, site: SiteData, book: Book, effects: Sequence[Effect], *, tie: Tie | None = None,
@@ -41,14 +46,14 @@ class SiteBench(Fits):
     ):  # fmt: skip
         known = {each.name: each for each in effects if each.kind != "numerical"}
         super().__init__([SiteCurves(site, book, known, tie=tie, progress=progress)])
-        self.verify = verify
+        self.verify, self.not_simulated = verify, set()
 
     @staticmethod
     def joint(sites: Sequence[SiteCurves], *, verify: bool = True) -> SiteBench:
         """Of sites that share one tuple of effects."""
         bench = SiteBench.__new__(SiteBench)
         Fits.__init__(bench, sites)
-        bench.verify = verify
+        bench.verify, bench.not_simulated = verify, set()
         return bench
 
     # ------------------------------------------------------------ the contract
@@ -96,12 +101,16 @@ class SiteBench(Fits):
         return replace(found, intervals=inside)
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Solve the model as fitted, repair the stand-in there, fit again; twice at most."""
+        """Solve the model as fitted, repair the stand-in there, fit again; twice at most, and while there is
+        work left."""
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
             return fitted
         for _ in range(2):
+            if any(each.book.spent for each in self.sites):
+                self.not_simulated.add(explanation)
+                break
             points, m = self.points(fitted), round(fitted.values["m"], 4)
             for k, each in enumerate(self.sites):
                 each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)

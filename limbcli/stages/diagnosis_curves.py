@@ -156,6 +156,11 @@ class CurveBook:
                 self._kinematics[key] = self._deformation(self.model, curves.depth, values)
         return self._kinematics[key]
 
+    @property
+    def spent(self) -> bool:
+        """The simulations so far took all the work that a diagnosis may take."""
+        return self.work.spent
+
     def with_contact(self, penalty: float) -> Ingredients:
         """What makes of this book's contact one with another penalty."""
         factor = penalty / self.model.contacts[0].penalty
@@ -310,6 +315,7 @@ class CurveBook:
         found = self.kept.curves(key, n_depths=self.n_depths)
         if found is None:
             return None
+        self.work.total += found.work
         if not ingredients:
             self.work.usual.append(found.work)
         self._tell(m, ingredients, found.n_reached)

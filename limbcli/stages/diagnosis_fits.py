@@ -177,7 +177,7 @@ class Fits:
         found = [] if own is None else [own]
         if len(explanation) < 2:
             return found
-        for k, name in enumerate(explanation):
+        for k in range(len(explanation)):
             others = [n for n in range(len(explanation)) if n != k]
             end = self._ends.get((tuple(explanation[n] for n in others), label([points[n] for n in others])))
             if end is None:

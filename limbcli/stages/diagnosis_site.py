@@ -40,6 +40,9 @@ class Book(Typed):
 
     c: float
 
+    @property
+    def spent(self) -> bool: ...
+
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...

@@ -18,6 +18,7 @@ _PER_ITERATION, _PER_FACTOR = 10, 20
 # Of the mean work of the model without effects; the same with friction, which goes by steps.
 _TIMES_USUAL, _TIMES_WITH_FRICTION = 2.0, 6.0
 _LEAST_ALLOWED = 2000
+_TIMES_USUAL_IN_ALL, _LEAST_USUAL = 40.0, 500.0
 
 
 @dataclass
@@ -25,11 +26,12 @@ class Work:
     """The work of one solve after another: listens to the solver's progress, and stops what takes too long.
 
     usual : of every solve without effects; done : of the solve that is on, or was last
-    at_most : of a solve without effects
+    at_most : of a solve without effects; total : of all solves, those of an earlier run included
     """
 
     usual: list[int] = field(default_factory=list)
     at_most: float = math.inf
+    total: int = 0
     done: int = 0
     _allowed: float = math.inf
     _counted: tuple[int, int] = (0, 0)
@@ -47,6 +49,12 @@ class Work:
 
     def end(self) -> None:
         self._allowed = math.inf
+        self.total += self.done
+
+    @property
+    def spent(self) -> bool:
+        """All that a diagnosis may take: what is left is told without simulations of its own."""
+        return self.total > _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
 
     def __call__(self, kind: str, facts: dict[str, Any]) -> None:
         if kind != "newton":

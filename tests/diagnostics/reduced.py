@@ -78,6 +78,7 @@ class ReducedBook:
     depth: np.ndarray = field(default_factory=lambda: np.linspace(0, 9, 7))
     c: float = 0.006
     spread: float = 1.0
+    spent: bool = False
     windows: Windows = field(default_factory=Windows)
 
     def _with(self, m: float, ingredients, *, waves: bool = False) -> LimbModel:

@@ -243,3 +243,18 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
     found = one._change(skin, skin.grid[0]).at(theta)
     assert np.abs(true[1:, 0]).max() > 0.05
     assert found[1:] == pytest.approx(true[1:], abs=1e-9)
+
+
+def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
+    measured = levels(rng, ((effect("contraction"), {"active_stress_per_c": 0.8}),))
+    made = bench(measured, ("contraction", "force-zero"))
+    made.fit((), {})
+    fitted = made.fit(("contraction",), {})
+    made.book.spent = True
+    assert made.verified(fitted) is fitted
+    assert made.not_simulated == {("contraction",)}
+    made.book.spent = False
+    assert made.verified(fitted) is not fitted
+    without = made.fit(("force-zero",), {})
+    assert made.verified(without) is without
+    assert made.not_simulated == {("contraction",)}

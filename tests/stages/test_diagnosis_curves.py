@@ -84,6 +84,7 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
     assert second.force == pytest.approx(first.force)
     assert again.work.usual == book.work.usual
     assert book.work.usual[0] > 0
+    assert again.work.total == book.work.total > 0
     kept = again.kinematics(3.0).gradient
     assert again.n_solves == 0
     assert kept == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
@@ -118,6 +119,17 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
     work.begin(candidate=False)
     iterate(work, 2000, factors=1)  # a session's counts begin anew
     assert work.done == 2000 * 50
+
+
+def test_all_the_work_of_a_diagnosis_has_a_limit():
+    work = Work(usual=[2000, 4000])
+    for _ in range(41):
+        assert not work.spent
+        work.begin(candidate=True)
+        iterate(work, 100)
+        work.end()
+    assert work.total == 41 * 3000
+    assert work.spent
 
 
 @pytest.mark.parametrize(
