@@ -78,20 +78,20 @@ class SiteData:
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
         """mm (n_levels,) from the depth that was read to the one with the measured force."""
-        none = np.zeros(len(self.protocol))
+        found = np.zeros(len(self.protocol))
         if not len(self.slope) or self.depth_error <= 0:
-            return none
+            return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
         borne = relaxed(elastic, self.protocol, reading)
         wanted = (self.protocol.force - reading.force_zero) / reading.force_gain + reading.preload
         known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
         if not known.any():
-            return none
+            return found
         there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
         most = _MOST_DEVIATIONS * self.depth_error
-        none[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
-        return none
+        found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
+        return found
 
     def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
         seen: dict[str, Array] = {
