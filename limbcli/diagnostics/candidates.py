@@ -16,6 +16,7 @@ from limbcli.progress import Progress
 REFIT_BELOW = 0.2
 ALIKE = 0.8
 MAX_REFITS = 16
+_GROSS = 4.0  # chi2/nu
 _GROWN = 3  # candidates tried beside the best smaller explanation
 
 
@@ -40,6 +41,10 @@ def whitened_trials(
     return trials
 
 
+def is_gross(state: LinearFit) -> bool:
+    return state.nu > 0 and state.chi2 > _GROSS * state.nu
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """The trials of all candidates at the fit without effects, and their tests."""
@@ -49,13 +54,23 @@ class Candidates:
     family: Family
 
     def promising(self, left_out: dict[str, str]) -> list[str]:
-        """Those near significance, and those that look like one of them; the rest goes into `left_out`."""
+        """Those near significance, and those that look like one of them; the rest goes into `left_out`.
+
+        All, where the fit without effects is grossly wrong: it may have ended anywhere, and what the
+        effects do to first order there tells little of what they do.
+        """
         near = [t.name for t in self.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
-        alike = [name for name in self.trials if name not in near and any(self._alike(name, k) for k in near)]
+        others = [name for name in self.trials if name not in near]
+        alike = [name for name in others if self.gross or any(self._alike(name, k) for k in near)]
         ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
         for name in ranked[MAX_REFITS:]:
             left_out[name] = f"not refitted: {MAX_REFITS} better candidates were"
         return ranked[:MAX_REFITS]
+
+    @property
+    def gross(self) -> bool:
+        """The fit without effects is wrong far beyond the noise."""
+        return is_gross(self.state)
 
     def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
         """Explanations by so many effects that are worth a refit."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from limbcli.diagnostics.account import Account
 from limbcli.diagnostics.bench import Bench, Facts
 from limbcli.diagnostics.calibrate import N_DRAWS, Family
-from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, whitened_trials
+from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, is_gross, whitened_trials
 from limbcli.diagnostics.closing import Closing
 from limbcli.diagnostics.explain import ADEQUATE, Refit
 from limbcli.diagnostics.ground import ALPHA, Ground
@@ -118,7 +118,8 @@ class _Run:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
-            return (found is not None and found.p_adjusted < REFIT_BELOW) or refit.gap == 0.0
+            seen = found is not None and found.p_adjusted < REFIT_BELOW
+            return seen or refit.gap == 0.0 or is_gross(self.ground.state)
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:

@@ -16,6 +16,8 @@ import numpy as np
 from limbcli.model import Array
 from limbcli.monotone import Monotone
 
+_FAR = 10.0  # of ln depth beyond a curve's ends
+
 
 @dataclass(frozen=True, eq=False)
 class Curves:
@@ -168,7 +170,8 @@ def depth_at(curves: Curves, force: Array) -> Array:
     x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
     inside = curve(np.clip(at, x[0], x[-1]))
-    return np.exp(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
+    beyond = first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0)
+    return np.exp(inside + np.clip(beyond, -_FAR, _FAR))
 
 
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:

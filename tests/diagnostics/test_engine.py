@@ -6,10 +6,12 @@ import importlib.util
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.candidates import Candidates
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.sentences import sentences
 
@@ -142,3 +144,20 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     assert "leaves something" in found.reason
     assert sentences(found)[0].startswith("AMBIGUOUS: one explanation fits, but")
     assert not any(line.startswith("Next measurement") for line in sentences(found))
+
+
+@pytest.mark.parametrize(("chi2", "refitted"), [(39.0, ["near"]), (41.0, ["near", "far"])])
+def test_all_are_refitted_where_the_fit_without_effects_is_grossly_wrong(chi2, refitted):
+    """It may have ended anywhere; sensitivities there tell little."""
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=1 - p, direction=None))
+        for name, p in (("far", 0.9), ("near", 0.01))
+    ]
+    family = SimpleNamespace(tests=tests, of=lambda name: next(t for t in tests if t.name == name))
+
+    class Unlike(Candidates):
+        def _likeness(self, first, second):
+            return 0.0
+
+    found = Unlike(SimpleNamespace(nu=10, chi2=chi2), {"far": None, "near": None}, family)
+    assert found.promising({}) == refitted
