@@ -178,8 +178,11 @@ class _Run:
         ]
 
     def _speaks_for_itself(self, refit: Refit) -> bool:
-        """A name needs evidence of its own: what was found may be that of another, dropped since."""
-        if len(refit.explanation) > 1:
+        """A name needs evidence of its own: what was found may be that of another, dropped since.
+
+        Where the fit without effects is grossly wrong, that it fits is evidence enough.
+        """
+        if len(refit.explanation) > 1 or is_gross(self.ground.state):
             return True
         found = self.family.of(refit.explanation[0])
         return found is not None and found.p_adjusted < ALPHA
