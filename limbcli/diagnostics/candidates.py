@@ -42,7 +42,14 @@ def whitened_trials(
 
 
 def is_gross(state: LinearFit) -> bool:
+    """A fit without effects that is wrong far beyond the stated noise: it may have ended anywhere."""
     return state.nu > 0 and state.chi2 > _GROSS * state.nu
+
+
+def closes_gross(state: LinearFit, left: LinearFit) -> bool:
+    """An effect leaves (`left`) a small part of what such a fit leaves: evidence of its own, also where the
+    stated noise is too small, which no effect makes less."""
+    return is_gross(state) and left.chi2 < state.chi2 / _GROSS
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +68,11 @@ class Candidates:
         """
         near = [t.name for t in self.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
         others = [name for name in self.trials if name not in near]
-        alike = [name for name in others if self.gross or any(self._alike(name, k) for k in near)]
+        alike = [name for name in others if is_gross(self.state) or any(self._alike(name, k) for k in near)]
         ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
         for name in ranked[MAX_REFITS:]:
             left_out[name] = f"not refitted: {MAX_REFITS} better candidates were"
         return ranked[:MAX_REFITS]
-
-    @property
-    def gross(self) -> bool:
-        """The fit without effects is wrong far beyond the noise."""
-        return is_gross(self.state)
 
     def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
         """Explanations by so many effects that are worth a refit."""

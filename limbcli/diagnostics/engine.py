@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from limbcli.diagnostics.account import Account
 from limbcli.diagnostics.bench import Bench, Facts
 from limbcli.diagnostics.calibrate import N_DRAWS, Family
-from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, is_gross, whitened_trials
+from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
 from limbcli.diagnostics.closing import Closing
 from limbcli.diagnostics.explain import ADEQUATE, Refit
 from limbcli.diagnostics.ground import ALPHA, Ground
@@ -119,7 +119,7 @@ class _Run:
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
             seen = found is not None and found.p_adjusted < REFIT_BELOW
-            return seen or refit.gap == 0.0 or is_gross(self.ground.state)
+            return seen or refit.gap == 0.0 or closes_gross(self.ground.state, refit.state)
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:
@@ -180,9 +180,9 @@ class _Run:
     def _speaks_for_itself(self, refit: Refit) -> bool:
         """A name needs evidence of its own: what was found may be that of another, dropped since.
 
-        Where the fit without effects is grossly wrong, that it fits is evidence enough.
+        Where the fit without effects is grossly wrong, that little of it is left is evidence enough.
         """
-        if len(refit.explanation) > 1 or is_gross(self.ground.state):
+        if len(refit.explanation) > 1 or closes_gross(self.ground.state, refit.state):
             return True
         found = self.family.of(refit.explanation[0])
         return found is not None and found.p_adjusted < ALPHA

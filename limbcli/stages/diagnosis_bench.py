@@ -101,16 +101,16 @@ class SiteBench(Fits):
         return replace(found, intervals=inside)
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Solve the model as fitted, repair the stand-in there, fit again; twice at most, and while there is
-        work left."""
+        """Solve the model as fitted, repair the stand-in there, fit again; twice at most. As it is where the
+        work is spent."""
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
             return fitted
+        if any(each.book.spent for each in self.sites):
+            self.not_simulated.add(explanation)
+            return fitted
         for _ in range(2):
-            if any(each.book.spent for each in self.sites):
-                self.not_simulated.add(explanation)
-                break
             points, m = self.points(fitted), round(fitted.values["m"], 4)
             for k, each in enumerate(self.sites):
                 each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)

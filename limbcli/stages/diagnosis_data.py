@@ -26,7 +26,7 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_noise import ModelError, depth_slopes, noise_parts
+from limbcli.stages.diagnosis_noise import ModelError, depth_slopes, noise_parts, readings
 from limbcli.stages.diagnosis_rows import (
     Extra,
     Row,
@@ -130,7 +130,7 @@ def site_data(
     model_error : known differences between models, over all rows of the levels
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
-    protocol = Protocol(levels.force[keep], levels.depth[keep], levels.hold[keep])
+    protocol = readings(levels)
     rows, y, own = force_rows(protocol, noise)
     for more in (
         speed_rows(levels, keep, noise, windows, maps),

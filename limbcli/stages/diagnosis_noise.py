@@ -15,6 +15,7 @@ import numpy as np
 from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.noise import NoisePart, common, correlated, independent
 from limbcli.effects.reading import Protocol
+from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_rows import Row
 
@@ -118,6 +119,12 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
             curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(members) > 4 else 1)
             out[members] = curve.deriv()(place) / smooth.rate
     return out
+
+
+def readings(levels: Levels) -> Protocol:
+    """The levels that have a force and a depth."""
+    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
+    return Protocol(levels.force[known], levels.depth[known], levels.hold[known])
 
 
 def deepest(protocol: Protocol) -> float:

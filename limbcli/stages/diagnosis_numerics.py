@@ -16,7 +16,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.reading import Curves, Protocol, depth_at, log_force_at
+from limbcli.effects.reading import Curves, depth_at, log_force_at
 from limbcli.effects.tissue import core, with_core
 from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
@@ -24,7 +24,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, ModelError, SmoothDepth
+from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, ModelError, SmoothDepth, readings
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
 from limbcli.stages.diagnosis_tying import Tells, Tying, at_depths
@@ -266,12 +266,11 @@ def read_spacing(out: Path) -> list[float] | None:
 
 def smooth_depth(levels: Levels) -> Array:
     """mm (n_levels,) of a smooth curve through the readings, where there are enough of them."""
-    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
-    readings = Protocol(levels.force[known], levels.depth[known], levels.hold[known])
-    found = levels.depth.copy()
-    if known.sum() >= FEWEST_SMOOTH:
-        found[known] = np.maximum(SmoothDepth.through(readings).at(readings.force), 0.0)
-    return found
+    protocol = readings(levels)
+    if len(protocol) < FEWEST_SMOOTH:
+        return levels.depth
+    smooth = np.maximum(SmoothDepth.through(protocol).at(levels.force), 0.0)
+    return np.where(np.isfinite(levels.depth), smooth, np.nan)
 
 
 def measured_slope(levels: Levels) -> Array:

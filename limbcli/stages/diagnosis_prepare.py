@@ -17,7 +17,6 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
-from limbcli.effects.reading import Protocol
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps
@@ -32,7 +31,7 @@ from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
-from limbcli.stages.diagnosis_noise import ModelError, deepest
+from limbcli.stages.diagnosis_noise import ModelError, deepest, readings
 from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
@@ -190,9 +189,7 @@ class _Preparation:
 
         At a usual stiffness and at round depths: what was solved then serves other measurements of the place.
         """
-        known = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
-        readings = Protocol(self.levels.force[known], self.levels.depth[known], self.levels.hold[known])
-        needed = _up_to(_ROUND, _BEYOND * deepest(readings))
+        needed = _up_to(_ROUND, _BEYOND * deepest(readings(self.levels)))
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)

@@ -1,9 +1,10 @@
 """How far a penalty lets the probe sink into the model's skin, and the curves without that.
 
 A gap g = p/eps works in series with the tissue: the same force is reached deeper by g. Two penalties
-tell g over the force; over force it hardly depends on the law's exponent (the shares of force and gap differ
-by a tenth from m 2 to m 10), so that one pair of simulations corrects the curves of any law and
-effects, by a shift of their depth.
+tell g over the force. Over force it depends far less on the law's exponent than the force itself does (at the
+same force at most 1.8 times as much at m 2 as at m 10, a fifth over thin tissue), so that one pair of
+simulations, at the tissue's likely m, corrects the curves of laws near it and of effects, by a shift of their
+depth.
 
 Source: series compliance of the penalty's gap; extrapolated as a geometric series (Richardson).
 """

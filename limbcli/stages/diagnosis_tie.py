@@ -100,6 +100,7 @@ def own_curves(meshed: LimbModel, book: CurveBook, m: float, *, size_ratio: floa
         return own.curves(m)
     finally:
         own.close()
+        book.in_part |= {f"{words}, on the site's own mesh": depth for words, depth in own.in_part.items()}
 
 
 def own_run(site: Site, out: Path, *, c: float) -> OwnRun:

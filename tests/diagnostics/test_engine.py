@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.candidates import Candidates
+from limbcli.diagnostics.candidates import Candidates, closes_gross
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.sentences import sentences
 
@@ -161,3 +161,12 @@ def test_all_are_refitted_where_the_fit_without_effects_is_grossly_wrong(chi2, r
 
     found = Unlike(SimpleNamespace(nu=10, chi2=chi2), {"far": None, "near": None}, family)
     assert found.promising({}) == refitted
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "closed"), [(888.0, 60.0, True), (500.0, 420.0, False), (390.0, 10.0, False)]
+)
+def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, closed):
+    """A gross misfit that stays is the noise's; one that an effect takes away speaks for it."""
+    base, left = (SimpleNamespace(nu=100, chi2=chi2) for chi2 in (before, after))
+    assert closes_gross(base, left) == closed
