@@ -22,10 +22,11 @@ from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.effects.reading import true_depth
+from limbcli.effects.reading import Curves, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
+from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
@@ -260,21 +261,29 @@ class _Diagnosed:
                     f"{100 * point[each.onset]:.0f} % of the levels"
                 )
         write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
+        told = self._contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty)
+        writer.warnings.extend([told] if told else [])
+
+    def _contact_takes(
+        self, mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float
+    ) -> str | None:
+        """What the written model's contact takes from the fitted curves at its deepest level, if that matters;
+        force (n,) : theirs at the reference stiffness."""
         known = mine.curves.sinking
         if known is None:
-            return
+            return None
         # A penalty is taken for a facet of its size.
-        meshed_as = read_result(self.out, "mesh", site=mine.site.name).data
-        edge = float(meshed_as.get("size_under_probe_mm", mine.size))
+        meshed = read_result(self.out, "mesh", site=mine.site.name).data
+        edge = float(meshed.get("size_under_probe_mm", mine.size))
         asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
-        at_reference, deep = curves.force * mine.book.c / c, depths[-1]
-        taken = known.taken(curves, at_reference, deep, penalty=asked)
-        if taken > _SOFT:
-            writer.warnings.append(
-                f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks "
-                f"in, which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the "
-                "diagnosis says (build-feb --contact-penalty)"
-            )
+        taken = known.taken(curves, force, deep, penalty=asked)
+        if taken <= _SOFT:
+            return None
+        return (
+            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, which "
+            f"takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis says "
+            "(build-feb --contact-penalty)"
+        )
 
 
 def _not_simulated(several: Iterable[Explanation]) -> str:
