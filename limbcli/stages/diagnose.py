@@ -267,8 +267,10 @@ class _Diagnosed:
     def _contact_takes(
         self, mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float
     ) -> str | None:
-        """What the written model's contact takes from the fitted curves at its deepest level, if that matters;
-        force (n,) : theirs at the reference stiffness."""
+        """What the written model's contact takes from the fitted curves at its deepest level, if it matters.
+
+        force (n,) : theirs at the reference stiffness
+        """
         known = mine.curves.sinking
         if known is None:
             return None
@@ -280,9 +282,9 @@ class _Diagnosed:
         if taken <= _SOFT:
             return None
         return (
-            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, which "
-            f"takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis says "
-            "(build-feb --contact-penalty)"
+            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, "
+            f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
+            "says (build-feb --contact-penalty)"
         )
 
 
