@@ -13,12 +13,20 @@ from pathlib import Path
 import pytest
 
 from limbcli import errors
-from limbcli.cli.app import COMMANDS
+from limbcli.cli.app import COMMANDS, main
 
 
 def limbcli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "limbcli", *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+def in_this_process(capsys, *arguments: str) -> tuple[object, str, str]:
+    """Exit code, output and errors, without the second that a new process takes to start."""
+    with pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    shown = capsys.readouterr()
+    return stop.value.code, shown.out, shown.err
 
 
 def test_help_answers_in_under_a_second():
@@ -35,21 +43,23 @@ def test_help_answers_in_under_a_second():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_json_quiet_and_verbose(name: str):
-    result = limbcli(name, "--help")
-    assert result.returncode == 0
-    text = re.sub(r"\x1b\[[0-9;]*m", "", result.stdout)
+def test_every_command_has_help_json_quiet_and_verbose(capsys, name: str):
+    code, shown, _ = in_this_process(capsys, name, "--help")
+    assert code == 0
+    text = re.sub(r"\x1b\[[0-9;]*m", "", shown)
     for option in ("--json", "--quiet", "--verbose"):
         assert option in text, f"{name} lacks {option}"
 
 
-@pytest.mark.parametrize("name", ["check", "segment", "mesh", "build-feb", "run", "fit", "report", "batch"])
-def test_missing_case_is_a_message_with_a_fix_and_exit_code_2(tmp_path: Path, name: str):
+@pytest.mark.parametrize(
+    "name", ["check", "segment", "mesh", "build-feb", "run", "fit", "diagnose", "report", "batch", "measure"]
+)
+def test_missing_case_is_a_message_with_a_fix_and_exit_code_2(capsys, tmp_path: Path, name: str):
     out = [] if name == "check" else ["--out", str(tmp_path / "out")]
-    result = limbcli(name, str(tmp_path / "nowhere"), *out)
-    assert result.returncode == 2, result.stderr
-    assert "fix:" in result.stderr + result.stdout
-    assert "Traceback" not in result.stderr
+    code, out_text, error_text = in_this_process(capsys, name, str(tmp_path / "nowhere"), *out)
+    assert code == 2, error_text
+    assert "fix:" in error_text + out_text
+    assert "Traceback" not in error_text
 
 
 def test_error_is_json_where_json_was_asked_for(tmp_path: Path):

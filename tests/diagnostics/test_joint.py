@@ -82,6 +82,7 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
 
 
+@pytest.mark.slow
 def test_an_offset_in_one_measurement_is_found_there(rng):
     offset = measurement(rng, ALONG, reading=Reading(force_zero=1.2))
     both = SiteBench.joint([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])

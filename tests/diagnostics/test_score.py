@@ -62,6 +62,7 @@ def test_opposite_one_sided_directions_do_not_look_alike(rng):
 
 
 @pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.slow
 def test_family_is_calibrated(rng, relative):
     """The smallest adjusted p of a family with grids and signs falls below 5 % in 5 % of null data."""
     n, J = 18, rng.standard_normal((18, 2))
@@ -80,6 +81,7 @@ def test_family_is_calibrated(rng, relative):
     assert below / 150 <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 150)
 
 
+@pytest.mark.slow
 def test_readings_with_long_tails_raise_no_more_false_alarms(rng):
     """Two-sided exponential errors of the stated deviation: what normal draws would flag at 1 % too often."""
     n, J = 24, np.ones((24, 1))

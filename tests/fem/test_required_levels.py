@@ -24,6 +24,7 @@ def too_deep() -> LimbModel:
     return replace(model, drives=drives, curves={**model.curves, "way": way})
 
 
+@pytest.mark.slow
 def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
     session = ReferenceSession(too_deep(), threads=1)
     reached = session.solve(required=1).must_points

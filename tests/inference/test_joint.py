@@ -104,6 +104,7 @@ def test_derivatives_of_depth_and_speed_are_those_of_differences(stand_in):
         np.testing.assert_allclose(base.log_speed_slope[:, column], rise, rtol=2e-3, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_truth_is_recovered_from_exact_data(stand_in):
     data = measurement(stand_in, c=0.0095, f_kappa=8.0, m=5.0)
     _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=12)

@@ -50,6 +50,7 @@ def joint(case_and_out):
     return fit_joint(case, out=out, joint=JointOptions(max_solves=4))
 
 
+@pytest.mark.slow
 def test_tissue_is_recovered_with_c_free(joint):
     assert joint.data["c_kpa"] == pytest.approx(8.0, rel=0.01)
     assert joint.data["f_kappa"] == pytest.approx(20.0, rel=0.03)
@@ -58,6 +59,7 @@ def test_tissue_is_recovered_with_c_free(joint):
     assert joint.data["n_freedom"] == 4 + 5 - 3
 
 
+@pytest.mark.slow
 def test_every_parameter_has_interval_flag_and_words(joint):
     for name, each in joint.data["parameters"].items():
         low, high = joint.data["interval_95"][name]
@@ -67,6 +69,7 @@ def test_every_parameter_has_interval_flag_and_words(joint):
         assert each["words"].endswith(".")
 
 
+@pytest.mark.slow
 def test_levels_and_exports_are_left(joint):
     with joint.path("levels_p1").open() as stream:
         rows = list(csv.DictReader(stream))

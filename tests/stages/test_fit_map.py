@@ -96,6 +96,7 @@ def fits(model, tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_two_stiffnesses_are_recovered_with_their_map_and_missed_without(fits):
     """Not to the digit: a map is as blurred as its pixels are averaged (3 mm)."""
     mapped, plain = fits["map"]["data"], fits["plain"]["data"]
@@ -104,6 +105,7 @@ def test_two_stiffnesses_are_recovered_with_their_map_and_missed_without(fits):
     assert abs(plain["f_kappa"] / TRUTH["f_kappa"] - 1) > 0.4
 
 
+@pytest.mark.slow
 def test_the_fitted_model_carries_the_map(fits):
     data, law = fits["map"]["data"], fits["map"]["feb"].materials["tissue"].parameters
     assert {name for name, value in law.items() if isinstance(value, ElementMap)} == {"c1", "c2", "kappa"}
@@ -114,6 +116,7 @@ def test_the_fitted_model_carries_the_map(fits):
     assert "MeshData" in (fits["map"]["folder"] / "material.feb").read_text()
 
 
+@pytest.mark.slow
 def test_the_result_tells_which_map_and_how_much_of_the_model_it_covers(fits):
     told = fits["map"]["data"]["stiffness_map"]
     assert told["map"] == "level_00.csv"

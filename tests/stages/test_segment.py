@@ -119,6 +119,7 @@ def from_labels(segmented, series, tmp_path_factory):
     return segment(case, out=folder)
 
 
+@pytest.mark.slow
 def test_a_label_map_replaces_the_automatic_segmentation(segmented, from_labels):
     _, first, _ = segmented
     assert from_labels.data["source"] == "labels"
@@ -129,6 +130,7 @@ def test_a_label_map_replaces_the_automatic_segmentation(segmented, from_labels)
     np.testing.assert_allclose(places[0], places[1], atol=1.5)
 
 
+@pytest.mark.slow
 def test_sites_get_the_thickness_of_their_fat(from_labels):
     """The phantom's fat is 4 to 6 mm, thicker behind; skin 1.6 mm (see limbcli.phantom.anatomy)."""
     assert 4.0 < from_labels.data["layers"]["p1"]["fat_mm"] < 8.0
