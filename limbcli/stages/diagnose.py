@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,26 +22,19 @@ from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.effects.reading import Curves, true_depth
 from limbcli.errors import CaseError, LimbError
-from limbcli.feb.settings import least_level, schedule
-from limbcli.feb.write import write_feb
-from limbcli.model import Array
-from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage, plain, read_result
+from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import MATTERS, Intervention, too_doubtful
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 from limbcli.stages.diagnosis_site import SiteCurves
-from limbcli.stages.diagnosis_tie import F_KAPPA, contact_penalty
-from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.stages.diagnosis_tie import F_KAPPA
+from limbcli.stages.diagnosis_written import write_diagnosed
 from limbcli.stages.mesh import site_position
-from limbcli.units import mpa_from_kpa
 
-_SOFT = 0.02  # of the force, what the written model's contact may take untold
 _SAME_PLACE = 2.0  # mm
 
 
@@ -206,7 +199,9 @@ class _Diagnosed:
             writer.summary.extend(content["sentences"][:10])
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
-            self._write_model(found, bench, mine, k, writer)
+            write_diagnosed(
+                found, bench, mine, writer, out=self.out, number=k, templates=self.options.templates
+            )
         assert writer.result is not None
         return writer.result
 
@@ -232,60 +227,6 @@ class _Diagnosed:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
         content["sentences"] = lines
         return content
-
-    def _write_model(
-        self, found: Diagnosis, bench: SiteBench, mine: Prepared, k: int, writer: StageWriter
-    ) -> None:
-        """The site's own model with what was added and the refitted parameters, for FEBio."""
-        path = self.out / "mesh" / mine.site.name / "model.npz"
-        if not path.is_file():
-            writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
-            return
-        fitted = replace(found.final, values={**found.final.values, **found.told.values})
-        curves, reading = bench.curves_of(fitted, k)
-        depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
-        depths = [float(d) for d in depth if d > 2 * least_level()]
-        meshed = load_model(path)
-        plan = schedule(depths, start=starting_depth(meshed, depths[0]))
-        c = mpa_from_kpa(fitted.values["c_kpa"])
-        penalty = contact_penalty(mine.site, self.out)
-        model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
-        model = with_penalty(model, penalty)
-        theta = bench.theta(fitted.values, fitted.explanation, k)
-        for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
-            each = bench.effects[name]
-            model = each.apply(model, {**each.null, **theta, **each.without_onset(point)})
-            if point.get(each.onset, 0.0) > 0.0:
-                writer.warnings.append(
-                    f"diagnosed.feb has {name} from the start; in the data it sets in after "
-                    f"{100 * point[each.onset]:.0f} % of the levels"
-                )
-        write_feb(model, writer.file("feb", "diagnosed.feb"), self.options.templates)
-        told = self._contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty)
-        writer.warnings.extend([told] if told else [])
-
-    def _contact_takes(
-        self, mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float
-    ) -> str | None:
-        """What the written model's contact takes from the fitted curves at its deepest level, if it matters.
-
-        force (n,) : theirs at the reference stiffness
-        """
-        known = mine.curves.sinking
-        if known is None:
-            return None
-        # A penalty is taken for a facet of its size.
-        meshed = read_result(self.out, "mesh", site=mine.site.name).data
-        edge = float(meshed.get("size_under_probe_mm", mine.size))
-        asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
-        taken = known.taken(curves, force, deep, penalty=asked)
-        if taken <= _SOFT:
-            return None
-        return (
-            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, "
-            f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
-            "says (build-feb --contact-penalty)"
-        )
 
 
 def _not_simulated(several: Iterable[Explanation]) -> str:

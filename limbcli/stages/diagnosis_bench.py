@@ -20,11 +20,13 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis_changes import Book, only_febio
 from limbcli.stages.diagnosis_curves import FIRST_M
 from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, Slot
+from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits
 from limbcli.stages.diagnosis_menu import menu
-from limbcli.stages.diagnosis_site import Book, SiteCurves, only_febio
+from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis_slots import Slot
 from limbcli.stages.diagnosis_tie import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
@@ -176,7 +178,7 @@ class SiteBench(Fits):
             if not self._solve_node(float(round(m, 3))):
                 break
         for each in self.sites:
-            each.m_reference = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+            each.changes.m = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
         self.base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
 

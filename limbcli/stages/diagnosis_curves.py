@@ -19,22 +19,19 @@ from limbcli.effects.base import Effect, Theta, applied
 from limbcli.effects.contact import EFFECT as CONTACT
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.reading import Curves, continued
-from limbcli.effects.tissue import thickness
-from limbcli.effects.waves import log_speed
-from limbcli.errors import MeasurementError, SolveError
+from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.measurement.swe_prediction import predict_map
-from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.diagnosis_cells import centers, fewer_steps, first_cell, softer_jumps, volumes
+from limbcli.stages.diagnosis_cell_table import FILE, CellTable
+from limbcli.stages.diagnosis_cells import fewer_steps, first_cell, softer_jumps
 from limbcli.stages.diagnosis_kept import Kept
 from limbcli.stages.diagnosis_keys import changed_to, fingerprint
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.diagnosis_work import Work
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import (
-    TISSUE,
     indentation_model,
     starting_depth,
     window_cells,
@@ -45,9 +42,6 @@ Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
 # The stiffer law keeps its stability further, and its levels lead the softer ones through.
 FIRST_M = (10.0, 5.0, 2.0)
-_CENTER = ("x", "y", "z")
-_GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
-_FILE = "windows.csv"
 _PATH_STEPS = 2  # a depth
 _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
@@ -79,11 +73,11 @@ class CurveBook:
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
-        self.cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
-        self.near = window_cells(model, depths[-1]) - first_cell(model)
-        record = LogRecord("element", (*_CENTER, *_GRADIENT), _FILE, self.cells)
+        cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
+        near = window_cells(model, depths[-1]) - first_cell(model)
+        self._table = CellTable(cells, near, windows, density_kg_per_m3)
         model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
-        self.model = replace(model, records=(*model.records[:1], record))
+        self.model = replace(model, records=(*model.records[:1], self._table.record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
         self.work, self.beside = Work(), beside
         self.kept, self.progress = Kept(keep), progress
@@ -153,7 +147,7 @@ class CurveBook:
             if values is None:
                 self._known[key] = self._solve(key, m, ())
             else:
-                self._kinematics[key] = self._deformation(self.model, curves.depth, values)
+                self._kinematics[key] = self._table.kinematics(self.model, curves.depth, values)
         return self._kinematics[key]
 
     @property
@@ -175,7 +169,7 @@ class CurveBook:
         values = self.kept.cells(self._key(m, ingredients))
         if values is None:
             return None
-        return self._log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
+        return self._table.log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
 
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
@@ -194,7 +188,7 @@ class CurveBook:
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         self.work.begin(candidate=bool(ingredients), rubs=rubs)
-        same_mesh = not any(effect.new_mesh or _touches_loads(effect) for effect, _ in ingredients)
+        same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
             if not same_mesh and self._session is not None:
@@ -210,11 +204,11 @@ class CurveBook:
                 f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
             ) from error
         work = self.work.done
-        table = result.simulation.elements[_FILE]
+        table = result.simulation.elements[FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
         values = table.values[found]
-        curves = self._read(
+        curves = self._table.curves(
             model,
             self.model_with(m, ingredients, waves=True),
             result.must_points.depths + offset,
@@ -228,7 +222,7 @@ class CurveBook:
             values = np.concatenate([values, *[values[-1:]] * len(further)])
         if not ingredients:
             self.work.usual.append(work)
-            self._kinematics[key] = self._deformation(model, curves.depth, values)
+            self._kinematics[key] = self._table.kinematics(model, curves.depth, values)
         if all(effect.kind == "numerical" for effect, _ in ingredients):
             self.kept.keep_cells(key, values)
         self._tell(m, ingredients, n_reached)
@@ -257,13 +251,6 @@ class CurveBook:
         text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
         self.progress.event("note", text=text)
 
-    def _deformation(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
-        n = len(self.cells)
-        F = np.concatenate([np.broadcast_to(np.eye(3), (1, n, 3, 3)), values[:, :, 3:].reshape(-1, n, 3, 3)])
-        places = np.concatenate([centers(model, self.cells)[None], values[:, :, :3]])
-        parts = [self.windows.members(at, -d) for at, d in zip(places, depth, strict=True)]
-        return Kinematics(depth, F, volumes(model), tuple(zip(*parts, strict=True)))
-
     def _shared(self) -> ReferenceSession:
         if self._session is None:
             self._session = self._fresh(self.model)
@@ -272,32 +259,6 @@ class CurveBook:
     def _fresh(self, model: LimbModel) -> ReferenceSession:
         watched = self.progress.also(self.work)
         return ReferenceSession(model, progress=watched, tolerance=self.tolerance, threads=self.threads)
-
-    def _read(
-        self, model: LimbModel, in_window: LimbModel, depths: Array, forces: Array, values: Array
-    ) -> Curves:
-        return Curves(
-            np.concatenate([[0.0], depths]), np.concatenate([[0.0], forces]),
-            self._log_speeds(in_window, depths, values), self.windows.depths, thickness(model),
-        )  # fmt: skip
-
-    def _log_speeds(self, model: LimbModel, depths: Array, values: Array) -> Array:
-        """At rest, and at every depth with these places and gradients of the cells."""
-        rest = np.zeros((len(self.near), 12))
-        rest[:, :3] = centers(model, self.cells)[self.near]
-        rest[:, [3, 7, 11]] = 1.0
-        rows = [self._speeds(model, 0.0, rest)]
-        rows += [self._speeds(model, d, table[self.near]) for d, table in zip(depths, values, strict=True)]
-        return np.array(rows)
-
-    def _speeds(self, model: LimbModel, depth: float, table: Array) -> Array:
-        F = table[:, 3:].reshape(-1, 3, 3)
-        speed = np.exp(log_speed(model, TISSUE, F, self.near, density_kg_per_m3=self.density))
-        try:
-            swe = predict_map(table[:, :3], speed, face_height=-depth, window=self.windows.window)
-        except MeasurementError:
-            return np.full(len(self.windows.depths), np.nan)
-        return self.windows.log_means(swe)[0]
 
     def _key(self, m: float, ingredients: Ingredients) -> str:
         parts = [
@@ -322,6 +283,6 @@ class CurveBook:
         return found.curves
 
 
-def _touches_loads(effect: Effect) -> bool:
+def touches_loads(effect: Effect) -> bool:
     """Contact, supports and bodies are set up with a session; only materials may change in it."""
     return effect.name in ("friction", "contact", "crop", "support-motion")

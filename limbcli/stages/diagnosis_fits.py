@@ -8,37 +8,27 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from limbcli.diagnostics.bench import Data, Explanation, Fitted
 from limbcli.diagnostics.estimates import WITHIN, Conditional
 from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Theta
 from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import FitError
 from limbcli.model import Array
+from limbcli.stages.diagnosis_changes import Book
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_joint import joined
-from limbcli.stages.diagnosis_site import Book, SiteCurves, label
+from limbcli.stages.diagnosis_site import SiteCurves, label
+from limbcli.stages.diagnosis_slots import Slot, on_bounds, stuck
 from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
-_ON_BOUND = 1e-3
 _NONE: Mapping[str, float] = {}
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A parameter of an explanation: its name in the fit, and the site it is for (None: all)."""
-
-    name: str
-    parameter: Parameter
-    site: int | None = None
 
 
 class Fits:
@@ -273,40 +263,13 @@ class Fits:
         free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
         notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
         jacobian = self._jacobian(x, explanation, points)
-        jacobian[:, 2:][:, self._held(x, slots)] = 0.0
+        jacobian[:, 2:][:, stuck(x, slots)] = 0.0
         values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
         values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
         values |= {k: float(v) for point in points for k, v in point.items()}
         return Fitted(
             explanation, self.predict(x, explanation, points), jacobian[:, free],
             ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
-            tuple(self._on_bounds(x, slots)), notes, {"grid": label(points)},
+            tuple(on_bounds(x, slots, self.effects.values())), notes, {"grid": label(points)},
             self.predict(x[:2], (), ()) if explanation else None,
         )  # fmt: skip
-
-    def _held(self, x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
-        """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
-        low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
-        near = _ON_BOUND * (high - low)
-        return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
-
-    def _on_bounds(self, x: Array, slots: Sequence[Slot]) -> list[str]:
-        """What ended on a bound. Null is fair for some of an effect's parameters, but not for all."""
-        found = []
-        held = self._held(x, slots)
-        for k, (value, slot) in enumerate(zip(x[2:], slots, strict=True)):
-            p = slot.parameter
-            if not held[k]:
-                continue
-            if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
-                side = "higher" if value > p.null else "lower"
-                found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
-            elif all(held[n] for n, other in enumerate(slots) if self._same_effect(slot, other)):
-                found.append(f"{slot.name} ended at {p.null:g}, which is without it")
-        return found
-
-    def _same_effect(self, one: Slot, other: Slot) -> bool:
-        return any(
-            one.parameter in each.parameters and other.parameter in each.parameters
-            for each in self.effects.values()
-        )

@@ -118,10 +118,10 @@ def turned_by_90(
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
     curves = SiteCurves(known.site, book, known.effects, sinking=known.sinking, progress=progress)
-    nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
+    nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:3])
-        curves.m_reference = min(curves.nodes, key=lambda m: abs(np.log(m / known.m_reference)))
+        curves.changes.m = min(curves.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     finally:
         book.close()
     return curves

@@ -9,8 +9,8 @@ import pytest
 
 from limbcli.effects.reading import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
+from limbcli.stages.diagnosis_changes import filled
 from limbcli.stages.diagnosis_numerics import Intervention, Numerics, measured_slope, too_doubtful
-from limbcli.stages.diagnosis_site import filled
 
 
 def curve(power: float) -> Curves:

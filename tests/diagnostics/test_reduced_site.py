@@ -15,9 +15,9 @@ from limbcli.diagnostics.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_changes import logs
 from limbcli.stages.diagnosis_data import site_data
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
-from limbcli.stages.diagnosis_site import logs
 
 
 def _module(name: str):
@@ -240,7 +240,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
     one.solve_node(2.0)
     theta = {"log_skin_ratio": 1.5}
     true = logs(one.book.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(one.book.curves(2.0))
-    found = one._change(skin, skin.grid[0]).at(theta)
+    found = one.changes.of(skin, skin.grid[0]).at(theta)
     assert np.abs(true[1:, 0]).max() > 0.05
     assert found[1:] == pytest.approx(true[1:], abs=1e-9)
 

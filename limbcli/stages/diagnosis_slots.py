@@ -1,0 +1,50 @@
+"""The parameters of an explanation as a fit has them, and what of them ended on a bound."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.effects.base import Effect, Parameter
+from limbcli.model import Array
+
+_ON_BOUND = 1e-3
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A parameter of an explanation: its name in the fit, and the site it is for (None: all)."""
+
+    name: str
+    parameter: Parameter
+    site: int | None = None
+
+
+def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
+    """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
+    low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
+    near = _ON_BOUND * (high - low)
+    return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
+
+
+def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[str]:
+    """What ended on a bound. Null is fair for some of an effect's parameters, but not for all."""
+    found = []
+    fixed = stuck(x, slots)
+    for k, (value, slot) in enumerate(zip(x[2:], slots, strict=True)):
+        p = slot.parameter
+        if not fixed[k]:
+            continue
+        if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
+            side = "higher" if value > p.null else "lower"
+            found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
+        elif all(fixed[n] for n, other in enumerate(slots) if _same_effect(slot, other, effects)):
+            found.append(f"{slot.name} ended at {p.null:g}, which is without it")
+    return found
+
+
+def _same_effect(one: Slot, other: Slot, effects: Collection[Effect]) -> bool:
+    return any(one.parameter in each.parameters and other.parameter in each.parameters for each in effects)

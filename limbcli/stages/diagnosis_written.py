@@ -1,0 +1,83 @@
+"""The model that a diagnosis leaves: the site's own, with what was added and the refitted parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.effects.reading import Curves, true_depth
+from limbcli.feb.settings import least_level, schedule
+from limbcli.feb.write import write_feb
+from limbcli.model import Array
+from limbcli.model_io import load_model
+from limbcli.results import StageWriter, read_result
+from limbcli.stages.diagnosis_bench import SiteBench
+from limbcli.stages.diagnosis_prepare import Prepared
+from limbcli.stages.diagnosis_tie import F_KAPPA, contact_penalty
+from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.units import mpa_from_kpa
+
+_SOFT = 0.02  # of the force, what the written model's contact may take untold
+
+
+def write_diagnosed(
+    found: Diagnosis, bench: SiteBench, mine: Prepared, writer: StageWriter, *, out: Path, number: int,
+    templates: Path | None = None,
+) -> None:  # fmt: skip
+    """The site's own model with what was added and the refitted parameters, as diagnosed.feb.
+
+    number : of the site among those of the bench. What the written model does not hold to is warned of.
+    """
+    path = out / "mesh" / mine.site.name / "model.npz"
+    if not path.is_file():
+        writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
+        return
+    fitted = replace(found.final, values={**found.final.values, **found.told.values})
+    curves, reading = bench.curves_of(fitted, number)
+    depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
+    depths = [float(d) for d in depth if d > 2 * least_level()]
+    meshed = load_model(path)
+    plan = schedule(depths, start=starting_depth(meshed, depths[0]))
+    c = mpa_from_kpa(fitted.values["c_kpa"])
+    penalty = contact_penalty(mine.site, out)
+    model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
+    model = with_penalty(model, penalty)
+    theta = bench.theta(fitted.values, fitted.explanation, number)
+    for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
+        each = bench.effects[name]
+        model = each.apply(model, {**each.null, **theta, **each.without_onset(point)})
+        if point.get(each.onset, 0.0) > 0.0:
+            writer.warnings.append(
+                f"diagnosed.feb has {name} from the start; in the data it sets in after "
+                f"{100 * point[each.onset]:.0f} % of the levels"
+            )
+    write_feb(model, writer.file("feb", "diagnosed.feb"), templates)
+    told = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
+    writer.warnings.extend([told] if told else [])
+
+
+def _contact_takes(
+    mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
+) -> str | None:
+    """What the written model's contact takes from the fitted curves at its deepest level, if it matters.
+
+    force (n,) : theirs at the reference stiffness
+    """
+    known = mine.curves.sinking
+    if known is None:
+        return None
+    # A penalty is taken for a facet of its size.
+    meshed = read_result(out, "mesh", site=mine.site.name).data
+    edge = float(meshed.get("size_under_probe_mm", mine.size))
+    asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
+    taken = known.taken(curves, force, deep, penalty=asked)
+    if taken <= _SOFT:
+        return None
+    return (
+        f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, "
+        f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
+        "says (build-feb --contact-penalty)"
+    )
