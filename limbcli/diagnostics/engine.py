@@ -79,6 +79,7 @@ class _Run:
             if size > 1:
                 compared = self._with_look_alikes(compared, candidates, refits)
             kept = [each for each in compared if each.in_set and self._each_is_needed(each, refits)]
+            kept += [r for r in compared if r.is_close_to(kept) and self._each_is_needed(r, refits)]
             if kept:
                 return self._repeated(kept, candidates, refits) if size < self.max_effects else kept
         return []

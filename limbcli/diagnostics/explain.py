@@ -17,6 +17,8 @@ from limbcli.model import Array
 
 LEVEL = 0.01  # of the test against the best of the set
 ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
+_BARELY = 0.25  # of that level: what misses it by no more is told where it fits as well as what does not
+_AS_WELL = 4.0  # deviance
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
 _N_DRAWS = 4000
 _PAIRS_KEPT = 12
@@ -51,9 +53,21 @@ class Refit:
     @property
     def fits(self) -> bool:
         """Adequate, and not beaten beyond chance; perhaps with a parameter on a bound."""
-        if not self.is_adequate:
+        return self.is_adequate and not self._is_beaten
+
+    def is_close_to(self, members: Sequence[Refit]) -> bool:
+        """Just not adequate, but as good a fit as a member: both leave the same scatter, and its level is no
+        evidence for one of them."""
+        if self.fitted.at_bound or self.is_adequate or self.family.smallest < _BARELY * ADEQUATE:
             return False
-        return self.gap is None or self.gap_allowed is None or self.gap <= self.gap_allowed + _SLACK
+        return not self._is_beaten and any(self.state.chi2 < m.state.chi2 + _AS_WELL for m in members)
+
+    @property
+    def _is_beaten(self) -> bool:
+        """By another, beyond what chance allows."""
+        if self.gap is None or self.gap_allowed is None:
+            return False
+        return self.gap > self.gap_allowed + _SLACK
 
 
 def compare(

@@ -12,7 +12,7 @@ import pytest
 
 from limbcli.diagnostics import candidates
 from limbcli.diagnostics.bench import Fitted
-from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.calibrate import Family, Overall
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.explain import LEVEL, Refit, compare
 from limbcli.diagnostics.linear import LinearFit, Whitener
@@ -54,6 +54,25 @@ def test_rivals_are_compared_round_their_own_fits(rng):
     e = unit_errors(rng, (100_000, n))
     gaps = np.maximum(e[:, 1] ** 2 - e[:, 0] ** 2 + 2 * e[:, 2] - 1, 0.0)
     assert compared[0].gap_allowed == pytest.approx(np.quantile(gaps, 1 - LEVEL), rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "p", "chi2", "gap", "told"),
+    [
+        ("barely not adequate, as good a fit", 0.009, 44.6, 3.1, True),
+        ("worse by more than chance", 0.009, 46.0, 4.5, False),
+        ("beaten", 0.009, 44.6, 9.6, False),
+        ("far from adequate", 0.002, 44.6, 3.1, False),
+        ("adequate, so a member by its own right", 0.011, 44.6, 3.1, False),
+    ],
+)
+def test_a_level_barely_missed_does_not_take_an_equal_out_of_the_set(name, p, chi2, gap, told):
+    def refit(p: float, chi2: float, gap: float) -> Refit:
+        fitted = Fitted((name,), np.zeros(1), np.zeros((1, 0)), (), {}, (), ())
+        state = LinearFit.of(np.array([np.sqrt(chi2)]), np.zeros((1, 0)))
+        return Refit(fitted, state, Family((), Overall(chi2, 25, p, p), 0.05), gap, 9.0)
+
+    assert refit(p, chi2, gap).is_close_to([refit(0.013, 41.5, 0.0)]) is told
 
 
 def test_look_alikes_of_a_pair_are_tried_though_their_rank_was_low(rng, monkeypatch):
