@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from limbcli import __version__
-from limbcli.cli.entry import INTERRUPTED, MESSAGE
+from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.errors import LimbError
 
 app = typer.Typer(

@@ -10,8 +10,7 @@ import signal
 import sys
 from types import FrameType
 
-INTERRUPTED = 130
-MESSAGE = "interrupted; nothing half-written was kept. The same command finishes the job."
+from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 
 
 def main() -> None:
