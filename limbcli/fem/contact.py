@@ -11,7 +11,8 @@ from limbcli.fem.contact_points import FACET, N_STATE
 from limbcli.fem.element import shape
 from limbcli.fem.friction import FrictionPair
 from limbcli.fem.groups import Group
-from limbcli.fem.pairs import Pair, Patch
+from limbcli.fem.pairs import Pair
+from limbcli.fem.patch import Patch
 from limbcli.fem.quadrature import rule
 from limbcli.fem.rigid import Body
 from limbcli.model import Contact, IntArray, LimbModel, Surface

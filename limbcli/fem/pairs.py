@@ -10,39 +10,17 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.fem import contact_kernels as kernels
 from limbcli.fem.assembly import Threads
 from limbcli.fem.contact_points import FACET, TRACTION
 from limbcli.fem.contact_search import search
 from limbcli.fem.groups import Group
+from limbcli.fem.patch import Patch
 from limbcli.fem.penalty import penalties
 from limbcli.fem.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, Contact, IntArray
-
-
-@dataclass(eq=False)
-class Patch:
-    """Soft facets of one kind with their integration points.
-
-    group, cell : the group of cells behind each facet, and the cell's row in it
-    ratio : area over volume behind (1/mm); normals : of the reference state
-    """
-
-    facets: IntArray
-    N: Array
-    dN: Array
-    weights: Array
-    group: IntArray
-    cell: IntArray
-    ratio: Array
-    normals: Array
-    eps: Array
-    multiplier: Array
-    state: Array
-    pairs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
 
 
 @dataclass(eq=False)

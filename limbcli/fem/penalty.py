@@ -8,18 +8,15 @@ area, V the volume of the cell behind it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.fem.groups import Group
+from limbcli.fem.patch import Patch
 from limbcli.materials.differences import tangent_change
 from limbcli.materials.program import CurveAt, Program
 from limbcli.materials.stress import _evaluate, penalty_modulus
 from limbcli.model import Array, Contact, IntArray
-
-if TYPE_CHECKING:
-    from limbcli.fem.pairs import Patch
 
 
 def penalties(
