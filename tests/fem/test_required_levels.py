@@ -9,7 +9,7 @@ import pytest
 from small_models import punch
 
 from limbcli.errors import SolveError
-from limbcli.fem.analysis import _BRIEF_CUTS
+from limbcli.fem.march import BRIEF_CUTS
 from limbcli.materials import ogden_type
 from limbcli.model import Drive, LimbModel
 from limbcli.solvers.session import ReferenceSession
@@ -34,7 +34,7 @@ def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
     assert session.solve(required=1).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
     brief = session._analysis.counts.retries
     assert session.solve(required=1, hoped=2).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
-    assert session._analysis.counts.retries - brief > _BRIEF_CUTS + 1  # with the full effort
+    assert session._analysis.counts.retries - brief > BRIEF_CUTS + 1  # with the full effort
     session.close()
 
 
