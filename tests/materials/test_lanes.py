@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.materials import compile_material, lanes, ogden_type
+from limbcli.materials import compile_material, lane_rows, lanes, ogden_type
 from limbcli.materials.dispatch import workspace
 from limbcli.materials.stress import _evaluate
 from limbcli.materials.wide import LANES
@@ -44,17 +44,21 @@ def evaluated(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """J (16,), S (16, 6), CC (16, 6, 6) of the vectors."""
     program = compile_material(material, "m").program(LANES, lambda name: 1.0)
-    w, place, six, square = lanes.room()
+    w, place, six, square = lane_rows.room()
     rows = w.reshape(-1, LANES)
-    rows[lanes.F : lanes.F + 9] = F.reshape(LANES, 9).T
+    rows[lane_rows.F : lane_rows.F + 9] = F.reshape(LANES, 9).T
     if shift is not None:
-        rows[lanes.SHIFT] = shift
+        rows[lane_rows.SHIFT] = shift
     numbers = np.arange(LANES) if len(program.par) > 1 else np.zeros(LANES, dtype=np.int64)
     lanes.measure(w)
     lanes.add_laws(w, program.ops, program.par, numbers, True, place, six, square, workspace())
     lanes.finish(w, True)
-    CC = rows[lanes.CC + lanes.UPPER]
-    return rows[lanes.J].copy(), rows[lanes.S : lanes.S + 6].T.copy(), CC.transpose(2, 0, 1).copy()
+    CC = rows[lane_rows.CC + lane_rows.UPPER]
+    return (
+        rows[lane_rows.J].copy(),
+        rows[lane_rows.S : lane_rows.S + 6].T.copy(),
+        CC.transpose(2, 0, 1).copy(),
+    )
 
 
 def one_by_one(material: Material, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
