@@ -4,7 +4,6 @@ derivatives of the probe's force.
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,15 +13,15 @@ import numpy as np
 
 import limbcli
 from limbcli.errors import SolveError
-from limbcli.model import Array, ElementMap, LimbModel, LogRecord
+from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
-from limbcli.solvers.session_watch import Parameter, Rows, Watch, key_of
+from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
+from limbcli.solvers.session_watch import Rows, Watch, key_of
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Snapshot
-    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
     from limbcli.fem.warm import WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
@@ -116,13 +115,13 @@ class ReferenceSession:
         warm = self._warm_start(model, wrt, moved)
         started = time.monotonic()
         asked = self._records(model, records or field_gradients)
-        parameters = {(each[0], each[1]): _law_parameter(each, moved.get(each), model) for each in wrt}
+        parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped)
         self.model = model
         warm.keep(
             Solved(
-                _values(model, wrt, moved),
+                parameter_values(model, wrt, moved),
                 {s.state.time: s.state for s in snapshots if s.must},
                 watch.slopes,
                 tuple(o.lame for o in self._analysis.system.operands),
@@ -156,7 +155,7 @@ class ReferenceSession:
         for name in wrt:
             ends = []
             for sign in (1.0, -1.0):
-                changed, step = _nudged(model, name, sign * _DIFFERENCE)
+                changed, step = nudged(model, name, sign * _DIFFERENCE)
                 ends.append(self.solve(changed, records=fields))
             up, down = ends
             key = (name[0], name[1])
@@ -206,7 +205,7 @@ class ReferenceSession:
         from limbcli.fem.warm import WarmStart
 
         self._warm = self._warm or WarmStart()
-        self._warm.at(_values(model, wrt, weights))
+        self._warm.at(parameter_values(model, wrt, weights))
         return self._warm
 
 
@@ -222,72 +221,10 @@ def _table_differences(up: SessionResult, down: SessionResult, width: float) -> 
     return found
 
 
-def tied_parts(name: str) -> list[tuple[str, float]]:
-    """The parameters behind a name, and how far each moves.
-
-    >>> tied_parts("m1-m2"), tied_parts("0.c1")
-    ([('m1', 1.0), ('m2', -1.0)], [('0.c1', 1.0)])
-    """
-    return [(part, -1.0 if sign == "-" else 1.0) for sign, part in re.findall(r"([+-]?)([^+-]+)", name)]
-
-
-def _law_parameter(
-    key: Parameter, weights: Array | None, model: LimbModel
-) -> LawParameter | Tied | Prestrain:
-    """What a key stands for; "ramp" of a prestrained material is its prestrain's."""
-    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
-
-    material, name = key
-    if name == "ramp" and model.materials[material].law == "prestrain":
-        return Prestrain(material)
-    parts = tied_parts(name)
-    if len(parts) == 1:
-        return LawParameter(material, name, weights=weights)
-    return Tied(tuple((LawParameter(material, part, weights=weights), rate) for part, rate in parts))
-
-
-def _values(
-    model: LimbModel, wrt: Sequence[Parameter], weights: Mapping[Parameter, Array]
-) -> dict[Parameter, float]:
-    """Every number of the model's laws; of a map along `weights` its coefficient; of tied ones the first."""
-    out: dict[Parameter, float] = {}
-    for material, law in model.materials.items():
-        for name, value in law.parameters.items():
-            if isinstance(value, float | int):
-                out[material, name] = float(value)
-    for material, name in wrt:
-        first = model.materials[material].parameters.get(tied_parts(name)[0][0])
-        along = weights.get((material, name))
-        if isinstance(first, float | int):
-            out[material, name] = float(first)
-        elif isinstance(first, ElementMap) and along is not None:
-            out[material, name] = float(along @ first.values / (along @ along))
-    return out
-
-
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
     laws = (material.law for material in model.materials.values())
     return "viscoelastic" in laws or any(each.augmented or each.friction for each in model.contacts)
-
-
-def _nudged(model: LimbModel, name: Parameter, relative: float) -> tuple[LimbModel, float]:
-    """The model with one parameter moved by a part of itself, and by how much (unsigned)."""
-    material = model.materials[name[0]]
-    owner = material
-    while name[1] not in owner.parameters and len(owner.parts) == 1:
-        owner = owner.parts[0]
-    value = owner.parameters.get(name[1])
-    if not isinstance(value, float | int) or value == 0:
-        raise SolveError(
-            f"{name[0]}.{name[1]} cannot be differenced: it is {value!r}",
-            where="derivative of a path-dependent response",
-            fix="choose a parameter that is a number other than 0",
-        )
-    moved = owner.with_parameters(**{name[1]: value * (1 + relative)})
-    if owner is not material:
-        moved = replace(material, parts=(moved,))
-    return model.with_material(name[0], moved), abs(value * relative)
 
 
 def _contact_body(model: LimbModel) -> str:

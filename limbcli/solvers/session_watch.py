@@ -9,12 +9,12 @@ import numpy as np
 
 from limbcli.model import Array, IntArray, LogRecord
 from limbcli.solvers.base import Table
+from limbcli.solvers.session_parameters import Parameter
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
     from limbcli.fem.sensitivity import Parameter as Differentiable
 
-Parameter = tuple[str, str]
 Rows = list[tuple[IntArray, Array]]
 
 
