@@ -3,7 +3,8 @@ solvers consume it, `feb` writes and reads it.
 
 Everything is frozen; change it with the `with_*` methods or `dataclasses.replace`.
 Node and cell numbers count from 0 here (FEBio's from 1; `feb` converts). Node
-order inside a cell is VTK's, which is FEBio's too.
+order inside a cell is VTK's, which is FEBio's too. Rigid bodies and contact are in
+`bodies`.
 
 Frame of a site's model: z outward along the mean skin normal under the probe,
 x along the probe's long side, and z = 0 the height of the probe face at first
@@ -19,6 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from limbcli.bodies import Contact, Drive, RigidBody, Spring
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,7 +160,7 @@ class Domain:
     rule_parameters: Mapping[str, float] = field(default_factory=dict)
 
 
-# ---------------------------------------------------------------- supports, bodies, contact, loads
+# ---------------------------------------------------------------- supports, steps, records
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,75 +177,6 @@ class Support:
     value: float | NodeMap | None = None
     curve: str | None = None
     relative: bool = False
-
-
-@dataclass(frozen=True)
-class RigidBody:
-    """Shell blocks and attached node sets that move as one.
-
-    `blocks`: shell blocks that consist of it; `node_sets`: tissue nodes tied to it.
-    """
-
-    name: str
-    center_of_mass: tuple[float, float, float]
-    blocks: tuple[str, ...] = ()
-    node_sets: tuple[str, ...] = ()
-    density: float = 1e-9
-
-
-@dataclass(frozen=True)
-class Drive:
-    """What is prescribed of one degree of freedom of a rigid body.
-
-    dof : "x", "y", "z" (translation) or "u", "v", "w" (rotation about x, y, z)
-    kind : "fixed", "displacement", "rotation", "force" or "moment"
-    """
-
-    body: str
-    dof: Literal["x", "y", "z", "u", "v", "w"]
-    kind: Literal["fixed", "displacement", "rotation", "force", "moment"]
-    value: float = 0.0
-    curve: str | None = None
-    relative: bool = False
-
-
-@dataclass(frozen=True)
-class Spring:
-    """FEBio's "rigid spring" between two bodies: k N/mm, insertion points, free length."""
-
-    name: str
-    body_a: str
-    body_b: str
-    stiffness: float
-    insertion_a: tuple[float, float, float]
-    insertion_b: tuple[float, float, float]
-    free_length: float
-
-
-@dataclass(frozen=True)
-class Contact:
-    """FEBio's `sliding-elastic`: a soft primary surface against a rigid secondary one.
-
-    `more` holds FEBio's further settings by their names, as text ("maxaug": "10").
-    """
-
-    primary: str
-    secondary: str
-    name: str = "probe_contact"
-    kind: Literal["sliding-elastic", "sliding-biphasic"] = "sliding-elastic"
-    penalty: float = 20.0
-    auto_penalty: bool = True
-    update_penalty: bool = False
-    augmented: bool = False
-    tolerance: float = 0.05
-    gap_tolerance: float = 0.0
-    search_radius: float = 20.0
-    friction: float = 0.0
-    symmetric: bool = True
-    two_pass: bool = False
-    knmult: float = 0.0
-    search_tolerance: float = 0.01
-    more: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli import bodies
 from limbcli import model as nouns
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
@@ -23,8 +24,9 @@ from limbcli.model import LimbModel
 FORMAT = 1
 _TYPES = {
     each.__name__: each
-    for each in vars(nouns).values()
-    if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == nouns.__name__
+    for module in (bodies, nouns)
+    for each in vars(module).values()
+    if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == module.__name__
 }
 _TEXT = "model_json"
 

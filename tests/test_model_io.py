@@ -8,20 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.bodies import Drive, RigidBody
 from limbcli.errors import CaseError
 from limbcli.model import (
     Block,
     Curve,
     Curved,
     Domain,
-    Drive,
     ElementMap,
     LimbModel,
     LogRecord,
     Material,
     Mesh,
     NodeMap,
-    RigidBody,
     Step,
     Support,
     Surface,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from limbcli.bodies import RigidBody
 from limbcli.feb import read_loads
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
@@ -24,7 +25,7 @@ from limbcli.feb.read_material import MaterialSection, read_materials
 from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
 from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
-from limbcli.model import Curved, Domain, LimbModel, Material, Mesh, RigidBody, Step, Surface
+from limbcli.model import Curved, Domain, LimbModel, Material, Mesh, Step, Surface
 
 UNITS = "mm-N-s"
 INFO_MARK = "limbcli-info "

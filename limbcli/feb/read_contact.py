@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
+from limbcli.bodies import Contact
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.xml import Tag
-from limbcli.model import Contact
 
 # FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
 CONTACT_DEFAULTS = {

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from limbcli.bodies import RigidBody
 from limbcli.feb.laws import BY_FEBIO, LawTag, lame
 from limbcli.feb.xml import Tag
-from limbcli.model import Curved, ElementMap, Material, RigidBody, Value
+from limbcli.model import Curved, ElementMap, Material, Value
 
 _DEFAULT_DENSITY = 1e-9
 _UNIT_TOLERANCE = 1e-12  # closer to 1 than this is round-off: leave the digits as they are

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from limbcli.bodies import RigidBody
 from limbcli.feb.read_mesh import MeshSection, Numbering
 from limbcli.feb.xml import Tag
-from limbcli.model import IntArray, LogRecord, RigidBody
+from limbcli.model import IntArray, LogRecord
 
 _DELIMITERS = (None, ",", " ", "\t")
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, number, vector
 from limbcli.feb.laws import BY_LAW, LawTag, young
@@ -18,7 +19,6 @@ from limbcli.model import (
     Array,
     Block,
     Curved,
-    Drive,
     ElementMap,
     IntArray,
     LimbModel,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from limbcli.bodies import Contact
 from limbcli.errors import SolveError
 from limbcli.fem.contact_points import FACET, N_STATE
 from limbcli.fem.element import shape
@@ -15,7 +16,7 @@ from limbcli.fem.pairs import Pair
 from limbcli.fem.patch import Patch
 from limbcli.fem.quadrature import rule
 from limbcli.fem.rigid import Body
-from limbcli.model import Contact, IntArray, LimbModel, Surface
+from limbcli.model import IntArray, LimbModel, Surface
 
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
 

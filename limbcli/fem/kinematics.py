@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem import curves
 from limbcli.fem.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, rotation_matrix
 from limbcli.fem.state import State
-from limbcli.model import Array, Drive, IntArray, LimbModel, NodeMap, Support
+from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from limbcli.bodies import Contact
 from limbcli.fem import contact_kernels as kernels
 from limbcli.fem.assembly import Threads
 from limbcli.fem.contact_points import FACET, TRACTION
@@ -20,7 +21,7 @@ from limbcli.fem.patch import Patch
 from limbcli.fem.penalty import penalties
 from limbcli.fem.rigid import BodyState
 from limbcli.materials.program import CurveAt
-from limbcli.model import Array, Contact, IntArray
+from limbcli.model import Array, IntArray
 
 
 @dataclass(eq=False)

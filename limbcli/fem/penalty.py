@@ -11,12 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from limbcli.bodies import Contact
 from limbcli.fem.groups import Group
 from limbcli.fem.patch import Patch
 from limbcli.materials.differences import tangent_change
 from limbcli.materials.program import CurveAt, Program
 from limbcli.materials.stress import _evaluate, penalty_modulus
-from limbcli.model import Array, Contact, IntArray
+from limbcli.model import Array, IntArray
 
 
 def penalties(

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
-from limbcli.model import Array, Drive, IntArray, LimbModel, RigidBody, Spring
+from limbcli.model import Array, IntArray, LimbModel
 
 DOFS = ("x", "y", "z", "u", "v", "w")
 

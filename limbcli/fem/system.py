@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from limbcli.bodies import Drive
 from limbcli.fem.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.contact import make_pairs
 from limbcli.fem.contact_points import FACET, TRACTION, add_symmetric
@@ -24,7 +25,7 @@ from limbcli.fem.groups import make_groups
 from limbcli.fem.halves import halve
 from limbcli.fem.rigid_loads import RigidLoads
 from limbcli.fem.state import Forces, State
-from limbcli.model import Array, Drive, IntArray, LimbModel, Support
+from limbcli.model import Array, IntArray, LimbModel, Support
 
 _NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
 from limbcli.meshing.checks import SiteChecks, site_checks
 from limbcli.meshing.crop import crop_planes
@@ -20,18 +21,7 @@ from limbcli.meshing.quality import Quality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.volume import VolumeMesh, mesh_volume, under_probe
-from limbcli.model import (
-    Contact,
-    Curve,
-    Drive,
-    IntArray,
-    LimbModel,
-    Material,
-    Mesh,
-    RigidBody,
-    Step,
-    Support,
-)
+from limbcli.model import Curve, IntArray, LimbModel, Material, Mesh, Step, Support
 from limbcli.model import (
     Domain as MaterialDomain,
 )

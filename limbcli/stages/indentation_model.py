@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.settings import LEAST_START, START_DEPTHS, Schedule, robust_contact, robust_step
 from limbcli.materials.ogden import ogden_type
-from limbcli.model import Array, Drive, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 
 PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
 RIGID_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import CaseError, ToolError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import render, write_feb
@@ -20,13 +21,10 @@ from limbcli.model import (
     Curve,
     Curved,
     Domain,
-    Drive,
     ElementMap,
     LimbModel,
     Material,
     NodeMap,
-    RigidBody,
-    Spring,
     Step,
     Support,
     Surface,

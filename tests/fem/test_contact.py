@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
@@ -19,7 +20,7 @@ from limbcli.fem.rigid import BodyState, rotation_matrix, rotation_vector, sprin
 from limbcli.fem.state import State
 from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
-from limbcli.model import Drive, LimbModel, RigidBody, Spring, Support
+from limbcli.model import LimbModel, Support
 
 QUICK = Settings(tolerance=1e-8, threads=1)
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from small_models import block
 
+from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 from limbcli.materials.fiber import JUMP
-from limbcli.model import Drive, Material, RigidBody
+from limbcli.model import Material
 
 
 def test_tangent_agrees_with_differences_on_the_jump(rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.field_derivatives import cell_field_derivatives, principal_changes, record_derivatives
@@ -19,20 +20,7 @@ from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Prestrai
 from limbcli.fem.rigid import rotation_matrix
 from limbcli.fem.sensitivity import sensitivities
 from limbcli.materials import compile_material, ogden_type
-from limbcli.model import (
-    Block,
-    Curved,
-    Domain,
-    Drive,
-    ElementMap,
-    LimbModel,
-    LogRecord,
-    Material,
-    RigidBody,
-    Spring,
-    Step,
-    Support,
-)
+from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, LogRecord, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
+from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem import friction_kernels
 from limbcli.fem.analysis import Analysis, Snapshot
@@ -16,7 +17,7 @@ from limbcli.fem.sensitivity import LawParameter, sensitivities
 from limbcli.fem.system import System
 from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
-from limbcli.model import Curve, Drive, LimbModel, Step, Support
+from limbcli.model import Curve, LimbModel, Step, Support
 from limbcli.solvers.session import ReferenceSession
 
 QUICK = Settings(tolerance=1e-8, threads=1)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_models import punch
 
+from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.march import BRIEF_CUTS
 from limbcli.materials import ogden_type
-from limbcli.model import Drive, LimbModel
+from limbcli.model import LimbModel
 from limbcli.solvers.session import ReferenceSession
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_models import block
 
+from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.newton import Settings
 from limbcli.materials.stress import cauchy_stress
-from limbcli.model import Curve, Drive, LimbModel, RigidBody, Step, Support
+from limbcli.model import Curve, LimbModel, Step, Support
 
 QUICK = Settings(tolerance=1e-11, threads=1)
 CURVES = {"first": Curve(((0.0, 0.0), (1.0, 1.0))), "second": Curve(((1.0, 0.0), (3.0, 1.0)), "smooth")}

@@ -10,25 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import facets, quadratic
-from limbcli.model import (
-    Block,
-    Contact,
-    Curve,
-    Domain,
-    Drive,
-    LimbModel,
-    Mesh,
-    RigidBody,
-    Step,
-    Support,
-    Surface,
-)  # fmt: skip
+from limbcli.model import Block, Curve, Domain, LimbModel, Mesh, Step, Support, Surface
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession

@@ -8,23 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import SolveError
 from limbcli.feb.write import write_feb
 from limbcli.model import (
     Block,
-    Contact,
     Curve,
     Domain,
-    Drive,
     LimbModel,
     LogRecord,
     Material,
     Mesh,
-    RigidBody,
     Step,
     Support,
     Surface,
-)  # fmt: skip
+)
 from limbcli.results import StageResult
 from limbcli.stages.report_state import read_deformed, read_residuals
 
