@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,7 @@ class ReferenceSession:
         field_gradients: bool = False,
         required: int | None = None,
         hoped: int | None = None,
+        leads: bool = True,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -99,6 +101,7 @@ class ReferenceSession:
         field_gradients : fill them, and differentiate all that they hold by `wrt`
         required : how many levels must be reached, the rest as far as the solver gets; None: all
         hoped : how many are worth the full effort, later ones are tried briefly; None: those required
+        leads : later solves may start from its levels
 
         Raises
         ------
@@ -119,14 +122,15 @@ class ReferenceSession:
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped)
         self.model = model
-        warm.keep(
-            Solved(
-                parameter_values(model, wrt, moved),
-                {s.state.time: s.state for s in snapshots if s.must},
-                watch.slopes,
-                tuple(o.lame for o in self._analysis.system.operands),
+        if leads:
+            warm.keep(
+                Solved(
+                    parameter_values(model, wrt, moved),
+                    {s.state.time: s.state for s in snapshots if s.must},
+                    watch.slopes,
+                    tuple(o.lame for o in self._analysis.system.operands),
+                )
             )
-        )
         simulation = self._simulation(snapshots, asked, watch.rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
         points = MustPoints(
@@ -138,10 +142,10 @@ class ReferenceSession:
         return SessionResult(simulation, points, gradients, field_gradient=watch.field_gradient())
 
     def start_like(self, other: ReferenceSession) -> None:
-        """Take first guesses from another session's levels, where its model has the same nodes."""
+        """Take first guesses from another session's levels so far, where its model has the same nodes."""
         same = self.model.mesh.points.shape == other.model.mesh.points.shape
         if same and len(self.model.bodies) == len(other.model.bodies):
-            self._warm = other._warm
+            self._warm = copy(other._warm)
 
     def close(self) -> None:
         self._analysis.close()

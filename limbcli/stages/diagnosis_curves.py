@@ -194,7 +194,9 @@ class CurveBook:
             if not same_mesh and self._session is not None:
                 session.start_like(self._session)
             try:
-                result = session.solve(model, records=True, required=self._required, hoped=self._hoped)
+                result = session.solve(
+                    model, records=True, required=self._required, hoped=self._hoped, leads=not ingredients
+                )
             finally:
                 self.work.end()
                 if not same_mesh:

@@ -16,9 +16,9 @@ from limbcli.errors import SolveError
 # In products of the factor: what an iteration and a factor cost beside the Krylov iterations.
 _PER_ITERATION, _PER_FACTOR = 10, 20
 # Of the mean work of the model without effects; the same with friction, which goes by steps.
-_TIMES_USUAL, _TIMES_WITH_FRICTION = 2.0, 6.0
+_TIMES_USUAL, _TIMES_WITH_FRICTION = 2.0, 12.0
 _LEAST_ALLOWED = 2000
-_TIMES_USUAL_IN_ALL, _LEAST_USUAL = 40.0, 500.0
+_TIMES_USUAL_IN_ALL, _LEAST_USUAL = 46.0, 500.0
 
 
 @dataclass

@@ -62,3 +62,22 @@ def test_guesses_from_another_session_lead_to_the_same_force_in_fewer_iterations
     assert found.simulation.n_iterations < expected.simulation.n_iterations
     for each in (first, alone, led):
         each.close()
+
+
+def test_a_session_that_starts_like_another_leaves_that_ones_guesses_alone():
+    """Else what a solve takes, and whether it is given up, depends on what was tried before it."""
+    base = punch(depth=2.0)
+    session = ReferenceSession(base, threads=1)
+    session.solve()
+    harder = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
+
+    def work(*, leads: bool) -> list[int]:
+        """Iterations of a new session's solve and of the same once more."""
+        other = ReferenceSession(base, threads=1)
+        other.start_like(session)
+        return [other.solve(harder, leads=leads).simulation.n_iterations for _ in range(2)]
+
+    before = work(leads=True)
+    after = work(leads=False)
+    assert before[0] == after[0]
+    assert before[1] < after[1]
