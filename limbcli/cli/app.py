@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Annotated
 
@@ -12,7 +14,7 @@ import typer
 
 from limbcli import __version__
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
-from limbcli.errors import LimbError
+from limbcli.errors import CaseError, LimbError
 
 app = typer.Typer(
     name="limbcli",
@@ -63,6 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run; every foreseen error becomes a message and its family's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
+        _refuse_no_numbers(arguments)
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
         report_error(error, as_json="--json" in arguments)
@@ -74,6 +77,16 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _refuse_no_numbers(arguments: Sequence[str]) -> None:
+    """`nan` and `inf` read as numbers, and pass any comparison with a bound or none: no option means them."""
+    for before, text in itertools.pairwise(["", *arguments]):
+        option, _, value = (
+            text.rpartition("=") if text.startswith("--") and "=" in text else (before, "", text)
+        )
+        if option.startswith("-") and value.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+            raise CaseError(f"{value!r} is not a number", where=option, fix="give a finite number")
 
 
 def report_error(error: LimbError, *, as_json: bool) -> None:

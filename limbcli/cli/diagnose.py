@@ -28,10 +28,15 @@ def command(
     size_mm: Annotated[
         float | None,
         typer.Option(
-            "--size-mm", help="Working mesh under the probe; default: 5, less where tissue is thin."
+            "--size-mm",
+            min=1,
+            max=20,
+            help="Working mesh under the probe; default: 5, less where tissue is thin.",
         ),
     ] = None,
-    far_size_mm: Annotated[float, typer.Option("--far-size-mm", help="Working mesh far from it.")] = 14.0,
+    far_size_mm: Annotated[
+        float, typer.Option("--far-size-mm", min=2, max=50, help="Working mesh far from it.")
+    ] = 14.0,
     interventions: Annotated[
         bool, typer.Option(help="Try crop and contact first (a few more simulations).")
     ] = True,

@@ -11,11 +11,15 @@ from limbcli.cli.terminal import emit, terminal
 
 SizeOpt = Annotated[
     float | None,
-    typer.Option("--size-mm", help="Edge length under the probe; default 2.5.", show_default=False),
+    typer.Option(
+        "--size-mm", min=0.3, max=20, help="Edge length under the probe; default 2.5.", show_default=False
+    ),
 ]
 FarSizeOpt = Annotated[
     float | None,
-    typer.Option("--far-size-mm", help="Edge length far from it; default 8.", show_default=False),
+    typer.Option(
+        "--far-size-mm", min=0.3, max=50, help="Edge length far from it; default 8.", show_default=False
+    ),
 ]
 ElementOpt = Annotated[
     str | None, typer.Option("--element", help="tet10 | tet4; default: the case's.", show_default=False)
@@ -23,7 +27,11 @@ ElementOpt = Annotated[
 MarginOpt = Annotated[
     float | None,
     typer.Option(
-        "--margin-mm", help="Tissue kept beyond the probe; default: the case's.", show_default=False
+        "--margin-mm",
+        min=5,
+        max=150,
+        help="Tissue kept beyond the probe; default: the case's.",
+        show_default=False,
     ),
 ]
 SkinOpt = Annotated[

@@ -49,15 +49,19 @@ SynthElementOpt = Annotated[
     ),
 ]
 SynthSizeOpt = Annotated[
-    float, typer.Option("--size-mm", help="Edge length under the probe.", rich_help_panel=_MESH)
+    float,
+    typer.Option("--size-mm", min=0.3, max=20, help="Edge length under the probe.", rich_help_panel=_MESH),
 ]
 SynthFarSizeOpt = Annotated[
-    float, typer.Option("--far-size-mm", help="Edge length far from it.", rich_help_panel=_MESH)
+    float,
+    typer.Option("--far-size-mm", min=0.3, max=50, help="Edge length far from it.", rich_help_panel=_MESH),
 ]
 SynthMarginOpt = Annotated[
     float | None,
     typer.Option(
         "--margin-mm",
+        min=5,
+        max=150,
         help="Tissue kept beyond the probe; default: the case's.",
         rich_help_panel=_MESH,
         show_default=False,

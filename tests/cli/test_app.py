@@ -81,6 +81,25 @@ def test_unknown_option_is_a_usage_error():
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("mesh", "x", "--size-mm", "0"), "--size-mm"),
+        (("mesh", "x", "--size-mm", "nan"), "--size-mm"),
+        (("mesh", "x", "--margin-mm=inf"), "--margin-mm"),
+        (("diagnose", "x", "--size-mm", "-1"), "--size-mm"),
+        (("diagnose", "x", "--far-size-mm", "1000"), "--far-size-mm"),
+        (("synth", "x", "--far-size-mm", "0"), "--far-size-mm"),
+        (("fit", "x", "--c-kpa", "-inf"), "--c-kpa"),
+        (("fit", "x", "--tolerance", "0"), "--tolerance"),
+    ],
+)
+def test_numbers_that_no_option_can_mean_are_refused(capsys, arguments, option):
+    code, _, error_text = in_this_process(capsys, *arguments)
+    assert code == 2
+    assert option in re.sub(r"\x1b\[[0-9;]*m", "", error_text)
+
+
 def default_signals() -> None:
     """A test run in the background ignores interrupts, and so would its children."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
