@@ -91,7 +91,6 @@ def test_unknown_option_is_a_usage_error():
         (("diagnose", "x", "--far-size-mm", "1000"), "--far-size-mm"),
         (("synth", "x", "--far-size-mm", "0"), "--far-size-mm"),
         (("fit", "x", "--c-kpa", "-inf"), "--c-kpa"),
-        (("fit", "x", "--tolerance", "0"), "--tolerance"),
     ],
 )
 def test_numbers_that_no_option_can_mean_are_refused(capsys, arguments, option):

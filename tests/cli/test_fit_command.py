@@ -38,11 +38,11 @@ def case(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "code", "fix"),
     [
-        (["--c-kpa", "nan"], 2, "kPa"),
+        (["--c-kpa", "nan"], 2, "finite number"),
         (["--c-kpa", "8000"], 2, "kPa"),
         (["--tolerance", "0"], 2, "1e-3"),
         (["--c-deviation-fraction", "-1"], 2, "share of c"),
-        (["--objective", "joint", "--gain-deviation-fraction", "nan"], 2, "share of the force"),
+        (["--objective", "joint", "--gain-deviation-fraction", "nan"], 2, "finite number"),
         (["--objective", "joint", "--compare-element"], 2, "one at a time"),
         (["--objective", "joint", "--stiffness-map"], 2, "or the map"),
         (["--compare-laws"], 2, "--objective joint"),
