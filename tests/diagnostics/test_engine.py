@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics.candidates import Candidates, closes_gross
-from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.sentences import sentences
 
 
@@ -170,3 +170,16 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
     """A gross misfit that stays is the noise's; one that an effect takes away speaks for it."""
     base, left = (SimpleNamespace(nu=100, chi2=chi2) for chi2 in (before, after))
     assert closes_gross(base, left) == closed
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "speaks"), [(100.0, 8.0, True), (100.0, 30.0, False), (30.0, 5.0, False)]
+)
+def test_an_effect_that_takes_a_gross_misfit_away_needs_no_score_of_its_own(before, after, speaks):
+    """Sensitivities at a fit that is grossly wrong tell little: its score was not significant there."""
+    ground = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
+    run = _Run(ground, 3, False)
+    run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
+    refit = SimpleNamespace(explanation=("wave",), state=SimpleNamespace(nu=9, chi2=after), gap=3.0)
+    assert run._speaks_for_itself(refit) is speaks
+    assert run._each_is_needed(refit, None) is speaks
