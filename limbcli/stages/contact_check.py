@@ -43,26 +43,32 @@ def contact_change(model: LimbModel, forces: Array, *, progress: Progress = SILE
 
 
 def leave_contact_check(
-    model: LimbModel, forces: Array, depths: Array, writer: StageWriter, *, progress: Progress = SILENT
-) -> None:
-    """`contact_check` of a fit, a sentence about it, and a warning where it matters."""
+    model: LimbModel, forces: Array, depths: Array, writer: StageWriter, *, site: str | None = None,
+    progress: Progress = SILENT,
+) -> None:  # fmt: skip
+    """`contact_check` of a fit, a sentence about it, and a warning where it matters.
+
+    site : where the fit is of several, each has a check of its own
+    """
+    found = writer.data if site is None else writer.data.setdefault("contact_check", {})
+    key, at = ("contact_check", "") if site is None else (site, f"{site}: ")
     progress.event("note", text=f"the fitted model with {HARDER:g} times the contact's penalty")
     penalty = model.contacts[0].penalty
     told = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}
     try:
         change = contact_change(model, forces, progress=progress)
     except SolveError as error:
-        writer.data["contact_check"] = {**told, "not_evaluated": error.what}
-        writer.warnings.append(f"what the contact takes from the force was not evaluated: {error.what}")
+        found[key] = {**told, "not_evaluated": error.what}
+        writer.warnings.append(f"{at}what the contact takes from the force was not evaluated: {error.what}")
         return
-    writer.data["contact_check"] = {**told, "force_change_fraction": change}
+    found[key] = {**told, "force_change_fraction": change}
     worst = int(np.argmax(np.abs(change)))
-    found = f"{HARDER:g} times the contact's penalty changes the force by {100 * change[worst]:+.1f} %"
+    words = f"{HARDER:g} times the contact's penalty changes the force by {100 * change[worst]:+.1f} %"
     where = f"at {depths[worst]:.1f} mm"
-    writer.summary.append(f"{found} {where}")
+    writer.summary.append(f"{at}{words} {where}")
     if abs(change[worst]) > MATTERS:
         writer.warnings.append(
-            f"the probe sinks into the skin: {found} {where}, which f_kappa and m make up for. "
+            f"{at}the probe sinks into the skin: {words} {where}, which f_kappa and m make up for. "
             f"Build the model with --contact-penalty {HARDER * penalty:g} and fit again (FEBio may need "
             "smaller steps then)"
         )

@@ -23,6 +23,7 @@ from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
@@ -103,6 +104,8 @@ def fit_joint(
             table.append(law_row(LAWS[name], problem, found, n_solves))
             if name == law.name:
                 leave_joint(writer, models, law, problem, found, n_solves)
+                if options.contact_check:
+                    _check_contacts(writer, measured, law, problem, found, progress)
         if joint.compare_laws:
             leave_comparison(writer, table)
         writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
@@ -148,6 +151,28 @@ def _identify(
         for each_curve in exact:
             each_curve.close()
     return problem, found, sum(each.n_solves for each in curves)
+
+
+def _check_contacts(
+    writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """What a harder contact would change at every site."""
+    c, shape = float(found.best[0]), problem.solved_at(found.best)
+    for each in measured:
+        curve = LawCurve(
+            each.model, law, c=c, density_kg_per_m3=each.site.density_kg_per_m3, speeds=False,
+            progress=progress,
+        )  # fmt: skip
+        try:
+            forces = curve(shape).values
+        except SolveError as error:
+            writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
+            continue
+        finally:
+            curve.close()
+        fitted = each.model.with_material("tissue", law.material(c, shape))
+        leave_contact_check(fitted, forces, curve.depths, writer, site=each.site.name, progress=progress)
 
 
 def _first_shapes(law: FitLaw) -> list[Array]:

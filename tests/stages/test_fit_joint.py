@@ -10,12 +10,13 @@ from scipy.io import loadmat
 from limbcli.errors import CaseError
 from limbcli.feb.settings import schedule
 from limbcli.results import open_stage
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fit_laws import LAWS, law_named
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.indentation_model import indentation_model, with_penalty
 from limbcli.stages.numerical_error import gain_deviation
 from tests.stages import block_case as block
 
@@ -57,6 +58,19 @@ def test_tissue_is_recovered_with_c_free(joint):
     assert joint.data["m"] == pytest.approx(5.0, rel=0.03)
     assert joint.data["chi_square"] < 0.05
     assert joint.data["n_freedom"] == 4 + 5 - 3
+
+
+@pytest.mark.slow
+def test_what_a_harder_contact_changes_is_told_of_every_site(joint, measured):
+    check = joint.data["contact_check"]["p1"]
+    assert (check["penalty"], check["tried"]) == (20.0, 80.0)
+    harder = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=C, f_kappa=SHAPE[0], m=SHAPE[1])
+    session = ReferenceSession(with_penalty(harder, 80.0))
+    expected = session.solve().must_points.forces / np.split(measured, 2)[0] - 1.0
+    session.close()
+    assert check["force_change_fraction"] == pytest.approx(expected, abs=3e-3)
+    assert np.max(expected) > 0.005
+    assert any(line.startswith("p1: 4 times the contact's penalty") for line in joint.summary)
 
 
 @pytest.mark.slow
