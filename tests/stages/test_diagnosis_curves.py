@@ -108,7 +108,7 @@ def iterate(work: Work, n: int, *, factors: int = 0) -> None:
         work("newton", {"krylov": 20 * k, "factorisations": factors * k})
 
 
-@pytest.mark.parametrize(("options", "iterations"), [({}, 200), ({"rubs": True}, 600)])
+@pytest.mark.parametrize(("options", "iterations"), [({}, 200), ({"rubs": True}, 1200)])
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])
     work.begin(candidate=True, **options)
@@ -123,12 +123,12 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
 
 def test_all_the_work_of_a_diagnosis_has_a_limit():
     work = Work(usual=[2000, 4000])
-    for _ in range(41):
+    for _ in range(47):
         assert not work.spent
         work.begin(candidate=True)
         iterate(work, 100)
         work.end()
-    assert work.total == 41 * 3000
+    assert work.total == 47 * 3000
     assert work.spent
 
 
