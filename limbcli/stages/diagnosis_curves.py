@@ -187,7 +187,7 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        self.work.begin(candidate=bool(ingredients), rubs=rubs)
+        self.work.begin(candidate=bool(ingredients), rubs=rubs, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
@@ -283,6 +283,15 @@ class CurveBook:
             self.work.usual.append(found.work)
         self._tell(m, ingredients, found.n_reached)
         return found.curves
+
+
+def _has_fitted_size(ingredients: Ingredients) -> bool:
+    """Whether a parameter stands neither at its null value nor where its sensitivity is taken."""
+    return any(
+        theta.get(p.name, p.null) not in (p.null, p.start)
+        for effect, theta in ingredients
+        for p in effect.parameters
+    )
 
 
 def touches_loads(effect: Effect) -> bool:

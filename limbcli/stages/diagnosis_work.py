@@ -15,8 +15,9 @@ from limbcli.errors import SolveError
 
 # In products of the factor: what an iteration and a factor cost beside the Krylov iterations.
 _PER_ITERATION, _PER_FACTOR = 10, 20
-# Of the mean work of the model without effects; the same with friction, which goes by steps.
-_TIMES_USUAL, _TIMES_WITH_FRICTION = 2.0, 12.0
+# Of the mean work of the model without effects: to see what an effect changes, and with a fitted size, whose
+# answer decides; the same with friction, which goes by steps.
+_TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 4.0, 12.0
 _LEAST_ALLOWED = 2000
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 46.0, 500.0
 
@@ -36,10 +37,10 @@ class Work:
     _allowed: float = math.inf
     _counted: tuple[int, int] = (0, 0)
 
-    def begin(self, *, candidate: bool, rubs: bool = False) -> None:
-        """candidate : it has an effect in it; rubs : it has friction"""
+    def begin(self, *, candidate: bool, rubs: bool = False, fitted: bool = False) -> None:
+        """candidate : it has an effect in it; rubs : it has friction; fitted : its size is that of a fit"""
         self.done = 0
-        times = _TIMES_WITH_FRICTION if rubs else _TIMES_USUAL
+        times = _TIMES_WITH_FRICTION if rubs else _TIMES_FITTED if fitted else _TIMES_USUAL
         self._allowed = max(_LEAST_ALLOWED, times * self.mean) if candidate else self.at_most
 
     @property

@@ -108,7 +108,9 @@ def iterate(work: Work, n: int, *, factors: int = 0) -> None:
         work("newton", {"krylov": 20 * k, "factorisations": factors * k})
 
 
-@pytest.mark.parametrize(("options", "iterations"), [({}, 200), ({"rubs": True}, 1200)])
+@pytest.mark.parametrize(
+    ("options", "iterations"), [({}, 200), ({"fitted": True}, 400), ({"rubs": True}, 1200)]
+)
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])
     work.begin(candidate=True, **options)
@@ -119,6 +121,30 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
     work.begin(candidate=False)
     iterate(work, 2000, factors=1)  # a session's counts begin anew
     assert work.done == 2000 * 50
+
+
+@pytest.mark.parametrize(
+    ("name", "theta", "fitted"),
+    [
+        ("thickness", {"thickness_change": 0.05}, False),
+        ("thickness", {"thickness_change": 0.06}, True),
+        ("skin-layer", {"log_skin_ratio": 1.5, "skin_thickness_mm": 1.5}, False),
+        ("skin-layer", {"log_skin_ratio": 3.7, "skin_thickness_mm": 1.5}, True),
+        ("anisotropy", {"fibre_shear_per_c": 0.0, "fibre_exponent": 3.0}, False),
+    ],
+)
+def test_a_size_that_was_fitted_is_told_from_a_sensitivitys(block, monkeypatch, name, theta, fitted):
+    """By how much work the solve may take."""
+    book, seen = CurveBook(block, DEPTHS, c=0.006, threads=1), {}
+
+    def begin(**facts):
+        seen.update(facts)
+        raise SolveError("not in this test", where="here", fix="none")
+
+    monkeypatch.setattr(book.work, "begin", begin)
+    with pytest.raises(SolveError):
+        book.curves(5.0, ((effect(name), {**effect(name).null, **theta}),))
+    assert seen["fitted"] is fitted
 
 
 def test_all_the_work_of_a_diagnosis_has_a_limit():
