@@ -128,8 +128,8 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
     [
         ("thickness", {"thickness_change": 0.05}, False),
         ("thickness", {"thickness_change": 0.06}, True),
-        ("skin-layer", {"log_skin_ratio": 1.5, "skin_thickness_mm": 1.5}, False),
-        ("skin-layer", {"log_skin_ratio": 3.7, "skin_thickness_mm": 1.5}, True),
+        ("contraction", {"active_stress_per_c": 0.3}, False),
+        ("contraction", {"active_stress_per_c": 0.4}, True),
         ("anisotropy", {"fibre_shear_per_c": 0.0, "fibre_exponent": 3.0}, False),
     ],
 )
