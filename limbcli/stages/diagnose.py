@@ -186,6 +186,8 @@ class _Diagnosed:
             writer.warnings.extend(mine.notes.warnings)
             if mine.book.in_part:
                 writer.warnings.append(_in_part(mine.book.in_part))
+            for name, why in mine.curves.changes.not_simulated.items():
+                writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
             if bench.not_simulated:
                 writer.warnings.append(_not_simulated(bench.not_simulated))
             doubt = too_doubtful(mine.interventions)

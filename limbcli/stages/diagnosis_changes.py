@@ -58,11 +58,16 @@ def _within(spline: CubicSpline, x: float) -> Array:
 
 
 class Changes:
-    """Of one book of curves; `m`: the exponent whose kept deformation is used."""
+    """Of one book of curves.
+
+    m : the exponent whose kept deformation is used
+    not_simulated : effects that spread the load -> why their simulation, which tells that, has no answer
+    """
 
     def __init__(self, book: Book, *, progress: Progress):
         self.book, self.progress = book, progress
         self.m = 2.0
+        self.not_simulated: dict[str, str] = {}
         self._known: dict[tuple[str, str], Change] = {}
 
     def of(self, effect: Effect, point: Theta) -> Change:
@@ -138,7 +143,8 @@ class Changes:
         try:
             true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
             missed = true - np.column_stack(self.book.shift(m, ((effect, theta),)))
-        except SolveError:
+        except SolveError as error:
+            self.not_simulated[effect.name] = error.what
             return np.zeros_like(logs(self.book.curves(m)))
         missed[0, 0] = 0.0
         return np.nan_to_num(missed)

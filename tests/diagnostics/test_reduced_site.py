@@ -14,6 +14,7 @@ from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
+from limbcli.errors import SolveError
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_changes import logs
 from limbcli.stages.diagnosis_data import site_data
@@ -243,6 +244,22 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
     found = one.changes.of(skin, skin.grid[0]).at(theta)
     assert np.abs(true[1:, 0]).max() > 0.05
     assert found[1:] == pytest.approx(true[1:], abs=1e-9)
+
+
+def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypatch):
+    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
+    one.solve_node(2.0)
+    whole = one.book.curves
+
+    def curves(m, ingredients=()):
+        if ingredients:
+            raise SolveError("it takes too long", where="here", fix="none")
+        return whole(m)
+
+    monkeypatch.setattr(one.book, "curves", curves)
+    change = one.changes.of(skin, skin.grid[0]).at({"log_skin_ratio": 1.5})
+    assert np.abs(change[1:, 0]).max() > 0.05  # of the kept deformation
+    assert one.changes.not_simulated == {"skin-layer": "it takes too long"}
 
 
 def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
