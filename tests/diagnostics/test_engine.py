@@ -183,3 +183,14 @@ def test_an_effect_that_takes_a_gross_misfit_away_needs_no_score_of_its_own(befo
     refit = SimpleNamespace(explanation=("wave",), state=SimpleNamespace(nu=9, chi2=after), gap=3.0)
     assert run._speaks_for_itself(refit) is speaks
     assert run._each_is_needed(refit, None) is speaks
+
+
+@pytest.mark.parametrize("adequate", [True, False])
+def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
+    run = _Run(SimpleNamespace(state=None), 1, False)
+    run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.01))
+    member = SimpleNamespace(explanation=("skin",), in_set=adequate, is_close_to=lambda kept: False)
+    barely = SimpleNamespace(explanation=("wave",), in_set=False, is_close_to=lambda kept: member in kept)
+    refits = SimpleNamespace(compared=lambda several: [member, barely], known={})
+    candidates = SimpleNamespace(of_size=lambda *facts: [])
+    assert run._explanations(candidates, [], refits) == ([member, barely] if adequate else [])
