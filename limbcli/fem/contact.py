@@ -12,7 +12,7 @@ from limbcli.fem.contact_points import FACET, N_STATE
 from limbcli.fem.element import shape
 from limbcli.fem.friction import FrictionPair
 from limbcli.fem.groups import Group
-from limbcli.fem.pairs import Pair
+from limbcli.fem.pairs import Pair, rim_edges
 from limbcli.fem.patch import Patch
 from limbcli.fem.quadrature import rule
 from limbcli.fem.rigid import Body
@@ -30,10 +30,11 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         primary = _surface(model, contact.primary)
         body, facets2 = _rigid_side(secondary, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
-        if contact.friction:
-            pairs.append(FrictionPair(contact, body, facets2, patches, bodies[body]))
+        if contact.friction:  # a point that sticks does not slide off
+            sharp = np.zeros(facets2.shape, dtype=bool)
+            pairs.append(FrictionPair(contact, body, facets2, patches, sharp, bodies[body]))
         else:
-            pairs.append(Pair(contact, body, facets2, patches))
+            pairs.append(Pair(contact, body, facets2, patches, rim_edges(facets2)))
     return pairs
 
 

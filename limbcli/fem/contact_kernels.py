@@ -16,7 +16,9 @@ from limbcli.fem.contact_points import (
     NORMAL,
     OTHER,
     POINT,
+    SLIDE,
     TRACTION,
+    WEIGHT,
     cross,
     normal_change,
     point_change,
@@ -49,7 +51,7 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
             if row[TRACTION] == 0.0:
                 continue
             for i in range(3):
-                f3[i] = weights[k] * deps[f] * row[GAP] * row[NORMAL + i]
+                f3[i] = weights[k] * deps[f] * row[WEIGHT] * row[GAP] * row[NORMAL + i]
             push(f3, row, center, facets[f], N[k], out, body)
 
 
@@ -89,10 +91,14 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
             for i in range(3):
                 slip[i] += motion[i]
             dg = _gap_change(row, gap, nu, dr, dnu, slip)
+            dt = row[WEIGHT] * eps[f] * dg
             for i in range(3):
-                df[i] = weights[k] * (eps[f] * dg * n[i] + t * dn[i])
+                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i]  # change of the point of contact
+                dt += t / row[WEIGHT] * row[SLIDE + i] * (arm[i] - slip[i])
+            for i in range(3):
+                df[i] = weights[k] * (dt * n[i] + t * dn[i])
                 f3[i] = weights[k] * t * n[i]
-                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i] - motion[i]  # its change
+                arm[i] -= motion[i]
             push(df, row, center, facets[f], N[k], out, body)
             cross(arm, f3, w)
             for i in range(3):
@@ -103,12 +109,12 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
 def blocks(x, facets, N, dN, weights, eps, state, turning, out):
     """Contact tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do.
 
-    The block of nodes a, b is w N_a (eps n dg_b + t dn_b) with dn_b = -[c_b]x,
-    c_b = dN_b,1 g2 - dN_b,2 g1 and dg_b as in `times`, as is `turning`.
+    The block of nodes a, b is w N_a (n dt_b + t dn_b) with dn_b = -[c_b]x,
+    c_b = dN_b,1 g2 - dN_b,2 g1 and dt_b as in `times`, as is `turning`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    D, dg = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
+    D, dt, dnu = np.empty((nodes, 3, 3)), np.empty((nodes, 3)), np.empty(3)
     touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
         K = out[f]
@@ -131,15 +137,20 @@ def blocks(x, facets, N, dN, weights, eps, state, turning, out):
                 D[b, 1, 0], D[b, 2, 0], D[b, 2, 1] = -c[2], c[1], -c[0]
                 for j in range(3):
                     along = (n[0] * D[b, 0, j] + n[1] * D[b, 1, j] + n[2] * D[b, 2, j]) / length
-                    turn = 0.0
+                    turn, slides = 0.0, 0.0
                     for i in range(3):
-                        turn += m[i] * (D[b, i, j] - n[i] / length * along) / length
-                    dg[b, j] = (N[k, b] * m[j] - gap * turn) / mnu
+                        dnu[i] = (D[b, i, j] - n[i] / length * along) / length
+                        turn += m[i] * dnu[i]
+                    dg = (N[k, b] * m[j] - gap * turn) / mnu
+                    for i in range(3):
+                        slides -= state[f, k, SLIDE + i] * (dg * n[i] / length + gap * dnu[i])
+                    slides += state[f, k, SLIDE + j] * N[k, b]
+                    dt[b, j] = state[f, k, WEIGHT] * eps[f] * dg + t / state[f, k, WEIGHT] * slides
             for a in range(nodes):
                 for i in range(3):
-                    left = weights[k] * N[k, a] * eps[f] * n[i]
+                    left = weights[k] * N[k, a] * n[i]
                     right = weights[k] * N[k, a] * t
                     for b in range(nodes):
                         for j in range(3):
-                            K[a, i, b, j] += left * dg[b, j] + right * D[b, i, j]
+                            K[a, i, b, j] += left * dt[b, j] + right * D[b, i, j]
     return touched

@@ -2,8 +2,12 @@
 
 At every integration point of the soft facets: current position r, area vector
 n = g1 x g2, unit normal nu; the line along nu meets the rigid surface at q with
-gap g = nu.(r - q), positive inside. `state` (n_facets, n_gauss, 12) holds gap, n, m (normal
-of the rigid facet at q), q, traction, rigid facet.
+gap g = nu.(r - q), positive inside. `state` (n_facets, n_gauss, 16) holds gap, n, m (normal
+of the rigid facet at q), q, traction, rigid facet, weight and how the weight changes with q.
+
+A rigid surface that is not closed ends at a rim. There the traction fades, by a weight that goes from 1 to 0
+round the rim over a part of the facet: a point that loses its whole traction as it slides off, and gains it as
+it springs back, has no equilibrium.
 """
 
 from __future__ import annotations
@@ -11,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-GAP, NORMAL, OTHER, POINT, TRACTION, FACET = 0, 1, 4, 7, 10, 11
-N_STATE = 12
+GAP, NORMAL, OTHER, POINT, TRACTION, FACET, WEIGHT, SLIDE = 0, 1, 4, 7, 10, 11, 12, 13
+N_STATE = 16
 
 
 @njit(cache=True, inline="always")

@@ -9,12 +9,29 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.fem.contact_points import FACET, GAP, NORMAL, OTHER, POINT, TRACTION, cross, point_geometry
+from limbcli.fem.contact_points import (
+    FACET,
+    GAP,
+    NORMAL,
+    OTHER,
+    POINT,
+    SLIDE,
+    TRACTION,
+    WEIGHT,
+    cross,
+    point_geometry,
+)
+
+FADE = 0.2  # of a facet, to either side of the rim: over which tractions fade
+_PLACE, _ALONG = 7, 9  # in what a hit gives, behind g, m, q: natural coordinates, and their gradients
 
 
 @njit(cache=True)
 def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
-    """Where the line r - g nu meets a flat facet: out = g, m (3), q (3). False: it does not."""
+    """Where the line r - g nu meets a flat facet. False: it does not.
+
+    out (15) : g, m (3), q (3), natural coordinates s, t and their gradients along the facet (3 each)
+    """
     a, b, c = x2[first], x2[second], x2[third]
     e1, e2, m, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
@@ -40,11 +57,22 @@ def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
     t = (d11 * p2 - d12 * p1) / det
     if s < -tolerance or t < -tolerance or s + t > 1.0 + tolerance:
         return False
-    out[0] = g
+    _tell(g, m, r, nu, s, t, e1, e2, out)
+    return True
+
+
+@njit(cache=True)
+def _tell(g, m, r, nu, s, t, along_s, along_t, out):
+    """out of a hit; along_s, along_t : how the place moves with s and t."""
+    out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
+    cross(along_t, m, out[_ALONG : _ALONG + 3])
+    cross(m, along_s, out[_ALONG + 3 : _ALONG + 6])
+    mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
     for i in range(3):
         out[1 + i] = m[i]
         out[4 + i] = r[i] - g * nu[i]
-    return True
+        out[_ALONG + i] /= mm
+        out[_ALONG + 3 + i] /= mm
 
 
 @njit(cache=True)
@@ -87,23 +115,67 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
         return False
     if abs(s) > 1.0 + tolerance or abs(t) > 1.0 + tolerance:
         return False
-    out[0] = g
-    for i in range(3):
-        out[1 + i] = m[i]
-        out[4 + i] = r[i] - g * nu[i]
+    _tell(g, m, r, nu, s, t, xs, xt, out)
     return True
 
 
 @njit(cache=True)
-def _hit(x2, nodes, r, nu, tolerance, out):
-    if nodes[3] < 0:
-        return _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, tolerance, out)
-    return _hit_quad(x2, nodes, r, nu, tolerance, out)
+def _hit(x2, nodes, rim, r, nu, tolerance, out):
+    """out of the line's meeting with a facet; rim (4) : which of its edges end the surface."""
+    quad = nodes[3] >= 0
+    wide = tolerance
+    if rim[0] or rim[1] or rim[2] or rim[3]:
+        wide = max(tolerance, (2.0 if quad else 1.0) * FADE)
+    if quad:
+        met = _hit_quad(x2, nodes, r, nu, wide, out)
+    else:
+        met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
+    if met and wide > tolerance:  # beyond the other edges no further than anywhere
+        for edge in range(4 if quad else 3):
+            if not rim[edge] and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
+                return False
+    return met
+
+
+@njit(cache=True)
+def _beyond(edge, quad, s, t):
+    """How far (s, t) is outside of an edge, in natural coordinates; edges go from each node to the next."""
+    if quad:
+        return (-1.0 - t, s - 1.0, t - 1.0, -1.0 - s)[edge]
+    return (-t, s + t - 1.0, -s)[edge]
+
+
+@njit(cache=True)
+def _fade(out, quad, rim, row):
+    """Weight of the traction at a hit, and how it changes as the place slides (see `contact_points`)."""
+    weight = 1.0
+    row[SLIDE] = row[SLIDE + 1] = row[SLIDE + 2] = 0.0
+    width = 2.0 * FADE if quad else FADE
+    for edge in range(4 if quad else 3):
+        if not rim[edge]:
+            continue
+        h = _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) / width
+        if h <= -1.0:
+            continue
+        if h >= 1.0:
+            return 0.0
+        part = 0.5 - 0.25 * h * (3.0 - h * h)
+        slope = -0.75 * (1.0 - h * h) / width
+        ds, dt = 0.0, 0.0
+        if quad:
+            ds, dt = ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0))[edge]
+        else:
+            ds, dt = ((0.0, -1.0), (1.0, 1.0), (-1.0, 0.0))[edge]
+        for i in range(3):
+            along = ds * out[_ALONG + i] + dt * out[_ALONG + 3 + i]
+            row[SLIDE + i] = row[SLIDE + i] * part + weight * slope * along
+        weight *= part
+    return weight
 
 
 @njit(cache=True, nogil=True)
 def search(
-    start, stop, x, facets, N, dN, x2, facets2, spheres, box, radius, tolerance, eps, multiplier, state
+    start, stop, x, facets, N, dN, x2, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
 ):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
@@ -111,10 +183,11 @@ def search(
     line meets that facet. Any other point takes, of the facing facets that its line meets within
     the radius, the nearest. So does FEBio.
 
+    rim (n_facets2, 4): edges that end the rigid surface, where tractions fade
     spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    out, best = np.empty(7), np.empty(7)
+    out, best = np.empty(15), np.empty(15)
     count = 0
     for f in range(start, stop):
         for k in range(N.shape[0]):
@@ -133,7 +206,7 @@ def search(
             for i in range(3):
                 nu[i] = n[i] / length
             found = False
-            if hint >= 0 and _hit(x2, facets2[hint], r, nu, tolerance, out):
+            if hint >= 0 and _hit(x2, facets2[hint], rim[hint], r, nu, tolerance, out):
                 best[:] = out
                 found = True
                 place = hint
@@ -147,7 +220,7 @@ def search(
                     reach = spheres[j, 3]
                     if d2 - along * along > reach * reach or abs(along) > radius + reach:
                         continue
-                    if not _hit(x2, facets2[j], r, nu, tolerance, out):
+                    if not _hit(x2, facets2[j], rim[j], r, nu, tolerance, out):
                         continue
                     if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
                         best[:] = out
@@ -156,7 +229,8 @@ def search(
             if not found:
                 continue
             gap = best[0]
-            traction = multiplier[f, k] + eps[f] * gap
+            weight = _fade(best, facets2[place, 3] >= 0, rim[place], row)
+            traction = weight * (multiplier[f, k] + eps[f] * gap)
             if gap > radius or traction <= 0.0:
                 continue
             count += 1
@@ -167,4 +241,5 @@ def search(
                 row[POINT + i] = best[4 + i]
             row[TRACTION] = traction
             row[FACET] = place
+            row[WEIGHT] = weight
     return count

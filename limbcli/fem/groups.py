@@ -47,18 +47,19 @@ class Group:
         program: Program = self._cache["program"]
         grad, weight, base = self._prestrained(curve)
         return Operands(
-            self.cells, grad, weight, program.ops, program.par, base, scale, history, self._lame(program)
+            self.cells, grad, weight, program.ops, program.par, base, scale, history, *self._moduli(program)
         )
 
-    def _lame(self, program: Program) -> Array:
-        """Pressure per volume change at rest (1 or n_cells): Lame's lambda of the whole law."""
+    def _moduli(self, program: Program) -> tuple[Array, Array]:
+        """At rest, of the whole law (1 or n_cells): pressure per volume change (Lame's lambda), shear modulus."""
         if self._cache.get("lame_of") is not program:
             F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
             S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
             _evaluate(F, program.ops, program.par, S, CC, True)
             self._cache["lame"] = (CC[:, 0, 1] + CC[:, 1, 2] + CC[:, 0, 2]) / 3.0
+            self._cache["shear"] = (CC[:, 3, 3] + CC[:, 4, 4] + CC[:, 5, 5]) / 3.0
             self._cache["lame_of"] = program
-        return np.asarray(self._cache["lame"])
+        return np.asarray(self._cache["lame"]), np.asarray(self._cache["shear"])
 
     def with_material(self, material: Compiled) -> Group:
         return replace(self, material=material, _cache={})
@@ -93,6 +94,7 @@ class Operands:
     scale: float
     history: Array
     lame: Array
+    shear: Array
 
     def arguments(self) -> tuple[Any, ...]:
         return (self.cells, self.grad, self.weight, self.ops, self.par, self.base, self.scale, self.history)

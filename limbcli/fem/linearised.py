@@ -37,6 +37,7 @@ class Linearised:
         cost as much as a new one
     rate : Krylov iterations per decade, last time
     stuck : the last step was not solved for: the factor is too old to be of use
+    drag : what holds the tissue where it is, in the next tangents (see `Newton.relax`)
     """
 
     def __init__(self, system: System, settings: Settings, counts: Counts):
@@ -46,6 +47,7 @@ class Linearised:
         self.debt = 0.0
         self.rate = _FRESH
         self.stuck = False
+        self.drag = 0.0
         single = settings.single if settings.single is not None else system.n_tissue > _LARGE
         pattern = system.pattern
         self.linear: Any = (
@@ -79,7 +81,7 @@ class Linearised:
     def refresh(self, state: State, nodal: Array) -> None:
         """Assemble and factor the tangent at a state, the contact as searched last; `nodal` are the forces
         there."""
-        self.tangent = assemble(self.system, state, nodal)
+        self.tangent = assemble(self.system, state, nodal, drag=self.drag)
         if state.time == 0.0:
             check_held(self.tangent, state)
         self.inverse = Inverse(self.tangent, state, self.linear)
@@ -90,7 +92,7 @@ class Linearised:
 
     def assemble(self, state: State, nodal: Array) -> None:
         """The tangent at a state; the factor stays."""
-        self.tangent = assemble(self.system, state, nodal)
+        self.tangent = assemble(self.system, state, nodal, drag=self.drag)
 
     def ready_for(self, n_solves: int, decades: float, state: State, nodal: Array) -> None:
         """The exact tangent at a state, with a new factor if that pays for so many solves to come."""

@@ -90,6 +90,15 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
+                slow = self._slowly(aim, level, error, last=aim == target)
+                if slow is not None:
+                    cuts, known = 0, None
+                    self._accept(*slow, easily=False)
+                    self._stride = max(aim - begin, 1e-9)
+                    if aim == target:
+                        self._forces, self._known = slow[1], None
+                        return slow
+                    continue
                 hopeless = _hopeless(error, reached)
                 if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
                     if not newton.mixed or self._timed or self._rubbing or brief or hopeless:
@@ -109,6 +118,18 @@ class March:
             if aim == target:
                 self._forces, self._known = forces, known
                 return state, forces
+
+    def _slowly(self, time: float, level: Level, error: SolveError, *, last: bool) -> tuple[State, Forces] | None:
+        """The state that the tissue relaxes to at a time, from the last stride's; None where it does not."""
+        newton, begin = self._newton, self._reached[-1]
+        if self._timed or self._rubbing or not isinstance(error, NotConverged) or self._n_pressed < 2:
+            return None
+        newton.system.recall(begin.hints)
+        newton.linearised.debt = np.inf
+        try:
+            return newton.relax(newton.system.prescribed(begin, time), level, tolerance=None if last else _FIRM)
+        except (NotConverged, SingularMatrix):
+            return None
 
     def _note_cut(self, error: SolveError) -> None:
         self._cuts += 1

@@ -21,6 +21,10 @@ _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
 _FAR = 0.1  # error from which on contact tractions are not yet what they will be
+_RELAXED = 60  # steps of pseudo-time at most
+# Drag at first, the most, and below which it is nothing: in `System.drag`, of a wave of 6 mm, 0.2 mm and 200 mm.
+_DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
+_BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
 _SHARE = 0.6  # of what Newton's method leaves by itself
 
 
@@ -123,6 +127,58 @@ class Newton:
                 break
             renew = forces.error > settings.renew_ratio * before
         raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
+
+    def relax(self, guess: State, level: Level, *, tolerance: float | None = None) -> tuple[State, Forces]:
+        """The equilibrium that tissue held back by a drag comes to from a guess; raises NotConverged.
+
+        Steps in a pseudo-time, implicit ones with the drag over the step's length on the tangent's diagonal; the
+        steps grow as the residual falls (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523). They go
+        on where the tangent has lost its definiteness, on which Newton's method runs astray.
+        """
+        system, linearised = self.system, self.linearised
+        target = self.settings.tolerance if tolerance is None else tolerance
+        system.at(guess.time)
+        state, forces = guess, self.forces(guess)
+        linearised.drag = _DRAG
+        try:
+            for iteration in range(_RELAXED + 1):
+                self.report(level, iteration, forces)
+                if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
+                    return replace(state, hints=system.hints(), volumes=()), forces
+                if iteration == _RELAXED or linearised.drag > _MOST_DRAG:
+                    break
+                self.counts.iterations += 1
+                linearised.debt = max(linearised.debt, 0.0)
+                step = self.direction(state, forces, True, target)
+                found = self._relaxed(state, step)
+                bent = np.inf if found is None else self._bent(forces, found[1], step)
+                if bent > _BENT:
+                    linearised.drag = max(4.0 * linearised.drag, _DRAG)
+                    self.forces(state)
+                    continue
+                assert found is not None
+                state, forces = found
+                linearised.drag *= 0.1 if bent < 0.2 else 0.3 if bent < 0.5 else 1.0
+                if linearised.drag < _LEAST_DRAG:
+                    linearised.drag = 0.0
+        finally:
+            linearised.drag = 0.0
+        raise self.failure(state, forces, level, iteration, "the tissue does not come to rest")
+
+    def _relaxed(self, state: State, step: Array) -> tuple[State, Forces] | None:
+        """State and forces after a step; None where a cell is turned inside out."""
+        trial = self.with_volumes(self.system.moved(state, step), state)
+        found = self.forces(trial)
+        sound = found.worst > 0 and np.isfinite(norm(found.mixed))
+        return (trial, found) if sound else None
+
+    def _bent(self, before: Forces, after: Forces, step: Array) -> float:
+        """What a step left beyond the drag on it, which the linearised tissue would leave, over the residual."""
+        system, linearised = self.system, self.linearised
+        left = after.mixed.copy()
+        left[: system.n_tissue] += linearised.drag * system.collect(np.repeat(system.drag[:, None], 3, axis=1)) * step[: system.n_tissue]
+        size = max(min(norm(before.mixed), norm(before.residual)), self.settings.tolerance * after.scale)
+        return norm(left) / size
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""

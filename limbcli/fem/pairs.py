@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.bodies import Contact
 from limbcli.fem import contact_kernels as kernels
 from limbcli.fem.assembly import Threads
-from limbcli.fem.contact_points import FACET, TRACTION
+from limbcli.fem.contact_points import FACET, TRACTION, WEIGHT
 from limbcli.fem.contact_search import search
 from limbcli.fem.groups import Group
 from limbcli.fem.patch import Patch
@@ -28,6 +29,7 @@ from limbcli.model import Array, IntArray
 class Pair:
     """One contact of the model: soft patches against the facets of a body.
 
+    rim (n_facets2, 4) : edges that end the rigid surface (see `contact_points`)
     turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
         equilibrium they are many times what they will be, and that part of the tangent leads astray
     """
@@ -36,6 +38,7 @@ class Pair:
     body: int
     facets2: IntArray
     patches: list[Patch]
+    rim: NDArray[np.bool_]
     turning: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
@@ -53,7 +56,7 @@ class Pair:
     ) -> int:
         c = self.contact
         found = search(
-            begin, end, x, p.facets, p.N, p.dN, x, self.facets2, spheres, box,
+            begin, end, x, p.facets, p.N, p.dN, x, self.facets2, self.rim, spheres, box,
             c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
         )  # fmt: skip
         return int(found)
@@ -96,9 +99,23 @@ class Pair:
         """Take the tractions over as multipliers; the relative change of their sum of squares."""
         before = sum(float((p.multiplier**2).sum()) for p in self.patches)
         for p in self.patches:
-            p.multiplier = p.state[..., TRACTION].copy()
+            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
         after = sum(float((p.multiplier**2).sum()) for p in self.patches)
         return abs(after - before) / after if after else 0.0
+
+
+def rim_edges(facets2: IntArray) -> NDArray[np.bool_]:
+    """(n, 4): which edges, from each node to the next, belong to one facet (n, 4; triangles end in -1) only."""
+    following = np.roll(facets2, -1, axis=1)
+    triangles = facets2[:, 3] < 0
+    following[triangles, 2] = facets2[triangles, 0]
+    there = np.ones(facets2.shape, dtype=bool)
+    there[triangles, 3] = False
+    ends = np.sort(np.stack([facets2, following], axis=2), axis=2)[there]
+    _, which, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    found = np.zeros(facets2.shape, dtype=bool)
+    found[there] = counts[which.ravel()] == 1
+    return found
 
 
 def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:

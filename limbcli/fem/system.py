@@ -83,6 +83,15 @@ class System(RigidLoads, ElementLoops):
         stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)
         return _NOTHING * stiffest * self._size**2
 
+    @property
+    def drag(self) -> Array:
+        """(n_points,) N/mm: shear modulus at rest times volume, per square of a length of 1 mm."""
+        out = np.zeros(len(self.X))
+        for o in self.operands:
+            share = np.broadcast_to(o.shear, len(o.cells)) * o.weight.sum(axis=1) / o.cells.shape[1]
+            np.add.at(out, o.cells, share[:, None])
+        return out
+
     # ------------------------------------------------------------ time
 
     def at(self, time: float) -> None:

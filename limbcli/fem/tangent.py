@@ -97,9 +97,12 @@ class Tangent:
         return self.system.collect(nodal)
 
 
-def assemble(system: System, state: State, nodal: Array) -> Tangent:
-    """The tangent at a state; `nodal` are the forces there."""
+def assemble(system: System, state: State, nodal: Array, *, drag: float = 0.0) -> Tangent:
+    """The tangent at a state; `nodal` are the forces there. drag : of `System.drag`, times that"""
     blocks = system.stiffness(state)
+    if drag:
+        nodes = np.flatnonzero(np.diff(system.pattern.first))  # each comes first in its own row
+        blocks[system.pattern.first[nodes]] += drag * system.drag[nodes, None, None] * np.eye(3)
     columns, corner = _border(system, state, nodal)
     return Tangent(system, state, blocks, columns, corner, find_jumps(system, state))
 
