@@ -21,10 +21,12 @@ from limbcli.fem.tangent import Inverse, Tangent, assemble
 from limbcli.model import Array
 
 _LEAST_KRYLOV, _MAX_KRYLOV = 30, 40  # the less compressible, the more even a fresh factor needs
+_OLD_KRYLOV = 1.5  # factorisations: Krylov iterations after which an older factor is given up
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
+_MEMORY, _FORGETTING = 0.5, 0.9  # of what older factors wasted: weight of the last, and of what was not tried again
 _ROUNDS = 8  # of contact in one step
 _EXACT = 1e-3  # to which it is solved where contact does not settle
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
@@ -35,6 +37,8 @@ class Linearised:
 
     debt : Krylov iterations that a fresh factor would have saved, in factorisations: at 1 the old one has
         cost as much as a new one
+    ageing : what an older factor has lately wasted at one tangent, in factorisations: above 1 none is used
+        (the less compressible the tissue, the sooner its factor is too old)
     rate : Krylov iterations per decade, last time
     stuck : the last step was not solved for: the factor is too old to be of use
     drag : what holds the tissue where it is, in the next tangents (see `Newton.relax`)
@@ -45,6 +49,7 @@ class Linearised:
         self.tangent: Tangent | None = None
         self.inverse: Inverse | None = None
         self.debt = 0.0
+        self.ageing = self._wasted = 0.0
         self.rate = _FRESH
         self.stuck = False
         self.drag = 0.0
@@ -65,8 +70,8 @@ class Linearised:
 
     @property
     def worn(self) -> bool:
-        """Whether there is no factor, or one that has cost more than a new one."""
-        return self.inverse is None or self.debt > _WORN
+        """Whether there is no factor, or one that has cost more than a new one, or will."""
+        return self.inverse is None or self.debt > _WORN or self.ageing > 1.0
 
     @property
     def per_factor(self) -> float:
@@ -76,11 +81,19 @@ class Linearised:
     @property
     def patience(self) -> int:
         """Krylov iterations after which a factor is given up: a new one is cheaper by then."""
+        if self._is_old:
+            return int(np.clip(_OLD_KRYLOV * self.per_factor, _LEAST_KRYLOV // 2, _MAX_KRYLOV))
         return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
+
+    @property
+    def _is_old(self) -> bool:
+        """Whether the factor is of an earlier tangent."""
+        return self.inverse is not None and self.inverse.tangent is not self.tangent
 
     def refresh(self, state: State, nodal: Array) -> None:
         """Assemble and factor the tangent at a state, the contact as searched last; `nodal` are the forces
         there."""
+        self._learn()
         self.tangent = assemble(self.system, state, nodal, drag=self.drag)
         if state.time == 0.0:
             check_held(self.tangent, state)
@@ -92,7 +105,16 @@ class Linearised:
 
     def assemble(self, state: State, nodal: Array) -> None:
         """The tangent at a state; the factor stays."""
+        self._learn()
         self.tangent = assemble(self.system, state, nodal, drag=self.drag)
+
+    def _learn(self) -> None:
+        """Take what the factor wasted at the tangent that is left."""
+        if self._is_old:
+            self.ageing += _MEMORY * (self._wasted - self.ageing)
+        else:
+            self.ageing *= _FORGETTING
+        self._wasted = 0.0
 
     def ready_for(self, n_solves: int, decades: float, state: State, nodal: Array) -> None:
         """The exact tangent at a state, with a new factor if that pays for so many solves to come."""
@@ -119,7 +141,9 @@ class Linearised:
         self.stuck = reached > max(3 * tolerance, 1e-9)
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
-        self.debt += max(n - _FRESH * decades, 0.0) / self.per_factor
+        wasted = max(n - _FRESH * decades, 0.0) / self.per_factor
+        self.debt += wasted
+        self._wasted += wasted
         return step
 
     def settle(

@@ -131,10 +131,11 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 
 
 class Inverse:
-    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the contact in its root
+    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the exact contact in its root
     front, and the Schur complement of the rigid unknowns' border.
 
-    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
+    Where the skin bends round the edge of the probe its normals and the probe's differ, and the contact's
+    tangent is far from symmetric: with its symmetric part alone GMRES takes ten times the iterations. The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
     has a root.
     """
 
@@ -151,8 +152,11 @@ class Inverse:
             places = np.full(self.n + 1, -1, dtype=np.int64)
             places[root] = np.arange(self.n_root)
             self.places = places[system.equations]
-            self.inside = self._contact(state)
+            exact = self._contact(state)
+            self.inside = 0.5 * (exact + exact.T)
             self.met = self._meeting()
+            if exact.nnz:
+                self.rooted.update_root(exact - self.inside)
         self._set_border(state)
 
     def follow(self, state: State) -> None:
@@ -173,9 +177,8 @@ class Inverse:
         return np.concatenate(touching), [pair.turning for pair in system.pairs]
 
     def _contact(self, state: State) -> sparse.csr_array:
-        """Symmetric part of the contact tangent of the root."""
-        contact = self.tangent.system.contact_matrix(state, self.places, self.n_root)
-        return (0.5 * (contact + contact.T)).tocsr()
+        """The contact tangent of the root."""
+        return self.tangent.system.contact_matrix(state, self.places, self.n_root)
 
     def _set_border(self, state: State) -> None:
         system = self.tangent.system

@@ -1,4 +1,7 @@
-"""The last front by itself: its Schur complement, changed and factored again."""
+"""The last front by itself: its Schur complement, changed and factored again.
+
+What is added to it need not be symmetric: the front is small enough for LAPACK's LU.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
+from scipy.linalg import lapack
 from numba import njit
 
 from limbcli.fem.multifrontal import solve
@@ -32,6 +36,7 @@ class Root:
         self._unfactored = np.empty(self.n * self.ld + ALIGNED if kept else 0, dtype=store.kind)
         n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
         self._kept = make_kept(self.n, n_tiles, size, store.kind)
+        self._lu: tuple[Array, IntArray] | None = None  # of what was made unsymmetric
         self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
 
     @property
@@ -40,6 +45,7 @@ class Root:
 
     def factor(self) -> int:
         """Factor the gathered front; pivots made up for."""
+        self._lu = None
         if len(self._unfactored):
             self._unfactored[:] = self.panel
         return self._factor()
@@ -57,17 +63,26 @@ class Root:
         return _unscaled(self._unfactored, self.ld, self.store.scaling[self.equations])
 
     def update(self, addition: sparse.sparray | None) -> int:
-        """Factor the Schur complement with a symmetric matrix added; pivots made up for."""
+        """Factor the Schur complement with a matrix added, symmetric or not; pivots made up for."""
         self._need_kept()
-        self.panel[:] = self._unfactored
-        if addition is not None:
-            if addition.shape != (self.n, self.n):
-                raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
-            lower = sparse.tril(sparse.csr_array(addition)).tocoo()
-            row, column = lower.coords
-            scaling = self.store.scaling[self.equations]
-            self.panel[row + column.astype(np.int64) * self.ld] += lower.data * scaling[row] * scaling[column]
-        return self._factor()
+        self._lu = None
+        if addition is None:
+            self.panel[:] = self._unfactored
+            return self._factor()
+        if addition.shape != (self.n, self.n):
+            raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
+        scaling = self.store.scaling[self.equations]
+        full = _unscaled(self._unfactored, self.ld, np.ones(self.n))
+        added = sparse.coo_array(addition)
+        row, column = added.coords
+        np.add.at(full, (row, column), added.data * scaling[row] * scaling[column])
+        lu, pivots, info = lapack.dgetrf(full.T, overwrite_a=True)
+        if info < 0 or not np.isfinite(lu.diagonal()).all():
+            raise singular("an entry is not finite")
+        small = np.flatnonzero(np.abs(lu.diagonal()) < self.store.tiny)
+        lu[small, small] = self.store.tiny
+        self._lu = lu, pivots
+        return len(small)
 
     def _need_kept(self) -> None:
         if not len(self._unfactored):
@@ -75,6 +90,9 @@ class Root:
 
     def solve(self, w: Any) -> None:
         """Solve for the root's part of w (n,), scaled and in the order of elimination."""
+        if self._lu is not None:
+            w[self.first :] = lapack.dgetrs(*self._lu, w[self.first :].astype(float), trans=1)[0]
+            return
         solve.whole(self._kept, self.store.sign[self.first :], w[self.first :], *self._room)
 
 

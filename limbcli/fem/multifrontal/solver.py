@@ -145,7 +145,7 @@ class Multifrontal:
         return self._root.schur()
 
     def update_root(self, addition: sparse.sparray | None) -> None:
-        """Factor `schur + addition` (None: `schur`), in the order of `root`; it must be symmetric."""
+        """Factor `schur + addition` (None: `schur`), in the order of `root`."""
         started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
             self._made_up_in_root = self._root.update(addition)
