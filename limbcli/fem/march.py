@@ -14,6 +14,7 @@ from limbcli.model import LimbModel, Step
 
 _MAX_CUTS = 8
 BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a level that is tried briefly
+_BEFORE_DRAG = 0  # cuts in a row, after which the tissue is let relax (see `Newton.relax`)
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 # Residual at which a stride on the way is good enough, and once one was cut at the level: loose ones then
 # lead nowhere, however short.
@@ -90,7 +91,7 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
-                slow = self._slowly(aim, level, error, last=aim == target)
+                slow = self._slowly(aim, level, error, last=aim == target) if cuts > _BEFORE_DRAG else None
                 if slow is not None:
                     cuts, known = 0, None
                     self._accept(*slow, easily=False)

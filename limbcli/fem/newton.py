@@ -21,7 +21,7 @@ _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
 _FAR = 0.1  # error from which on contact tractions are not yet what they will be
-_RELAXED = 60  # steps of pseudo-time at most
+_RELAXED = 40  # steps of pseudo-time at most
 # Drag at first, the most, and below which it is nothing: in `System.drag`, of a wave of 6 mm, 0.2 mm and 200 mm.
 _DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
 _BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
@@ -153,12 +153,12 @@ class Newton:
                 found = self._relaxed(state, step)
                 bent = np.inf if found is None else self._bent(forces, found[1], step)
                 if bent > _BENT:
-                    linearised.drag = max(4.0 * linearised.drag, _DRAG)
+                    linearised.drag = max(4.0 * linearised.drag, _LEAST_DRAG)
                     self.forces(state)
                     continue
                 assert found is not None
                 state, forces = found
-                linearised.drag *= 0.1 if bent < 0.2 else 0.3 if bent < 0.5 else 1.0
+                linearised.drag *= 0.2 if bent < 0.3 else 0.5 if bent < 0.7 else 1.0 if bent < 1.0 else 2.0
                 if linearised.drag < _LEAST_DRAG:
                     linearised.drag = 0.0
         finally:
