@@ -55,7 +55,8 @@ GOAL_S = {"coarse": (2.0, 10.0), "usual": (8.0, 30.0)}
 
 
 def _effect(name: str, **theta: float) -> Callable[[LimbModel], LimbModel]:
-    return lambda model: EFFECTS[name].apply(model, {**EFFECTS[name].null, **EFFECTS[name].grid[0], **theta})
+    effect = next(each for each in EFFECTS if each.name == name)
+    return lambda model: effect.apply(model, {**effect.null, **effect.grid[0], **theta})
 
 
 def _resident(model: LimbModel) -> LimbModel:
