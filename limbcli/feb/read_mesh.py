@@ -53,6 +53,17 @@ class MeshSection:
             raise tag.problem(f"there is no node set {name!r}", fix="add it to <Mesh>, or correct the name")
         return name
 
+    def element_set(self, tag: Tag, name: str) -> IntArray:
+        """Cells, numbered over all blocks, of an element set or a whole part."""
+        if name in self.element_sets:
+            return self.element_sets[name]
+        start = 0
+        for block in self.mesh.blocks:
+            if block.name == name:
+                return start + np.arange(len(block.cells))
+            start += len(block.cells)
+        raise tag.problem(f"there is no element set {name!r}", fix="add it to <Mesh>, or correct the name")
+
     def block_of(self, tag: Tag, elem_set: str) -> str:
         """The block that an element set covers, whole and in order."""
         start = 0

@@ -9,6 +9,7 @@ from limbcli.feb.read_mesh import MeshSection, Numbering
 from limbcli.feb.xml import Tag
 from limbcli.model import IntArray, LogRecord
 
+_SET_OF = {"node_data": ("node_set",), "element_data": ("elem_set",)}
 _DELIMITERS = (None, ",", " ", "\t")
 
 
@@ -31,7 +32,7 @@ def read_output(
     if logfile is not None:
         logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
         for each in logfile:
-            each.allow(attributes=("data", "delim", "file", "name"))
+            each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
             if each.optional("delim") not in _DELIMITERS:
                 raise each.problem(f"delim={each.optional('delim')!r} is not supported", fix='use delim=","')
             records.append(_record(each, mesh, bodies, materials_by_id))
@@ -46,8 +47,22 @@ def _record(
     if tag.name == "rigid_body_data":
         return LogRecord("rigid_body", fields, file, _body(tag, bodies, materials_by_id))
     if tag.name == "node_data":
-        return LogRecord("node", fields, file, _items(tag, mesh.numbering.nodes, "node"))
-    return LogRecord("element", fields, file, _items(tag, mesh.numbering.cells, "element"))
+        return LogRecord("node", fields, file, _nodes(tag, mesh))
+    return LogRecord("element", fields, file, _elements(tag, mesh))
+
+
+def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
+    """Those of the set that is named, else those listed; None: all."""
+    name = tag.optional("node_set")
+    if name is not None:
+        return mesh.mesh.node_sets[mesh.node_set(tag, name)]
+    return _items(tag, mesh.numbering.nodes, "node")
+
+
+def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
+    """Those of the set, or the whole part, that is named, else those listed; None: all."""
+    name = tag.optional("elem_set")
+    return _items(tag, mesh.numbering.cells, "element") if name is None else mesh.element_set(tag, name)
 
 
 def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:

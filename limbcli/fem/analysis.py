@@ -11,15 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from limbcli.errors import SolveError
+from limbcli.fem import curves
 from limbcli.fem.history import Histories
 from limbcli.fem.levels import step_times
 from limbcli.fem.march import March, is_timed, rubs
 from limbcli.fem.newton import Counts, Level, Newton, Settings
 from limbcli.fem.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.model import LimbModel, Step
+from limbcli.model import Curve, LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 
@@ -79,16 +81,17 @@ class Analysis:
         histories: Histories | None = None
         begin, n_must = 0.0, 0
         hoped = required if hoped is None else hoped
-        n_levels = sum(len(step_times(step, every=self.remembers)) for step in self.model.steps)
+        times = self._times()
+        n_levels = sum(map(len, times))
         number = 0
-        for step in self.model.steps:
+        for step, targets in zip(self.model.steps, times, strict=True):
             newton = self._prepare(step, state)
             state = newton.system.start
             musts = {begin + t for t in step_times(step)}
             if histories is None and self.remembers:
                 histories = Histories(newton.system)
             self._march.begin(self.model, step, newton, histories)
-            for target in step_times(step, every=self.remembers):
+            for target in targets:
                 number += 1
                 level = Level(number, n_levels, self._depth(newton.system, begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
@@ -108,6 +111,16 @@ class Analysis:
                     visit(self, snapshot)
             begin += step.n_steps * step.step_size
         return snapshots
+
+    def _times(self) -> list[list[float]]:
+        """The times of every step that are solved for, from its start."""
+        found, begin = [], 0.0
+        for step in self.model.steps:
+            curve = self.model.curves.get(step.dt_max_curve or "")
+            largest = None if curve is None else partial(_shifted, curve, begin)
+            found.append(step_times(step, every=self.remembers, largest=largest))
+            begin += step.n_steps * step.step_size
+        return found
 
     def _prepare(self, step: Step, state: State | None) -> Newton:
         """The system of a step: the one at hand, if its supports and drives are the same."""
@@ -152,3 +165,7 @@ class Analysis:
     def close(self) -> None:
         if self._newton is not None:
             self._newton.close()
+
+
+def _shifted(curve: Curve, begin: float, time: float) -> float:
+    return curves.value(curve, begin + time)

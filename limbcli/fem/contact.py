@@ -12,7 +12,7 @@ from limbcli.fem.contact_points import FACET, N_STATE
 from limbcli.fem.element import shape
 from limbcli.fem.friction import FrictionPair
 from limbcli.fem.groups import Group
-from limbcli.fem.pairs import Pair, rim_edges
+from limbcli.fem.pairs import Pair, rim_widths
 from limbcli.fem.patch import Patch
 from limbcli.fem.quadrature import rule
 from limbcli.fem.rigid import Body
@@ -31,10 +31,11 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         body, facets2 = _rigid_side(secondary, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         if contact.friction:  # a point that sticks does not slide off
-            sharp = np.zeros(facets2.shape, dtype=bool)
+            sharp = np.zeros(facets2.shape)
             pairs.append(FrictionPair(contact, body, facets2, patches, sharp, bodies[body]))
         else:
-            pairs.append(Pair(contact, body, facets2, patches, rim_edges(facets2)))
+            rim = rim_widths(model.mesh.points, facets2, patches)
+            pairs.append(Pair(contact, body, facets2, patches, rim))
     return pairs
 
 
@@ -125,7 +126,7 @@ def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group
     state = np.zeros((*shape_of_state, N_STATE))
     state[..., FACET] = -1
     return Patch(
-        facets, N, dN, weights, group, cell, area / volume, normals,
+        facets, N, dN, weights, group, cell, area, area / volume, normals,
         np.zeros(len(facets)), np.zeros(shape_of_state), state,
     )  # fmt: skip
 

@@ -5,9 +5,9 @@ n = g1 x g2, unit normal nu; the line along nu meets the rigid surface at q with
 gap g = nu.(r - q), positive inside. `state` (n_facets, n_gauss, 16) holds gap, n, m (normal
 of the rigid facet at q), q, traction, rigid facet, weight and how the weight changes with q.
 
-A rigid surface that is not closed ends at a rim. There the traction fades, by a weight that goes from 1 to 0
-round the rim over a part of the facet: a point that loses its whole traction as it slides off, and gains it as
-it springs back, has no equilibrium.
+A rigid surface that is not closed ends at a rim. There the traction fades, by a weight that goes
+from 1 to 0 round the rim, over a small part of the soft facets' size: a point that loses its whole
+traction as it slides off, and gains it as it springs back, has no equilibrium.
 """
 
 from __future__ import annotations

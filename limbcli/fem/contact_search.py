@@ -22,7 +22,6 @@ from limbcli.fem.contact_points import (
     point_geometry,
 )
 
-FADE = 0.2  # of a facet, to either side of the rim: over which tractions fade
 _PLACE, _ALONG = 7, 9  # in what a hit gives, behind g, m, q: natural coordinates, and their gradients
 
 
@@ -121,18 +120,16 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
 
 @njit(cache=True)
 def _hit(x2, nodes, rim, r, nu, tolerance, out):
-    """out of the line's meeting with a facet; rim (4) : which of its edges end the surface."""
+    """out of the line's meeting with a facet; rim (4) : as in `search`."""
     quad = nodes[3] >= 0
-    wide = tolerance
-    if rim[0] or rim[1] or rim[2] or rim[3]:
-        wide = max(tolerance, (2.0 if quad else 1.0) * FADE)
+    wide = max(tolerance, rim[0], rim[1], rim[2], rim[3])
     if quad:
         met = _hit_quad(x2, nodes, r, nu, wide, out)
     else:
         met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
     if met and wide > tolerance:  # beyond the other edges no further than anywhere
         for edge in range(4 if quad else 3):
-            if not rim[edge] and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
+            if rim[edge] == 0.0 and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
                 return False
     return met
 
@@ -150,9 +147,9 @@ def _fade(out, quad, rim, row):
     """Weight of the traction at a hit, and how it changes as the place slides (see `contact_points`)."""
     weight = 1.0
     row[SLIDE] = row[SLIDE + 1] = row[SLIDE + 2] = 0.0
-    width = 2.0 * FADE if quad else FADE
     for edge in range(4 if quad else 3):
-        if not rim[edge]:
+        width = rim[edge]
+        if width == 0.0:
             continue
         h = _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) / width
         if h <= -1.0:
@@ -183,7 +180,8 @@ def search(
     line meets that facet. Any other point takes, of the facing facets that its line meets within
     the radius, the nearest. So does FEBio.
 
-    rim (n_facets2, 4): edges that end the rigid surface, where tractions fade
+    rim (n_facets2, 4): for edges that end the rigid surface, how far to either side of them tractions
+    fade, in the facet's natural coordinates; 0 for other edges
     spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)

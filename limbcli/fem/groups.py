@@ -51,7 +51,7 @@ class Group:
         )
 
     def _moduli(self, program: Program) -> tuple[Array, Array]:
-        """At rest, of the whole law (1 or n_cells): pressure per volume change (Lame's lambda), shear modulus."""
+        """Lame's lambda (pressure per volume change) and mu at rest, of the whole law (1 or n_cells)."""
         if self._cache.get("lame_of") is not program:
             F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
             S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))

@@ -7,8 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from limbcli.fem.singular import singular
 from limbcli.fem.state import norm
 from limbcli.model import Array
+
+_NOTHING = 1e-15  # of a column: a pivot that is round-off
 
 
 def gmres(
@@ -19,8 +22,18 @@ def gmres(
     tolerance: float,
     max_iterations: int = 60,
 ) -> tuple[Array, int, float]:
-    """Right-preconditioned GMRES: (solution, iterations, reached relative residual)."""
+    """Right-preconditioned GMRES: (solution, iterations, reached relative residual).
+
+    Where it breaks down (what is left of the space is mapped to nothing) it ends with what it has.
+
+    Raises
+    ------
+    SingularMatrix
+        If a number is not finite.
+    """
     size = norm(rhs)
+    if not np.isfinite(size):
+        raise singular("a residual is not finite")
     if size == 0.0:
         return np.zeros_like(rhs), 0, 0.0
     V = np.empty((max_iterations + 1, len(rhs)))
@@ -30,7 +43,7 @@ def gmres(
     beta = np.zeros(max_iterations + 1)
     beta[0] = size
     cs, sn = np.zeros(max_iterations), np.zeros(max_iterations)
-    k = 0
+    n = 0
     for k in range(max_iterations):
         z = inverse(V[k])
         w = apply(z)
@@ -42,17 +55,19 @@ def gmres(
                 -sn[j] * H[j, k] + cs[j] * H[j + 1, k],
             )
         length = float(np.hypot(H[k, k], H[k + 1, k]))
-        if length == 0.0:
+        if not np.isfinite(length):
+            raise singular("a product of it is not finite")
+        if length <= _NOTHING * np.abs(H[: k + 1, k]).max(initial=0.0) or length == 0.0:
             break
         cs[k], sn[k] = H[k, k] / length, H[k + 1, k] / length
         last = H[k + 1, k]
         H[k, k], H[k + 1, k] = length, 0.0
         beta[k + 1] = -sn[k] * beta[k]
         beta[k] = cs[k] * beta[k]
+        n = k + 1
         if abs(beta[k + 1]) <= tolerance * size or last == 0.0:
             break
         V[k + 1] = w / last
-    n = k + 1
     y = np.linalg.solve(H[:n, :n], beta[:n])
     solution = np.zeros_like(rhs)
     for weight, z in zip(y, Z, strict=False):

@@ -15,6 +15,7 @@ from limbcli.fem import linear as linear_solvers
 from limbcli.fem.counts import Counts, Settings
 from limbcli.fem.free_motion import check_held
 from limbcli.fem.krylov import gmres
+from limbcli.fem.singular import singular
 from limbcli.fem.state import State, norm
 from limbcli.fem.system import System
 from limbcli.fem.tangent import Inverse, Tangent, assemble
@@ -26,8 +27,12 @@ _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
-_MEMORY, _FORGETTING = 0.5, 0.9  # of what older factors wasted: weight of the last, and of what was not tried again
+_MEMORY, _FORGETTING = (
+    0.5,
+    0.9,
+)  # of what older factors wasted: weight of the last, and of what was not tried again
 _ROUNDS = 8  # of contact in one step
+_NOWHERE = 0.999  # of the residual left by a factor of this very tangent: there is no step
 _EXACT = 1e-3  # to which it is solved where contact does not settle
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
@@ -139,6 +144,8 @@ class Linearised:
         )
         self.counts.krylov += n
         self.stuck = reached > max(3 * tolerance, 1e-9)
+        if reached > _NOWHERE and not self._is_old:
+            raise singular("no step takes the residual away")
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
         wasted = max(n - _FRESH * decades, 0.0) / self.per_factor

@@ -14,7 +14,6 @@ from limbcli.model import LimbModel, Step
 
 _MAX_CUTS = 8
 BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a level that is tried briefly
-_BEFORE_DRAG = 0  # cuts in a row, after which the tissue is let relax (see `Newton.relax`)
 _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 # Residual at which a stride on the way is good enough, and once one was cut at the level: loose ones then
 # lead nowhere, however short.
@@ -91,7 +90,7 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
-                slow = self._slowly(aim, level, error, last=aim == target) if cuts > _BEFORE_DRAG else None
+                slow = self._slowly(aim, level, error, last=aim == target)
                 if slow is not None:
                     cuts, known = 0, None
                     self._accept(*slow, easily=False)
@@ -120,15 +119,22 @@ class March:
                 self._forces, self._known = forces, known
                 return state, forces
 
-    def _slowly(self, time: float, level: Level, error: SolveError, *, last: bool) -> tuple[State, Forces] | None:
+    def _slowly(
+        self, time: float, level: Level, error: SolveError, *, last: bool
+    ) -> tuple[State, Forces] | None:
         """The state that the tissue relaxes to at a time, from the last stride's; None where it does not."""
         newton, begin = self._newton, self._reached[-1]
-        if self._timed or self._rubbing or not isinstance(error, NotConverged) or self._n_pressed < 2:
+        given = (
+            self._timed or self._rubbing or bool(newton.system.rigid)
+        )  # by the way, or by forces on bodies
+        if given or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
         newton.system.recall(begin.hints)
         newton.linearised.debt = np.inf
         try:
-            return newton.relax(newton.system.prescribed(begin, time), level, tolerance=None if last else _FIRM)
+            return newton.relax(
+                newton.system.prescribed(begin, time), level, tolerance=None if last else _FIRM
+            )
         except (NotConverged, SingularMatrix):
             return None
 

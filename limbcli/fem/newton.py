@@ -22,7 +22,7 @@ _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equil
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
 _FAR = 0.1  # error from which on contact tractions are not yet what they will be
 _RELAXED = 40  # steps of pseudo-time at most
-# Drag at first, the most, and below which it is nothing: in `System.drag`, of a wave of 6 mm, 0.2 mm and 200 mm.
+# Drag at first, the most, and below which it is nothing: of waves of 6 mm, 0.2 mm and 200 mm.
 _DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
 _BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
 _SHARE = 0.6  # of what Newton's method leaves by itself
@@ -131,9 +131,9 @@ class Newton:
     def relax(self, guess: State, level: Level, *, tolerance: float | None = None) -> tuple[State, Forces]:
         """The equilibrium that tissue held back by a drag comes to from a guess; raises NotConverged.
 
-        Steps in a pseudo-time, implicit ones with the drag over the step's length on the tangent's diagonal; the
-        steps grow as the residual falls (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523). They go
-        on where the tangent has lost its definiteness, on which Newton's method runs astray.
+        Implicit steps in a pseudo-time, with the drag over the step's length on the tangent's diagonal
+        (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523); the straighter the tissue responds, the
+        longer. They go on where the tangent has lost its definiteness and Newton's method runs astray.
         """
         system, linearised = self.system, self.linearised
         target = self.settings.tolerance if tolerance is None else tolerance
@@ -148,7 +148,6 @@ class Newton:
                 if iteration == _RELAXED or linearised.drag > _MOST_DRAG:
                     break
                 self.counts.iterations += 1
-                linearised.debt = max(linearised.debt, 0.0)
                 step = self.direction(state, forces, True, target)
                 found = self._relaxed(state, step)
                 bent = np.inf if found is None else self._bent(forces, found[1], step)
@@ -173,10 +172,11 @@ class Newton:
         return (trial, found) if sound else None
 
     def _bent(self, before: Forces, after: Forces, step: Array) -> float:
-        """What a step left beyond the drag on it, which the linearised tissue would leave, over the residual."""
+        """What a step left beyond what the linearised tissue would leave (the drag), over the residual."""
         system, linearised = self.system, self.linearised
         left = after.mixed.copy()
-        left[: system.n_tissue] += linearised.drag * system.collect(np.repeat(system.drag[:, None], 3, axis=1)) * step[: system.n_tissue]
+        held = system.collect(np.repeat(system.drag[:, None], 3, axis=1))
+        left[: system.n_tissue] += linearised.drag * held * step[: system.n_tissue]
         size = max(min(norm(before.mixed), norm(before.residual)), self.settings.tolerance * after.scale)
         return norm(left) / size
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.bodies import Contact
 from limbcli.fem import contact_kernels as kernels
@@ -24,12 +23,14 @@ from limbcli.fem.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 
+_FADE, _MOST_FADE = 0.03, 0.2  # to either side of a rim: of the soft facets' size, of the rigid facet's
+
 
 @dataclass(eq=False)
 class Pair:
     """One contact of the model: soft patches against the facets of a body.
 
-    rim (n_facets2, 4) : edges that end the rigid surface (see `contact_points`)
+    rim (n_facets2, 4) : where tractions fade, at the edges that end the rigid surface (see `rim_widths`)
     turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
         equilibrium they are many times what they will be, and that part of the tangent leads astray
     """
@@ -38,7 +39,7 @@ class Pair:
     body: int
     facets2: IntArray
     patches: list[Patch]
-    rim: NDArray[np.bool_]
+    rim: Array
     turning: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
@@ -104,8 +105,13 @@ class Pair:
         return abs(after - before) / after if after else 0.0
 
 
-def rim_edges(facets2: IntArray) -> NDArray[np.bool_]:
-    """(n, 4): which edges, from each node to the next, belong to one facet (n, 4; triangles end in -1) only."""
+def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Array:
+    """(n, 4) half-widths over which tractions fade at edges that belong to one rigid facet only.
+
+    In the facet's natural coordinates; 0 at other edges.
+
+    facets2 (n, 4) : nodes; triangles end in -1. An edge goes from each node to the next.
+    """
     following = np.roll(facets2, -1, axis=1)
     triangles = facets2[:, 3] < 0
     following[triangles, 2] = facets2[triangles, 0]
@@ -113,9 +119,16 @@ def rim_edges(facets2: IntArray) -> NDArray[np.bool_]:
     there[triangles, 3] = False
     ends = np.sort(np.stack([facets2, following], axis=2), axis=2)[there]
     _, which, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    found = np.zeros(facets2.shape, dtype=bool)
+    found = np.zeros(facets2.shape)
     found[there] = counts[which.ravel()] == 1
-    return found
+    a, b, c, d = (points[facets2[:, k]] for k in (0, 1, 2, 3))
+    d[triangles] = a[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # of triangles as well
+    length = np.linalg.norm(points[following] - points[facets2], axis=2)
+    across = np.where(triangles, 2.0, 1.0)[:, None] * area[:, None] / np.maximum(length, 1e-300)
+    soft = np.concatenate([np.sqrt(each.areas) for each in patches])
+    part = np.minimum(_FADE * soft.mean() / np.maximum(across, 1e-300), _MOST_FADE)
+    return np.asarray(found * part * np.where(triangles, 1.0, 2.0)[:, None])
 
 
 def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:

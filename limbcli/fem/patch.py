@@ -15,7 +15,7 @@ class Patch:
     """Soft facets of one kind with their integration points.
 
     group, cell : the group of cells behind each facet, and the cell's row in it
-    ratio : area over volume behind (1/mm); normals : of the reference state
+    areas (mm^2), ratio (area over volume behind, 1/mm), normals : of the reference state
     """
 
     facets: IntArray
@@ -24,6 +24,7 @@ class Patch:
     weights: Array
     group: IntArray
     cell: IntArray
+    areas: Array
     ratio: Array
     normals: Array
     eps: Array

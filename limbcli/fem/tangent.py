@@ -131,11 +131,13 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 
 
 class Inverse:
-    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the exact contact in its root
-    front, and the Schur complement of the rigid unknowns' border.
+    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the exact contact in its
+    root front, and the Schur complement of the rigid unknowns' border.
 
     Where the skin bends round the edge of the probe its normals and the probe's differ, and the contact's
-    tangent is far from symmetric: with its symmetric part alone GMRES takes ten times the iterations. The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
+    tangent is far from symmetric: with its symmetric part alone GMRES takes ten times the iterations.
+
+    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
     has a root.
     """
 
@@ -153,10 +155,8 @@ class Inverse:
             places[root] = np.arange(self.n_root)
             self.places = places[system.equations]
             exact = self._contact(state)
-            self.inside = 0.5 * (exact + exact.T)
-            self.met = self._meeting()
-            if exact.nnz:
-                self.rooted.update_root(exact - self.inside)
+            self.inside = 0.5 * (exact + exact.T)  # of what was factored
+            self._take(exact)
         self._set_border(state)
 
     def follow(self, state: State) -> None:
@@ -166,9 +166,14 @@ class Inverse:
         touching, turning = self._meeting()
         changed = int((touching != self.met[0]).sum())
         if changed > _FEW * touching.sum() or turning != self.met[1]:
-            self.met = touching, turning
-            self.rooted.update_root(self._contact(state) - self.inside)
+            self._take(self._contact(state))
             self._set_border(state)
+
+    def _take(self, contact: sparse.csr_array) -> None:
+        """The contact's tangent into the root."""
+        self.met = self._meeting()
+        if contact.nnz or self.inside.nnz:
+            self.rooted.update_root(contact - self.inside)
 
     def _meeting(self) -> tuple[NDArray[np.bool_], list[float]]:
         """What the contact's tangent was made of: points that touch, and whether normals turn."""

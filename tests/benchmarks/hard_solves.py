@@ -1,6 +1,6 @@
 """Hard solves, as a table: which end at the depth that is asked for, and what they cost.
 
-    python tests/benchmarks/hard_solves.py [--mesh coarse|usual] [--sample 60] [--seed 0] [--out FILE] [--only TEXT]
+    python tests/benchmarks/hard_solves.py [--mesh coarse|usual] [--sample 60] [--seed 0] [--out FILE]
 
 The sites of the FEBio study in the reference data (`febio-hidden`) x m 2, 5, 10, 15 x f_kappa 100, 1000 x
 contact penalty 20, 80 x depth 25, 40 % of the tissue under the probe, eight levels each; on top of the
@@ -8,7 +8,7 @@ middle of these, one at a time: tilt of 7 and 15 deg, friction 0.3, a skin 30 ti
 stiff, an inclusion five times as stiff, fibres, and the resident strain that 1.5 N leave. `coarse` is the
 working mesh of a diagnosis, solved as there; `usual` that of `mesh`, solved as by `run`. A seeded sample;
 one JSON line a solve is added to FILE (default: hard-solves-MESH.jsonl in the temporary folder), and what is
-there is not done again. Meshes are kept beside it. `table` of several files compares them.
+there is not done again. Meshes are kept beside it.
 """
 
 from __future__ import annotations
@@ -60,8 +60,10 @@ def _effect(name: str, **theta: float) -> Callable[[LimbModel], LimbModel]:
 
 
 def _resident(model: LimbModel) -> LimbModel:
-    """The strain along the beam that 1.5 N leave: the mean pressure under the face over 3 mu, as a prestrain."""
-    nodes = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in model.bodies[0].blocks]))
+    """The strain along the beam that 1.5 N leave, by the mean pressure under the face, as a prestrain."""
+    nodes = np.unique(
+        np.concatenate([model.mesh.block(name).cells.ravel() for name in model.bodies[0].blocks])
+    )
     side = np.ptp(model.mesh.points[nodes, :2], axis=0)
     stretch = float(np.exp(-1.5 / side.prod() / (1.5 * C)))
     F0 = (stretch**-0.5, 0.0, 0.0, 0.0, stretch**-0.5, 0.0, 0.0, 0.0, stretch)
@@ -129,7 +131,10 @@ def meshed(site: str, mesh: str, folder: Path) -> tuple[LimbModel, float]:
     path, told = folder / f"{site}-{mesh}.npz", folder / f"{site}-{mesh}.json"
     if not told.is_file():
         case = Case.open(SITES / site)
-        files = [SITES / site / "surfaces" / name for name in ("skin.stl", "femur.stl", "tibia.stl", "fibula.stl", "patella.stl")]
+        files = [
+            SITES / site / "surfaces" / name
+            for name in ("skin.stl", "femur.stl", "tibia.stl", "fibula.stl", "patella.stl")
+        ]
         skin, *bones = (read_surface(each) for each in files if each.is_file())
         limb = mend(skin, bones)
         place = case.sites[0]
@@ -151,7 +156,10 @@ def meshed(site: str, mesh: str, folder: Path) -> tuple[LimbModel, float]:
 def built(row: Row, mesh: str, folder: Path) -> tuple[LimbModel, float]:
     model, thickness = meshed(row.site, mesh, folder)
     depth = row.share * thickness
-    plan = schedule([float(each) for each in np.linspace(0, depth, N_LEVELS + 1)[1:]], start=starting_depth(model, depth / N_LEVELS))
+    plan = schedule(
+        [float(each) for each in np.linspace(0, depth, N_LEVELS + 1)[1:]],
+        start=starting_depth(model, depth / N_LEVELS),
+    )
     model = indentation_model(model, plan, c=C, f_kappa=row.f_kappa, m=row.m)
     model = replace(with_penalty(model, row.penalty), records=model.records[:1])
     if row.extra:
@@ -176,7 +184,9 @@ class Watch:
             raise TooLong("it takes too long", where="benchmark", fix="none")
 
 
-def solve(row: Row, mesh: str, folder: Path, *, tolerance: float, threads: int, limit_s: float) -> dict[str, Any]:
+def solve(
+    row: Row, mesh: str, folder: Path, *, tolerance: float, threads: int, limit_s: float
+) -> dict[str, Any]:
     model, depth = built(row, mesh, folder)
     reached: list[tuple[float, float]] = []
 
@@ -218,7 +228,10 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    heads = ("name", "ended", "reached_mm", "depth_mm", "levels", "factorisations", "krylov", "iterations", "cuts", "seconds", "cpu", "force_n")  # fmt: skip
+    heads = (
+        "name", "ended", "reached_mm", "depth_mm", "levels", "factorisations", "krylov", "iterations", "cuts",
+        "seconds", "cpu", "force_n",
+    )  # fmt: skip
     body = ["| " + " | ".join(str(each.get(h, "")) for h in heads) + " |" for each in found]
     return "\n".join(["| " + " | ".join(heads) + " |", "|" + "-|" * len(heads), *body])
 
@@ -226,7 +239,8 @@ def table(found: list[dict[str, Any]]) -> str:
 def summary(found: list[dict[str, Any]], mesh: str) -> Iterator[str]:
     kinds = ["", *sorted({each["extra"] for each in found if each["extra"]})]
     median, worst = GOAL_S[mesh]
-    yield f"| {mesh} | ended | median s | worst s | median cpu | factorisations | Krylov iterations |\n|-|-|-|-|-|-|-|"
+    yield f"| {mesh} | ended | median s | worst s | median cpu | factorisations | Krylov iterations |"
+    yield "|-|-|-|-|-|-|-|"
     for kind in ["all", *kinds]:
         mine = [each for each in found if kind in ("all", each["extra"])]
         if not mine:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.linalg import lapack
 from numba import njit
+from scipy.linalg import lapack
 
 from limbcli.fem.multifrontal import solve
 from limbcli.fem.multifrontal.dense import ALIGNED
