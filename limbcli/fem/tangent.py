@@ -25,7 +25,7 @@ from limbcli.fem.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
 
-_FEW = 0.01  # of the touching points changed: not worth a new root
+_FEW = 0.02  # of the touching points changed: not worth a new root
 
 
 @dataclass(eq=False)
@@ -160,12 +160,15 @@ class Inverse:
         self._set_border(state)
 
     def follow(self, state: State) -> None:
-        """Take the contact at `state`, as it was searched last, into the root of the factor."""
+        """Take the contact at `state`, as it was searched last, into the root of the factor.
+
+        Where all of it was lost, on the way, the factor stays as it is.
+        """
         if not self.n_root:
             return
         touching, turning = self._meeting()
         changed = int((touching != self.met[0]).sum())
-        if changed > _FEW * touching.sum() or turning != self.met[1]:
+        if touching.any() and (changed > _FEW * touching.sum() or turning != self.met[1]):
             self._take(self._contact(state))
             self._set_border(state)
 

@@ -51,12 +51,13 @@ class Multifrontal:
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
-        self._crew = Crew(min(threads, 2))
+        self._threads = min(threads, 2)
+        self._crew = Crew(self._threads)
         self._blas_threads = ThreadpoolController().select(user_api="blas")
         self._top = Top(self._store, self._crew)
         self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)
         self._substitution = Substitution(self.layout, self._store, self._crew)
-        self._made_up = self._made_up_in_root = 0
+        self._made_up = 0
         self.n_factorisations = self.n_solves = 0
         self.seconds = time.perf_counter() - started
 
@@ -69,7 +70,7 @@ class Multifrontal:
             self._scale(np.ascontiguousarray(values, dtype=float))
             self._made_up = self._factor_subtrees() + self._factor_top()
             self._top.gather(self._root.front, self._root.panel)
-            self._made_up_in_root = self._root.factor()
+            self._root.gathered()
         self.n_factorisations += 1
         self.seconds += time.perf_counter() - started
 
@@ -121,6 +122,7 @@ class Multifrontal:
     def solve(self, rhs: Array) -> Array:
         """Solution (n,) for a right-hand side (n,)."""
         started = time.perf_counter()
+        self._finish()
         w = self._substitution.enter(np.ascontiguousarray(rhs, dtype=float))
         self._substitution.forward(w)
         self._root.solve(w)
@@ -131,6 +133,12 @@ class Multifrontal:
         if not np.isfinite(x).all():
             raise singular("the solution is not finite")
         return x
+
+    def _finish(self) -> None:
+        """The root's factor, where it was not made yet."""
+        if not self._root.is_factored:
+            with self._blas_threads.limit(limits=1):
+                self._root.factor()
 
     # ------------------------------------------------------------ root
 
@@ -147,8 +155,8 @@ class Multifrontal:
     def update_root(self, addition: sparse.sparray | None) -> None:
         """Factor `schur + addition` (None: `schur`), in the order of `root`."""
         started = time.perf_counter()
-        with self._blas_threads.limit(limits=1):
-            self._made_up_in_root = self._root.update(addition)
+        with self._blas_threads.limit(limits=1 if addition is None else self._threads):
+            self._root.update(addition)
         self.seconds += time.perf_counter() - started
 
     # ------------------------------------------------------------ figures
@@ -156,7 +164,8 @@ class Multifrontal:
     @property
     def n_perturbed(self) -> int:
         """Pivots of the last factor that were too small to divide by."""
-        return self._made_up + self._made_up_in_root
+        self._finish()
+        return self._made_up + self._root.made_up
 
     @property
     def solves_per_factor(self) -> float:
