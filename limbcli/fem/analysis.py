@@ -93,7 +93,7 @@ class Analysis:
             self._march.begin(self.model, step, newton, histories)
             for target in targets:
                 number += 1
-                level = Level(number, n_levels, self._depth(newton.system, begin + target))
+                level = Level(number, n_levels, newton.depth_at(begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
                 newton.system.remember(state)
                 brief = hoped is not None and n_must >= hoped
@@ -146,11 +146,6 @@ class Analysis:
         self._newton = Newton(system, self.settings, self.progress)
         self._supports = key
         return self._newton
-
-    def _depth(self, system: System, time: float) -> float:
-        state = system.prescribed(system.start, time)
-        depths = [-(body.center + at.shift)[2] for body, at in zip(system.bodies, state.bodies, strict=True)]
-        return float(depths[0]) if depths else 0.0
 
     def _collect(self) -> None:
         """Counts of the Newton object, which starts anew: others hold on to them."""

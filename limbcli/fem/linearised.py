@@ -217,6 +217,11 @@ class Linearised:
         residual = tissue + self.system.contact_residual(base)
         return self.solve(base, -residual, min(goal / max(norm(residual), 1e-300), _EXACT))
 
+    @property
+    def n_unstable(self) -> int:
+        """Negative pivots of the tissue's last factor: ways in which it would give way by itself."""
+        return int(getattr(self.linear, "n_negative", 0))
+
     def close(self) -> None:
         if self.linear is not None:
             self.linear.close()

@@ -90,19 +90,19 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
-                slow = self._slowly(aim, level, error, last=aim == target)
-                if slow is not None:
+                relaxed = None if brief else self._relaxed(aim, level, error, last=aim == target)
+                if relaxed is not None:
                     cuts, known = 0, None
-                    self._accept(*slow, easily=False)
-                    self._stride = max(aim - begin, 1e-9)
+                    self._stride = aim - begin
+                    self._accept(*relaxed, easily=False)
                     if aim == target:
-                        self._forces, self._known = slow[1], None
-                        return slow
+                        self._forces, self._known = relaxed[1], None
+                        return relaxed
                     continue
                 hopeless = _hopeless(error, reached)
                 if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
                     if not newton.mixed or self._timed or self._rubbing or brief or hopeless:
-                        raise _explained(error, level, aim, len(reached) - 1) from error
+                        raise self._explained(error, level, aim) from error
                     self._start_again(*start)
                     cuts, aim, begin = 0, target, reached[-1].time
                 self._stride = rest if known is not None else 0.5 * (aim - begin)
@@ -119,7 +119,7 @@ class March:
                 self._forces, self._known = forces, known
                 return state, forces
 
-    def _slowly(
+    def _relaxed(
         self, time: float, level: Level, error: SolveError, *, last: bool
     ) -> tuple[State, Forces] | None:
         """The state that the tissue relaxes to at a time, from the last stride's; None where it does not."""
@@ -227,6 +227,27 @@ class March:
             return best[0], guess, None
         return best
 
+    def _explained(self, error: SolveError, level: Level, time: float) -> SolveError:
+        """The error with the level it belongs to, what is behind it, and how far there is an answer."""
+        newton, n_reached = self._newton, len(self._reached) - 1
+        place = f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm)"
+        what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
+        depth = newton.depth(self._reached[-1])
+        told = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""
+        cause = "a part of the tissue, or a rigid body, can move freely"
+        fix = error.fix
+        if n_reached:
+            cause = newton.weakness(self._reached[-1])
+            fix = "press less deep; look at the mesh there; or take a lower contact penalty"
+        return SolveError(
+            what + told,
+            where=f"{error.where}; {cause}",
+            fix=fix,
+            level=level.number,
+            depth=level.depth,
+            reached_depth_mm=depth,
+        )
+
     def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
         """Augmentations of the contact pressure until its multipliers settle."""
         for pair in self._newton.system.pairs:
@@ -243,22 +264,3 @@ class March:
 def _hopeless(error: SolveError, reached: list[State]) -> bool:
     """No factor of the unloaded tissue: shorter steps will not give one."""
     return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0
-
-
-def _explained(error: SolveError, level: Level, time: float, n_reached: int) -> SolveError:
-    """The error with the level it belongs to."""
-    if isinstance(error, NotConverged):
-        return error
-    cause = (
-        "a part of the tissue, or a rigid body, can move freely"
-        if n_reached == 0
-        else "the tissue is losing its stability: a cell is about to turn inside out, or contact was lost"
-    )
-    place = f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm)"
-    return SolveError(
-        f"{place}: {error.what}",
-        where=f"{error.where}; {cause}",
-        fix=error.fix if n_reached == 0 else "use more load steps; look at the mesh and the supports",
-        level=level.number,
-        depth=level.depth,
-    )

@@ -25,6 +25,7 @@ _RELAXED = 40  # steps of pseudo-time at most
 # Drag at first, the most, and below which it is nothing: of waves of 6 mm, 0.2 mm and 200 mm.
 _DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
 _BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
+_NEARLY_FLAT = 0.4  # volume ratio of an element that is about to turn inside out
 _SHARE = 0.6  # of what Newton's method leaves by itself
 
 
@@ -264,16 +265,47 @@ class Newton:
             f" (time {state.time:.6g}, depth {level.depth:.2f} mm)"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
-            where=f"{what}, at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm",
+            where=f"{what}, at {_mm(place)}",
             fix="use more load steps; look at the mesh quality there; lower the contact penalty",
             level=level.number,
             residual=forces.error,
             depth=level.depth,
         )
 
+    def depth(self, state: State) -> float:
+        """How far the first body has gone in, mm; 0 without bodies."""
+        system = self.system
+        return -float((system.bodies[0].center + state.bodies[0].shift)[2]) if system.bodies else 0.0
+
+    def depth_at(self, time: float) -> float:
+        """The same, where it is given, at a time."""
+        return self.depth(self.system.prescribed(self.system.start, time))
+
+    def weakness(self, state: State) -> str:
+        """What is about to happen to tissue that could not be followed beyond a state, and where."""
+        system = self.system
+        system.at(state.time)
+        forces = self.forces(state)
+        if forces.worst < _NEARLY_FLAT:
+            k, cell = forces.place
+            middle = (system.X + state.u)[system.groups[k].cells[cell]].mean(axis=0)
+            return f"an element at {_mm(middle)} is about to turn inside out: volume ratio {forces.worst:.2f}"
+        try:
+            self.linearised.refresh(state, forces.nodal)
+        except SolveError:
+            return "the tissue can take no load there"
+        n_soft = self.linearised.n_unstable
+        if n_soft:
+            return f"the tissue is losing its stability: the skin folds ({n_soft} ways to give way)"
+        return "contact changes from iteration to iteration"
+
     def close(self) -> None:
         self.linearised.close()
         self.system.close()
+
+
+def _mm(place: Array) -> str:
+    return f"({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm"
 
 
 def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> tuple[Array, ...]:

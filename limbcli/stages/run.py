@@ -133,6 +133,8 @@ def _simulate(
             simulation = engine.read(feb)
         except SolveError as error:
             raise _kept(error, writer) from error
+        except LimbError as error:
+            raise _of_source(error, feb, source) from error
         except KeyboardInterrupt:
             _keep(writer)
             raise
@@ -159,4 +161,13 @@ def _kept(error: LimbError, writer: StageWriter) -> LimbError:
     """The same error, with model and log kept where it says."""
     folder = _keep(writer)
     where = f"{writer.site or writer.subject}: {folder / LOG_FILE}"
+    place = error.where.replace(str(writer.work), str(folder))
+    if place != str(folder / LOG_FILE):
+        where += f"; {place}"
     return type(error)(error.what, where=where, fix=error.fix, **error.facts)
+
+
+def _of_source(error: LimbError, feb: Path, source: Path) -> LimbError:
+    """The same error, naming the file that the user has, not the copy that was to be run."""
+    what, where, fix = (text.replace(str(feb), str(source)) for text in (error.what, error.where, error.fix))
+    return type(error)(what, where=where, fix=fix, **error.facts)

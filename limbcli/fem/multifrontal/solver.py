@@ -168,6 +168,11 @@ class Multifrontal:
         return self._made_up + self._root.made_up
 
     @property
+    def n_negative(self) -> int:
+        """Negative pivots of the last factor, the root's aside."""
+        return int(np.count_nonzero(np.signbit(self._store.sign[: self._root.first])))
+
+    @property
     def solves_per_factor(self) -> float:
         """What a factorisation costs, in solves, by its operations: about half of what is measured.
 
