@@ -81,7 +81,7 @@ class Analysis:
         histories: Histories | None = None
         begin, n_must = 0.0, 0
         hoped = required if hoped is None else hoped
-        times = self._times()
+        times = self.times()
         n_levels = sum(map(len, times))
         number = 0
         for step, targets in zip(self.model.steps, times, strict=True):
@@ -112,7 +112,7 @@ class Analysis:
             begin += step.n_steps * step.step_size
         return snapshots
 
-    def _times(self) -> list[list[float]]:
+    def times(self) -> list[list[float]]:
         """The times of every step that are solved for, from its start."""
         found, begin = [], 0.0
         for step in self.model.steps:

@@ -11,7 +11,7 @@ from limbcli.fem.singular import singular
 from limbcli.fem.state import norm
 from limbcli.model import Array
 
-_NOTHING = 1e-15  # of a column: a pivot that is round-off
+_NOTHING = 1e-12  # of a column: a pivot that is round-off
 
 
 def gmres(

@@ -26,7 +26,6 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
-from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
@@ -205,8 +204,6 @@ def _first_solve(
         curve = Memory(exact)
         curve(START, (0, 1))
         return curve, exact.depths, time.perf_counter() - clock
-    if isinstance(solver, FebioSolver):
-        solver = replace(solver, threads=1)
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
     curve = Memory(files.differentiable())
     curve(START)

@@ -1,14 +1,17 @@
 """Force at the depth levels as a function of (f_kappa, m): what `fit` asks a solver.
 
 With the reference solver one session keeps the converged states and returns exact
-derivatives; any other solver is run on files, the shifted parameter sets side by side.
+derivatives; any other solver is run on files, the shifted parameter sets side by side on the cores
+there are.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +24,12 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.stages.fit_speeds import mean_speeds
 from limbcli.stages.indentation_model import TISSUE
 
-SIDE_BY_SIDE = 2
 _SAME_TIME = 1e-6
 
 
@@ -163,14 +166,18 @@ class LawCurve:
 
 
 class FileCurve:
-    """Forces at the levels by a solver that works on files; a folder of its own each run."""
+    """Forces at the levels by a solver that works on files; a folder of its own each run.
+
+    cores : that may be used: processes side by side, and threads of each, are never more together
+    """
 
     def __init__(
         self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
-        progress: Progress = SILENT,
+        cores: int | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
         self._solver, self._model, self._c = solver, model, c
         self._limit, self._progress = time_limit_s, progress
+        self._cores = available_cores() if cores is None else cores
         self._times = level_times(model)
         self.depths: Array = np.zeros(0)
 
@@ -184,12 +191,33 @@ class FileCurve:
         return at_levels(simulation, simulation.probe_force(), self._times)
 
     def differentiable(self, *, relative_step: float = 0.05) -> Differences:
-        """With forward differences, `SIDE_BY_SIDE` runs at a time."""
+        """With forward differences, whose runs go side by side."""
         upper = (F_KAPPA_BOUNDS[1], M_BOUNDS[1])
-        return Differences(self, upper=upper, relative_step=relative_step, run_all=run_side_by_side)
+        return Differences(self, upper=upper, relative_step=relative_step, run_all=self.run_side_by_side)
+
+    def run_side_by_side(self, evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
+        """All, as many at once as there are cores; the first error is raised after the others have ended."""
+        todo = list(thetas)
+        processes, threads = shares(len(todo), self._cores)
+        if isinstance(self._solver, FebioSolver):
+            self._solver = replace(self._solver, threads=threads)
+        with ThreadPoolExecutor(processes) as pool:
+            return list(pool.map(evaluate, todo))
 
 
-def run_side_by_side(evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
-    """All at once; the first error is raised after the others have ended."""
-    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        return list(pool.map(evaluate, thetas))
+def available_cores() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def shares(n_runs: int, cores: int) -> tuple[int, int]:
+    """(processes at once, threads of each) of so many runs: together never more than the cores.
+
+    >>> shares(3, 2), shares(1, 4), shares(3, 8), shares(0, 2)
+    ((2, 1), (1, 4), (3, 2), (1, 2))
+    """
+    processes = max(min(n_runs, cores), 1)
+    return processes, max(cores // processes, 1)

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +17,10 @@ from limbcli.feb.read import read_feb
 from limbcli.inference.prediction import Memory
 from limbcli.progress import Progress
 from limbcli.results import StageResult
+from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
-from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, run_side_by_side
+from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, shares
 from limbcli.stages.fit_joint import fit_joint
 from tests.stages import block_case as block
 
@@ -180,10 +183,33 @@ def test_a_solver_on_files_gives_the_same_curve_and_derivative(case, tmp_path):
     )
 
 
-def test_side_by_side_keeps_the_order_and_raises_errors():
-    assert list(run_side_by_side(lambda x: x**2, [np.array([1.0]), np.array([3.0])])) == [1.0, 9.0]
+def test_side_by_side_keeps_the_order_and_raises_errors(case, tmp_path):
+    model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
+    side_by_side = FileCurve(ReferenceSolver(threads=1), model, c=TRUTH["c"]).run_side_by_side
+    assert list(side_by_side(lambda x: x**2, [np.array([1.0]), np.array([3.0])])) == [1.0, 9.0]
     with pytest.raises(ZeroDivisionError):
-        run_side_by_side(lambda x: 1 / 0, [np.array([1.0])])
+        side_by_side(lambda x: 1 / 0, [np.array([1.0])])
+
+
+@pytest.mark.parametrize("cores", [1, 2, 5])
+def test_febio_runs_use_the_cores_and_never_more(cores, case, tmp_path):
+    model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
+    files = FileCurve(FebioSolver(), model, c=TRUTH["c"], cores=cores)
+    gate, now, most = threading.Lock(), [0], [0]
+
+    def run(theta: np.ndarray) -> float:
+        threads = files._solver.threads
+        with gate:
+            now[0] += threads
+            most[0] = max(most[0], now[0])
+        time.sleep(0.05)
+        with gate:
+            now[0] -= threads
+        return float(theta[0])
+
+    assert files.run_side_by_side(run, [np.array([float(k)]) for k in range(3)]) == [0.0, 1.0, 2.0]
+    assert cores - 3 < most[0] <= cores  # of five, three with one thread each
+    assert shares(1, cores) == (1, cores)
 
 
 def test_the_mesh_error_is_counted_stated_and_can_be_given(fitted, forces, tmp_path):
