@@ -30,8 +30,8 @@ _START_SHARE = 0.5
 _TIME_DIGITS = 3
 
 # Tolerances: with them every level's force is within 0.1 % of a solve to 1e-8 (what each costs:
-# templates/feb/README.md). For tet4 they are FEBio's defaults. With dtol 0.01 tet10 levels are up to 0.3 % off,
-# and on another machine 1.2 % were seen at the first one.
+# templates/feb/README.md). For tet4 they are FEBio's defaults. With dtol 0.01, tet10 levels are up to 0.3 %
+# off, and 1.2 % were seen at a first one.
 TOLERANCES: dict[str, dict[str, float]] = {
     "tet10": {"dtol": 0.001, "etol": 0.01, "rtol": 1e-5},
     "tet4": {"dtol": 0.001, "etol": 0.01, "rtol": 0.0},

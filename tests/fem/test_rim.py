@@ -1,4 +1,4 @@
-"""Where a rigid surface ends: tractions fade, so that there is an equilibrium, and so does their derivative."""
+"""Where a rigid surface ends: tractions fade, so that there is an equilibrium."""
 
 from __future__ import annotations
 
