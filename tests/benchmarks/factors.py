@@ -32,7 +32,7 @@ from limbcli.model import Array, IntArray
 from limbcli.solvers.reference import prepare
 
 KINDS = (
-    "multifrontal", "multifrontal, BLAS", "multifrontal, double", "pardiso", "pardiso, single", "mumps",
+    "multifrontal", "multifrontal, double", "pardiso", "pardiso, single", "mumps",
     "cholmod", "superlu",
 )  # fmt: skip
 
@@ -110,17 +110,13 @@ def maker(kind: str) -> Any:
         if kind in ("mumps", "cholmod"):
             return (Mumps if kind == "mumps" else Cholmod)(indptr, indices)
         name, _, how = kind.partition(", ")
-        single = how in ("single", "BLAS") or kind == "multifrontal"
+        single = how == "single" or kind == "multifrontal"
         return ours(indptr, indices, **{**options, "kind": name, "single": single})
 
     return make
 
 
 def measure(kind: str, site: str, mesh: str, folder: Path, *, whole: bool, threads: int) -> dict[str, Any]:
-    if kind == "multifrontal, BLAS":
-        from limbcli.fem.multifrontal import store
-
-        store.has_wide_vectors = lambda: False  # type: ignore[attr-defined]
     linear.make = maker(kind)  # type: ignore[assignment]
     model, _ = built(Row(site, 5.0, 100.0, 20.0, 0.25), mesh, folder)
     told: dict[str, Any] = {"solver": kind}

@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from numba import njit
 
 from limbcli.fem import linear
 from limbcli.fem.linear import check_supported
-from limbcli.fem.multifrontal import Multifrontal, store
-from limbcli.fem.multifrontal.blas import addresses, product
-from limbcli.fem.multifrontal.kernel import has_wide_vectors
+from limbcli.fem.multifrontal import Multifrontal
 from limbcli.fem.multifrontal.ordering import compress, minimum_degree, order
-from limbcli.fem.multifrontal.product import ROOM
 from limbcli.fem.singular import SingularMatrix
 
 ROUND_OFF = {True: 2e-4, False: 1e-9}  # of matrices with condition numbers of a few hundred
@@ -156,49 +152,6 @@ def test_all_equations_may_be_last() -> None:
     b = np.ones(matrix.shape[0])
     assert error(matrix, solver.solve(b), b) < 1e-9
     assert np.allclose(solver.schur, matrix.toarray()[np.ix_(solver.root, solver.root)])
-
-
-@pytest.mark.parametrize("single", [True, False])
-@pytest.mark.parametrize("shift", [0.0, 0.5])
-def test_blas_and_our_own_products_agree(monkeypatch: pytest.MonkeyPatch, single: bool, shift: float) -> None:
-    matrix = grid(9, shift=shift)
-    b = np.random.default_rng(7).standard_normal(matrix.shape[0])
-    ours = solver_of(matrix, single=single)
-    monkeypatch.setattr(store, "has_wide_vectors", lambda: False)
-    blas = solver_of(matrix, single=single)
-    assert blas._store.blas[-1] == 0
-    assert error(matrix, blas.solve(b), b) < ROUND_OFF[single]
-    assert np.allclose(ours.solve(b), blas.solve(b), rtol=0, atol=ROUND_OFF[single] * abs(b).max())
-
-
-@pytest.mark.skipif(not has_wide_vectors(), reason="needs a processor with AVX-512")
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize(("m", "n", "k"), [(1, 1, 1), (50, 9, 33), (401, 520, 270), (96, 64, 16)])
-@pytest.mark.parametrize("lower", [True, False])
-def test_product_of_our_own(kind: type, m: int, n: int, k: int, lower: bool) -> None:
-    """C - A S B^T to rounding, and nothing written beyond its rows."""
-    rng = np.random.default_rng(7)
-    single = kind is np.float32
-    a, b, c = (
-        rng.standard_normal((width, rows + 16)).astype(kind) for width, rows in ((k, m), (k, n), (n, m))
-    )
-    sign = np.where(rng.random(k) < 0.5, -1, 1).astype(kind)
-    before = c.copy()
-    room = np.empty(ROOM, dtype=kind)
-    table = addresses(single, True)
-    _multiply(table, m, n, k, a.ravel(), b.ravel(), sign, lower, c.ravel(), room)
-    exact = before[:, :m].T - (a[:, :m].T * sign) @ b[:, :n]
-    mask = np.tri(m, n, dtype=bool) if lower else np.ones((m, n), dtype=bool)
-    assert np.allclose(c[:, :m].T[mask], exact[mask], rtol=0, atol=(1e-4 if single else 1e-12))
-    assert np.array_equal(c[:, m:], before[:, m:])
-
-
-@njit
-def _multiply(table, m, n, k, a, b, sign, lower, c, room):  # type: ignore[no-untyped-def]
-    one = a.dtype.type(1)
-    product(
-        table, m, n, k, a, 0, m + 16, b, 0, n + 16, sign, 0, -one, True, lower, c, 0, m + 16, 0, m, room, 0
-    )
 
 
 def test_minimum_degree_stands_in_for_metis() -> None:

@@ -13,19 +13,17 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
-from limbcli.fem.multifrontal.product import address as product_address
 from limbcli.model import IntArray
 
 _ROUTINES = ("gemm", "syrk")
 GEMM, SYRK = range(len(_ROUTINES))
-WIDE = len(_ROUTINES)  # where the table has our own product, or 0
 
 
-def addresses(single: bool, wide: bool) -> IntArray:
-    """Where the routines are, in the order GEMM, SYRK, WIDE."""
+def addresses(single: bool) -> IntArray:
+    """Where the routines are, in the order GEMM, SYRK."""
     letter = "s" if single else "d"
     found = [get_cython_function_address("scipy.linalg.cython_blas", letter + r) for r in _ROUTINES]
-    return np.array([*found, product_address(single) if wide else 0])
+    return np.array(found)
 
 
 _BYTE, _INT = ir.IntType(8), ir.IntType(32)
@@ -113,62 +111,6 @@ def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: 
             _int(builder, ldc),
         ]
         _call(builder, _table(context, builder, signature, args), SYRK, arguments)
-        return context.get_dummy_value()
-
-    return signature, codegen
-
-
-@intrinsic
-def product(
-    typingctx,
-    table,
-    m,
-    n,
-    k,
-    a,
-    oa,
-    lda,
-    b,
-    ob,
-    ldb,
-    sign,
-    os,
-    factor,
-    add,
-    lower,
-    c,
-    oc,
-    ldc,
-    low,
-    high,
-    room,
-    at,
-):  # type: ignore[no-untyped-def]
-    """C (m, n) = factor A S B^T, or added to it: see `product._product`."""
-    i, flag, real = types.intp, types.boolean, a.dtype
-    signature = types.void(
-        table, i, i, i, a, i, i, b, i, i, sign, i, real, flag, flag, c, i, i, i, i, room, i
-    )
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        at_most = 16 if real == types.float32 else 8
-        flags = [builder.zext(each, _BYTE) for each in (args[13], args[14])]
-        arguments = [
-            ir.Constant(ir.IntType(64), at_most),
-            *args[1:4],
-            _pointer(context, builder, t[4], args[4], args[5]),
-            args[6],
-            _pointer(context, builder, t[7], args[7], args[8]),
-            args[9],
-            _pointer(context, builder, t[10], args[10], args[11]),
-            args[12],
-            *flags,
-            _pointer(context, builder, t[15], args[15], args[16]),
-            *args[17:20],
-            _pointer(context, builder, t[20], args[20], args[21]),
-        ]
-        _call(builder, _table(context, builder, signature, args), WIDE, arguments)
         return context.get_dummy_value()
 
     return signature, codegen

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.fem.multifrontal.blas import WIDE, gemm_nt, product, syrk
+from limbcli.fem.multifrontal.blas import gemm_nt, syrk
 from limbcli.fem.multifrontal.vectors import add_scaled
 
 NOT_FINITE = -1
@@ -43,13 +43,6 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
         return
     n = j1 - j0
     target = o + r0 + j0 * ld
-    if blas[WIDE]:
-        high = (r1 + ALIGNED - 1) // ALIGNED * ALIGNED - r0
-        product(
-            blas, r1 - r0, n, j0, a, o + r0, ld, a, o + j0, ld, sign, first, -one, True, r0 == j0,
-            a, target, ld, 0, high, work, TILE * TILE,
-        )  # fmt: skip
-        return
     if signed_copy(a, o + j0, ld, n, j0, sign, first, work):
         gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, work, 0, n, one, a, target, ld)
     else:
@@ -83,12 +76,6 @@ def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type:
         return
     n, k = k1 - k0, k0 - j0
     target, left = o + r0 + k0 * ld, o + r0 + j0 * ld
-    if blas[WIDE]:
-        product(
-            blas, r1 - r0, n, k, a, left, ld, a, o + k0 + j0 * ld, ld, sign, first + j0, -one, True, r0 == k0,
-            a, target, ld, 0, r1 - r0, work, TILE * TILE,
-        )  # fmt: skip
-        return
     if signed_copy(a, o + k0 + j0 * ld, ld, n, k, sign, first + j0, work):
         gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, work, 0, n, one, a, target, ld)
     else:
@@ -153,14 +140,6 @@ def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[n
     n, m = k1 - k0, r1 - r0
     if m <= 0:
         return
-    if blas[WIDE]:
-        target = o + r0 + k0 * ld
-        work[:n] = one
-        product(
-            blas, m, n, n, a, target, ld, inverse, 0, TILE, work, 0, one, False, False,
-            a, target, ld, 0, m, work, TILE * TILE,
-        )  # fmt: skip
-        return
     for j in range(n):
         source = o + r0 + (k0 + j) * ld
         work[j * m : (j + 1) * m] = a[source : source + m]
@@ -203,12 +182,6 @@ def form_update(blas, a, o, ld, p, m, u, ou, ldu, c0, c1, block, sign, first, wo
     for j in range(first, first + p):
         negative |= sign[j] < 0
     low = o + p
-    if blas[WIDE]:
-        product(
-            blas, r - c0, c1 - c0, p, a, low + c0, ld, a, low + c0, ld, sign, first, -one, False, True,
-            u, ou + c0 * (ldu + 1), ldu, 0, ldu - c0, work, TILE * TILE,
-        )  # fmt: skip
-        return
     if not negative:
         n = c1 - c0
         syrk(blas, n, p, -one, a, low + c0, ld, none, u, ou + c0 * (ldu + 1), ldu)

@@ -9,9 +9,7 @@ import numpy as np
 from limbcli.fem.multifrontal import blas
 from limbcli.fem.multifrontal.dense import ALIGNED, STRIP, TILE
 from limbcli.fem.multifrontal.kept import make_kept
-from limbcli.fem.multifrontal.kernel import has_wide_vectors
 from limbcli.fem.multifrontal.plan import Layout
-from limbcli.fem.multifrontal.product import ROOM
 
 BLOCK = 192  # columns of a block where two threads are at work on one front
 _TINY = {True: 1e-6, False: 1e-8}  # of a pivot, next to its diagonal entry of 1
@@ -29,7 +27,7 @@ class Store:
     def __init__(self, layout: Layout, n: int, n_values: int, single: bool):
         self.kind: Any = np.float32 if single else np.float64
         self.plan = layout.plan
-        self.blas = blas.addresses(single, has_wide_vectors())
+        self.blas = blas.addresses(single)
         self.tiny = self.kind(_TINY[single])
         plan = layout.plan
         self.kept = make_kept(n, int(plan.tile_at[-2]), int(plan.part_at[-2]), self.kind)
@@ -39,7 +37,7 @@ class Store:
         self.values = np.empty(n_values, dtype=self.kind)
         self.sign = np.ones(n, dtype=self.kind)
         self.scaling = np.ones(n)
-        room = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP, ROOM) + TILE * TILE
+        room = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP) + TILE * TILE
         self.work = [np.empty(room, dtype=self.kind) for _ in range(2)]
         self.inverses = [np.empty((BLOCK + TILE) * TILE, dtype=self.kind) for _ in range(2)]
 
