@@ -19,6 +19,7 @@ _SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
 # lead nowhere, however short.
 _LOOSE, _FIRM = 3e-2, 1e-3
 _FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
+_MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a level
 _FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _WARY = 5  # strides after a cut before they may grow again
@@ -55,7 +56,7 @@ class March:
         # strides are short steps that serve as first guesses only
         self._marching = bool(model.contacts) and not self._timed
         self._stride = _FIRST * step.step_size if self._marching else np.inf
-        self._cuts = 0  # on the way to the level
+        self._cuts = self._restless = 0  # on the way to the level: cuts, and tissue that did not come to rest
         self._reached = [newton.system.start]
         self._known: State | None = None  # of an earlier solve, at the last level
         self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
@@ -69,6 +70,7 @@ class March:
         Strides on the way serve as first guesses only: they are solved loosely and not kept.
         """
         newton, reached = self._newton, self._reached
+        self._restless = 0
         cuts, self._cuts, start = 0, 0, (len(reached), self._n_pressed, self._n_touching)
         until = newton.counts.iterations + _BRIEF_ITERATIONS
         most = BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries)
@@ -127,7 +129,8 @@ class March:
         given = (
             self._timed or self._rubbing or bool(newton.system.rigid)
         )  # by the way, or by forces on bodies
-        if given or not isinstance(error, NotConverged) or self._n_pressed < 2:
+        wild = self._restless >= _MOST_RESTLESS
+        if given or wild or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
         newton.system.recall(begin.hints)
         newton.linearised.debt = np.inf
@@ -136,6 +139,7 @@ class March:
                 newton.system.prescribed(begin, time), level, tolerance=None if last else _FIRM
             )
         except (NotConverged, SingularMatrix):
+            self._restless += 1
             return None
 
     def _note_cut(self, error: SolveError) -> None:

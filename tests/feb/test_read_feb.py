@@ -34,6 +34,24 @@ def edited(source: Path, target: Path, old: str, new: str) -> Path:
     return target
 
 
+def test_records_may_name_a_set(punch: Path, tmp_path: Path) -> None:
+    listed = read_feb(punch).records
+    text = punch.read_text()
+    start = text.index("<node_data")
+    end = text.index("</node_data>") + len("</node_data>")
+    named = '<node_data data="ux;uy;uz" delim="," file="nodes.csv" node_set="skin"/>'
+    text = text[:start] + named + text[end:]
+    text = text.replace('file="elements.csv">', 'file="elements.csv" elem_set="tissue">')
+    (tmp_path / "named.feb").write_text(text)
+    found = read_feb(tmp_path / "named.feb").records
+    np.testing.assert_array_equal(found[1].items, listed[1].items)
+    np.testing.assert_array_equal(found[2].items, np.arange(192))
+    for old, new, what in (("skin", "skim", "node set 'skim'"), ("tissue", "bone", "element set 'bone'")):
+        path = edited(tmp_path / "named.feb", tmp_path / "bad.feb", f'_set="{old}"', f'_set="{new}"')
+        with pytest.raises(CaseError, match=f"there is no {what}"):
+            read_feb(path)
+
+
 def test_the_punch_is_read_whole(punch: Path) -> None:
     model = read_feb(punch)
     assert {block.name: (block.kind, len(block.cells)) for block in model.mesh.blocks} == {

@@ -85,12 +85,15 @@ def test_schur_complement_of_the_last_equations(single: bool) -> None:
 
 @pytest.mark.parametrize("single", [True, False])
 @pytest.mark.parametrize("shift", [0.0, 0.5])
-def test_root_is_changed_and_factored_again(single: bool, shift: float) -> None:
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_root_is_changed_and_factored_again(single: bool, shift: float, symmetric: bool) -> None:
     rng = np.random.default_rng(7)
     matrix = grid(7, shift=shift)
     solver = solver_of(matrix, single=single, last=rng.permutation(matrix.shape[0])[:90])
     addition = rng.standard_normal((90, 90)) * 0.5
     addition = addition @ addition.T
+    if not symmetric:
+        addition += 3.0 * rng.standard_normal((90, 90))
     b = rng.standard_normal(matrix.shape[0])
     before = solver.solve(b)
     changed = matrix.tolil()

@@ -90,6 +90,16 @@ def test_a_case_is_run_with_its_measurement(tmp_path: Path) -> None:
     assert np.nanmin(np.concatenate(last.cell_data["J"])) > 0.5
 
 
+def test_an_error_names_the_users_file_not_the_copy_that_is_run(tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text()
+    mine = tmp_path / "mine.feb"
+    mine.write_text(text.replace("<node_data ", '<node_data node_set="skim" ', 1))
+    with pytest.raises(CaseError) as caught:
+        run_file(mine, out=tmp_path / "out", solver="reference")
+    assert caught.value.where.startswith(str(mine))
+    assert "partial" not in str(caught.value)
+
+
 def test_a_failed_run_keeps_its_log_and_the_last_good_result(
     febio: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

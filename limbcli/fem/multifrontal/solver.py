@@ -51,8 +51,8 @@ class Multifrontal:
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
-        self._threads = min(threads, 2)
-        self._crew = Crew(self._threads)
+
+        self._crew = Crew(min(threads, 2))
         self._blas_threads = ThreadpoolController().select(user_api="blas")
         self._top = Top(self._store, self._crew)
         self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)
@@ -155,7 +155,7 @@ class Multifrontal:
     def update_root(self, addition: sparse.sparray | None) -> None:
         """Factor `schur + addition` (None: `schur`), in the order of `root`."""
         started = time.perf_counter()
-        with self._blas_threads.limit(limits=1 if addition is None else self._threads):
+        with self._blas_threads.limit(limits=1):
             self._root.update(addition)
         self.seconds += time.perf_counter() - started
 
