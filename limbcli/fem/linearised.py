@@ -27,10 +27,8 @@ _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
 _WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
-_MEMORY, _FORGETTING = (
-    0.5,
-    0.9,
-)  # of what older factors wasted: weight of the last, and of what was not tried again
+_MEMORY = 0.5  # of what older factors wasted: weight of the last
+_FORGETTING = 0.9  # of the same, where none was tried
 _ROUNDS = 8  # of contact in one step
 _NOWHERE = 0.999  # of the residual left by a factor of this very tangent: there is no step
 _EXACT = 1e-3  # to which it is solved where contact does not settle

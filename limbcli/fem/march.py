@@ -96,11 +96,13 @@ class March:
                 if relaxed is not None:
                     cuts, known = 0, None
                     self._stride = aim - begin
-                    self._accept(*relaxed, easily=False)
-                    if aim == target:
-                        self._forces, self._known = relaxed[1], None
-                        return relaxed
-                    continue
+                    if aim < target:
+                        self._accept(*relaxed, easily=False)
+                        continue
+                    state, forces = self._augmented(*relaxed, level)
+                    self._accept(state, forces, easily=False)
+                    self._forces, self._known = forces, None
+                    return state, forces
                 hopeless = _hopeless(error, reached)
                 if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
                     if not newton.mixed or self._timed or self._rubbing or brief or hopeless:
@@ -126,18 +128,16 @@ class March:
     ) -> tuple[State, Forces] | None:
         """The state that the tissue relaxes to at a time, from the last stride's; None where it does not."""
         newton, begin = self._newton, self._reached[-1]
-        given = (
-            self._timed or self._rubbing or bool(newton.system.rigid)
-        )  # by the way, or by forces on bodies
-        wild = self._restless >= _MOST_RESTLESS
-        if given or wild or not isinstance(error, NotConverged) or self._n_pressed < 2:
+        # the response is by the way, or by forces on bodies
+        given = self._timed or self._rubbing or bool(newton.system.rigid)
+        restless = self._restless >= _MOST_RESTLESS
+        if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
         newton.system.recall(begin.hints)
         newton.linearised.debt = np.inf
         try:
-            return newton.relax(
-                newton.system.prescribed(begin, time), level, tolerance=None if last else _FIRM
-            )
+            guess = newton.system.prescribed(begin, time)
+            return newton.relax(guess, level, tolerance=None if last else _FIRM)
         except (NotConverged, SingularMatrix):
             self._restless += 1
             return None
