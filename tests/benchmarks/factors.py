@@ -23,18 +23,20 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from hard_solves import TOLERANCE, Row, built
 
 from limbcli.errors import LimbError
 from limbcli.fem import linear
 from limbcli.fem.singular import singular
-from limbcli.model import Array, IntArray
+from limbcli.model import Array, IntArray, LimbModel
 from limbcli.solvers.reference import prepare
 
 KINDS = (
     "multifrontal", "multifrontal, double", "pardiso", "pardiso, single", "mumps",
     "cholmod", "superlu",
 )  # fmt: skip
+
+
+TOLERANCE = {"coarse": 1e-3, "usual": 1e-6}
 
 
 class Adapter:
@@ -116,9 +118,15 @@ def maker(kind: str) -> Any:
     return make
 
 
+def model_of(site: str, mesh: str, folder: Path) -> LimbModel:
+    from hard_solves import Row, built  # the file beside this one
+
+    return built(Row(site, 5.0, 100.0, 20.0, 0.25), mesh, folder)[0]
+
+
 def measure(kind: str, site: str, mesh: str, folder: Path, *, whole: bool, threads: int) -> dict[str, Any]:
     linear.make = maker(kind)  # type: ignore[assignment]
-    model, _ = built(Row(site, 5.0, 100.0, 20.0, 0.25), mesh, folder)
+    model = model_of(site, mesh, folder)
     told: dict[str, Any] = {"solver": kind}
     values, indptr, indices, last = matrix(site, mesh, folder, threads)
     before, clock = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
@@ -158,7 +166,7 @@ def matrix(site: str, mesh: str, folder: Path, threads: int) -> tuple[Array, Int
 
 
 def keep_matrix(site: str, mesh: str, folder: Path, threads: int) -> None:
-    model, _ = built(Row(site, 5.0, 100.0, 20.0, 0.25), mesh, folder)
+    model = model_of(site, mesh, folder)
     analysis = prepare(model, threads=threads, tolerance=1e-3)
 
     def stop(running: Any, found: Any) -> None:

@@ -183,7 +183,7 @@ def test_deep_models_of_others_end_with_febios_forces(shared: Path, tmp_path: Pa
     solver = ReferenceSolver()
     solver.run(feb, progress=SILENT)
     ours = solver.read(feb)
-    assert ours.nodes["nodes.csv"].values.shape[1] > 10_000, "the node set that the record names"
+    assert ours.nodes["nodes.csv"].values.shape[1] >= 10_000, "the node set that the record names"
     theirs = read_records(folder / "febio-probe.csv")
     late = theirs.times > 0.3
     mine = pchip_interpolate(ours.times, ours.probe_force(), theirs.times[late])
