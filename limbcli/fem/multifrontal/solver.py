@@ -51,7 +51,6 @@ class Multifrontal:
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
-
         self._crew = Crew(min(threads, 2))
         self._blas_threads = ThreadpoolController().select(user_api="blas")
         self._top = Top(self._store, self._crew)
