@@ -27,6 +27,7 @@ class Data:
     groups : name -> (n,) bool, the parts to be localised (channel, site, third of the levels ...)
     blocks : name -> (n,) bool, the parts to be held out
     series : of every datum, what it is a level of (a channel, one part of its maps); empty: the channel
+    place : (n, 2) mm in an image, NaN for what is in none
     """
 
     y: Array
@@ -36,6 +37,7 @@ class Data:
     groups: Mapping[str, Mask] = field(default_factory=dict)
     blocks: Mapping[str, Mask] = field(default_factory=dict)
     series: tuple[str, ...] = ()
+    place: Array | None = None
 
     def __len__(self) -> int:
         return len(self.y)
@@ -85,12 +87,14 @@ class Facts:
     """A candidate as the diagnosis sees it.
 
     typical : by parameter, a plausible size away from its null value (for blind spots)
+    dear : it takes long to look at, and was not asked for by name
     """
 
     name: str
     sentence: str
     kind: str
     typical: Mapping[str, float] = field(default_factory=dict)
+    dear: bool = False
 
 
 @dataclass(frozen=True, eq=False)

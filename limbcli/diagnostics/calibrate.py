@@ -23,6 +23,7 @@ from limbcli.diagnostics.score import Score, Trial, score, statistics
 from limbcli.model import Array
 
 N_DRAWS = 20_000
+_MANY, _DRAWS_OF_MANY = 250, 5000  # data, and how many draws are enough for them
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,8 @@ def score_family(
 
     relative : the noise's level is not known; no test of the total.
     """
+    if len(state.residual) > _MANY:
+        n_draws = min(n_draws, _DRAWS_OF_MANY)
     draws = unit_errors(rng, (n_draws, len(state.residual)))
     draws -= (draws @ state.basis) @ state.basis.T
     drawn_total = np.einsum("bi,bi->b", draws, draws)

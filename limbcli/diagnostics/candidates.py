@@ -24,10 +24,10 @@ def whitened_trials(
     bench: Bench, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
     not_evaluated: dict[str, str], progress: Progress,
 ) -> list[Trial]:  # fmt: skip
-    """A trial of each candidate that is not in the fit; why not, in `not_evaluated`."""
+    """A trial of each candidate that is not in the fit, and not dear; why not, in `not_evaluated`."""
     trials = []
     for k, name in enumerate(facts):
-        if name in fitted.explanation:
+        if name in fitted.explanation or facts[name].dear:
             continue
         try:
             raw = bench.directions(fitted, name)

@@ -20,6 +20,7 @@ from limbcli.diagnostics.explain import ADEQUATE, Refit
 from limbcli.diagnostics.ground import ALPHA, Ground
 from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.refits import Refits
+from limbcli.diagnostics.score import Trial
 from limbcli.diagnostics.verdict import Diagnosis, Word
 from limbcli.progress import SILENT, Progress
 
@@ -58,19 +59,26 @@ class _Run:
         self.facts: dict[str, Facts] = {each.name: each for each in ground.bench.candidates}
         if ground.state.nu < 1:
             return self._finish("untestable", "there are no more data than fitted parameters", None)
+        for name, each in self.facts.items():
+            if each.dear:
+                self.not_evaluated[name] = f"it takes many times the usual work: `--effects {name}` looks at it"
         trials = whitened_trials(
             ground.bench, ground.base, self.facts, ground.whiten, self.not_evaluated, ground.progress
         )
-        self.family = ground.family(
-            ground.state, [*ground.parts(ground.whiten), *trials], relative=ground.relative
-        )
+        self.family = self._tested(trials)
         if self.family.smallest >= ALPHA:
             return self._nothing_found()
         by_name = {trial.name: trial for trial in trials}
         self.refits = Refits(ground, by_name, self.not_evaluated, self.left_out)
         candidates = Candidates(ground.state, by_name, self.family)
         promising = candidates.promising(self.left_out)
-        return self._conclude(self._explanations(candidates, promising, self.refits), promising)
+        kept = self._explanations(candidates, promising, self.refits)
+        return self._conclude(kept, promising)
+
+    def _tested(self, trials: list[Trial]) -> Family:
+        ground = self.ground
+        parts = ground.parts(ground.whiten)
+        return ground.family(ground.state, [*parts, *trials], relative=ground.relative)
 
     def _explanations(self, candidates: Candidates, names: list[str], refits: Refits) -> list[Refit]:
         """The confidence set of the smallest size that is not empty, and what it may still lack."""

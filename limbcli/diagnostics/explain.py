@@ -12,7 +12,7 @@ from limbcli.diagnostics.bench import Explanation, Fitted
 from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.noise import unit_errors
-from limbcli.diagnostics.score import Direction, Trial, score, statistics
+from limbcli.diagnostics.score import Direction, Trial, narrowed, score, statistics
 from limbcli.model import Array
 
 LEVEL = 0.01  # of the test against the best of the set
@@ -139,6 +139,7 @@ def joint_trial(trials: Sequence[Trial]) -> Trial:
                 tuple(sign for each in several for sign in each.signs),
                 ", ".join(each.point for each in several if each.point),
                 tuple(name for each in several for name in each.names),
+                {name: value for each in several for name, value in each.at.items()},
             )
         )
     return Trial(" + ".join(trial.name for trial in trials), tuple(directions))
@@ -147,7 +148,7 @@ def joint_trial(trials: Sequence[Trial]) -> Trial:
 def best_pairs(state: LinearFit, trials: Sequence[Trial]) -> list[tuple[str, str]]:
     """Pairs of effects in the order of what they explain together, to first order; the best few."""
     found = []
-    for a, b in itertools.combinations(trials, 2):
+    for a, b in itertools.combinations([narrowed(state, each) for each in trials], 2):
         found.append((score(state, joint_trial([a, b])).statistic, (a.name, b.name)))
     found.sort(key=lambda item: -item[0])
     return [pair for _, pair in found[:_PAIRS_KEPT]]

@@ -21,6 +21,8 @@ from limbcli.progress import SILENT, Progress
 ALPHA = 0.05
 _ROUGH_P = 0.01
 _FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
+# The same in an image, where edges lie a little elsewhere: how wide it is (mm), how alike from level to level.
+_IMAGE_ERROR, _IMAGE_WIDE, _IMAGE_ALIKE = 0.15, 4.0, 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +91,28 @@ class Ground:
         if fitted.without is None:
             return total
         change = _FORM_ERROR * np.abs(fitted.prediction - fitted.without)
+        imaged = np.zeros(len(data), dtype=bool)
+        if data.place is not None:
+            imaged = np.isfinite(data.place).all(axis=1)
         for mask in data.channels().values():
+            if np.all(imaged[mask]):
+                total += self._in_image(np.where(mask, change / _FORM_ERROR * _IMAGE_ERROR, 0.0))
+                continue
             part = correlated("form", np.where(mask, change, 0.0), data.order, correlation=_FORM_ALIKE,
                               source="computed")  # fmt: skip
             total += part.covariance
         return total
 
+    def _in_image(self, size: Array) -> Array:
+        """Covariance (n, n) of errors of this size in one channel's images."""
+        data = self.data
+        assert data.place is not None
+        x, z = np.nan_to_num(data.place).T
+        apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+        near = np.exp(-0.5 * (apart / _IMAGE_WIDE) ** 2)
+        alike = _IMAGE_ALIKE ** np.abs(np.subtract.outer(data.order, data.order))
+        return np.asarray(near * alike * np.outer(size, size))
+
     def parts(self, whiten: Whitener) -> list[Trial]:
         """One trial for each part of the data."""
-        return group_trials(whiten, self.data.groups)
+        return group_trials(whiten, self.data)

@@ -2,30 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from limbcli.diagnostics.bench import Mask
+from limbcli.diagnostics.bench import Data, Mask
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction, Trial
 from limbcli.model import Array
 
 PREFIX = "where: "
+_FEW = 40  # data of a group that are looked at one by one
 
 
-def group_trials(whiten: Whitener, groups: Mapping[str, Mask]) -> list[Trial]:
-    """One trial a group: shifts of its data, each on its own: T = r'E (E'PE)^+ E'r, E = L^-1 I_g.
+def group_trials(whiten: Whitener, data: Data) -> list[Trial]:
+    """One trial a group: T = r'E (E'PE)^+ E'r, E = L^-1 B_g.
 
-    Groups of every datum are left out: that is the test of everything.
+    B_g shifts each of a small group's data on its own; those of a large one (parts of images) together, as
+    evenly as levels and places go on. Groups of every datum are left out: that is the test of everything.
     """
     trials = []
-    for name, mask in groups.items():
+    for name, mask in data.groups.items():
         if not 0 < mask.sum() < len(mask):
             continue
-        columns = whiten(np.eye(len(mask))[:, mask])
-        trials.append(Trial(PREFIX + name, (Direction(columns, (0,) * int(mask.sum())),)))
+        shifts = np.eye(len(mask))[:, mask] if mask.sum() <= _FEW else _even(data, mask)
+        trials.append(Trial(PREFIX + name, (Direction(whiten(shifts), (0,) * shifts.shape[1]),)))
     return trials
+
+
+def _even(data: Data, mask: Mask) -> Array:
+    """Shifts (n, 9) of a group: up to the square of the level's number, and linear in the place."""
+    t = _scaled(data.order, mask)
+    place = np.zeros((len(mask), 2)) if data.place is None else np.nan_to_num(data.place)
+    x, z = (_scaled(each, mask) for each in place.T)
+    found = [np.where(mask, a * b, 0.0) for a in (np.ones_like(t), t, t**2) for b in (np.ones_like(t), x, z)]
+    return np.stack(found, axis=1)
+
+
+def _scaled(values: Array, mask: Mask) -> Array:
+    """From -1 to 1 within the group."""
+    low, high = values[mask].min(), values[mask].max()
+    return np.asarray(2 * (values - low) / max(high - low, 1e-9) - 1)
 
 
 def predicted_without(

@@ -11,7 +11,7 @@ from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, compare, joint_trial
 from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.score import Direction, Trial, score
+from limbcli.diagnostics.score import Direction, Trial, narrowed, score
 from limbcli.errors import LimbError
 
 _HOPELESS = 20.0  # deviance behind the best stand-in: not worth a simulation
@@ -26,16 +26,17 @@ class Refits:
     `left_out`, each with its reason."""
 
     ground: Ground
-    trials: Mapping[str, Trial]
+    trials: dict[str, Trial]
     not_evaluated: dict[str, str]
     left_out: dict[str, str]
     known: dict[Explanation, Refit] = field(default_factory=dict)
+    _few: dict[str, Trial] = field(default_factory=dict)
 
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
         """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
         ground, several = self.ground, [self._in_order(each) for each in several]
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
-        joint |= {each: joint_trial([self.trials[name] for name in each]) for each in several}
+        joint |= {each: self._joint(each) for each in several}
         found = self._refitted(several)
         relative = all(ground.is_relative(each.state) for each in found)
         refits = compare(
@@ -91,10 +92,22 @@ class Refits:
                 self._settle(each, fitted)
         return [self.known[each] for each in several if each in self.known]
 
+    def _joint(self, explanation: Explanation) -> Trial:
+        """Of several effects the few points of their grids that say most; all of a single one's."""
+        if len(explanation) == 1:
+            return self.trials[explanation[0]]
+        return joint_trial([self._narrowed(name) for name in explanation])
+
+    def _narrowed(self, name: str) -> Trial:
+        if name not in self._few:
+            self._few[name] = narrowed(self.ground.state, self.trials[name])
+        return self._few[name]
+
     def _draft(self, explanation: Explanation) -> Fitted | None:
         """The refit on the stand-in; None (and why) where it has no answer."""
-        found = score(self.ground.state, joint_trial([self.trials[name] for name in explanation]))
+        found = score(self.ground.state, self._joint(explanation))
         start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
+        start |= found.direction.at
         try:
             return self.ground.bench.fit(explanation, start)
         except LimbError as error:

@@ -13,7 +13,8 @@ Source: Silvapulle & Sen 2005, Constrained Statistical Inference, sections 3.3 a
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,13 +29,14 @@ _RCOND = 1e-7
 class Direction:
     """Whitened sensitivities `columns` (n, q) at the null; `signs` (q,): +1 up only, -1 down only, 0 either.
 
-    `point` says which point of the effect's grid it is.
+    `point` says which point of the effect's grid it is; `at`: where on it a fit begins.
     """
 
     columns: Array
     signs: tuple[int, ...]
     point: str = ""
     names: tuple[str, ...] = ()
+    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,8 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
         return best, eta
     free = [k for k in range(q) if signs[k] == 0]
     bound = [k for k in range(q) if signs[k] != 0]
+    if not bound:
+        return _span_projection(A, draws)
     sign = np.array(signs, dtype=float)
     for size in range(len(bound) + 1):
         for chosen in itertools.combinations(bound, size):
@@ -103,6 +107,26 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
             eta[better] = 0.0
             eta[np.ix_(better, active)] = solved[better]
     return best, eta
+
+
+def _span_projection(A: Array, draws: Array) -> tuple[Array, Array]:
+    """The same onto the whole span of A."""
+    u, s, vt = np.linalg.svd(A, full_matrices=False)
+    kept = s > _RCOND * s[0]
+    inside = draws @ u[:, kept]
+    return np.einsum("bi,bi->b", inside, inside), (inside / s[kept]) @ vt[kept]
+
+
+def narrowed(state: LinearFit, trial: Trial, n: int = 2) -> Trial:
+    """The trial with the few of its directions that explain most of the residual."""
+    if len(trial.directions) <= n:
+        return trial
+    left = state.left[None]
+    value = [
+        float(cone_projection(visible_columns(state, each), each.signs, left)[0][0]) for each in trial.directions
+    ]
+    best = np.argsort(value)[::-1][:n]
+    return Trial(trial.name, tuple(trial.directions[k] for k in best))
 
 
 def statistics(state: LinearFit, trial: Trial, draws: Array) -> Array:

@@ -1,6 +1,6 @@
 """Fat below the skin: a soft layer over muscle.
 
-c_fat / c in a layer of 4 to 12 mm below the skin: a long toe, then strong stiffening when the fat
+c_fat / c in a layer of some millimetres below the skin: a long toe, then strong stiffening when the fat
 bottoms out (which looks like a large m).
 FEBio: element maps of c1, c2, cp.
 Tell-tale: superficial speeds low at rest and rising fast, deep ones slow to follow.
@@ -12,21 +12,28 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.effects.tissue import layer_share, scaled
-from limbcli.model import LimbModel
+from limbcli.effects.places import Places, stiffened
+from limbcli.model import Array, LimbModel
 
 THICKNESS = "fat_thickness_mm"
+THICK = Parameter.of_shape(THICKNESS, 6.0, 1.5, 20.0, "2 to 15 mm at the calf")
 SOFTNESS = Parameter("log_fat_softness", null=0.0, start=0.7, low=0.0, high=3.0, typical=1.0,
                      prior="fat 0.2 to 2 kPa under muscle of 2 to 6 kPa: 1 to 3")  # fmt: skip
 
+_EDGE_MM = 0.4
+
+
+def stiffness(places: Places, theta: Theta) -> Array:
+    """ln of c / c_fat is the parameter: 0 without fat, 0.7 for half as stiff."""
+    beyond = places.below_skin - theta.get(THICKNESS, 6.0)
+    inside = 1.0 / (1.0 + np.exp(np.clip(beyond / _EDGE_MM, -40, 40)))
+    return np.asarray(1.0 + inside * np.expm1(-theta[SOFTNESS.name]))
+
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """ln of c / c_fat is the parameter: 0 without fat, 0.7 for half as stiff."""
-    ratio = float(np.exp(-theta[SOFTNESS.name]))
-    if ratio == 1.0:
+    if theta[SOFTNESS.name] == 0.0:
         return model
-    share = layer_share(model, 0.0, theta.get(THICKNESS, 6.0))
-    return scaled(model, 1.0 + share * (ratio - 1.0))
+    return stiffened(model, lambda places: stiffness(places, theta))
 
 
 EFFECT = Effect(
@@ -34,9 +41,10 @@ EFFECT = Effect(
     sentence="a layer of fat, softer than the muscle below, lies under the skin",
     kind="tissue",
     source="Comley & Fleck 2010, Int J Solids Struct 47:2982",
-    parameters=(SOFTNESS,),
+    parameters=(SOFTNESS, THICK),
     apply=apply,
-    grid=({THICKNESS: 6.0}, {THICKNESS: 10.0}),
+    stiffness=stiffness,
+    grid=({THICKNESS: 6.0}, {THICKNESS: 3.0}, {THICKNESS: 10.0}),
     solves=True,
     tell_tale="a long toe, then strong stiffening; shallow speeds low",
 )

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from limbcli.effects.places import Places
 from limbcli.effects.reading import Reading
-from limbcli.model import LimbModel
+from limbcli.model import Array, LimbModel
 
 Theta = Mapping[str, float]
 Kind = Literal["numerical", "measurement", "tissue", "swe"]
-TISSUE = "tissue"
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,8 @@ class Parameter:
     null : the value without the effect; start : where a fit begins; low, high : bounds
     typical : a plausible value when the effect is there (for what stays unseen)
     prior : what is known of its size, with the source
+    shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
+        (`null` is `start`), and is fitted from the points of the effect's grid
     """
 
     name: str
@@ -30,10 +32,24 @@ class Parameter:
     high: float
     typical: float
     prior: str = ""
+    shape: bool = False
+
+    @staticmethod
+    def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:
+        return Parameter(name, start, start, low, high, start, prior, True)
+
+    @property
+    def step(self) -> float:
+        """By how much it moves when its influence is looked at: to where a fit begins, or a part of its room."""
+        if self.shape:
+            return 0.1 * (self.high - self.low)
+        return max(abs(self.start - self.null), 1e-6)
 
     @property
     def sign(self) -> int:
         """+1 or -1 where the null value is a bound: the effect goes one way only; 0 otherwise."""
+        if self.shape:
+            return 0
         return 1 if self.null <= self.low else -1 if self.null >= self.high else 0
 
 
@@ -53,7 +69,10 @@ class Effect:
 
     needs : channels without which nothing can be said of it: "force", "swe", "map", "travel",
         "skin-bone", "hold"
-    grid : values of parameters that mean nothing at the null (a thickness, a place), tried in turn
+    grid : values of parameters that mean nothing at the null (a time constant, a place), tried in turn;
+        of those with a `shape` a fit only begins there
+    stiffness : where the effect is a factor on all stiffnesses of the tissue: that factor, over places;
+        `apply` then follows from it
     waves : the change of the law that the scanner's window sees, where that is not `apply`'s (a layer
         thinner than an element stiffens the whole element, and lies above the window)
     solves : the prediction needs a simulation with `apply`; otherwise `observe` is all of it
@@ -61,6 +80,7 @@ class Effect:
     febio_only : the reference solver refuses the model
     new_mesh : `apply` moves nodes or elements
     spreads : it spreads the load, so that much of what it does to the speeds goes through the deformation
+    dear : its simulation takes many times the usual: it is looked at only where it is asked for by name
     onset : the grid's value that is a share of the levels: on those before it the effect is not there yet
     each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
         measurements of one place share it
@@ -76,13 +96,20 @@ class Effect:
     observe: Callable[[Reading, Theta], Reading] = same_reading
     waves: Callable[[LimbModel, Theta], LimbModel] | None = None
     grid: tuple[Theta, ...] = field(default=({},))
+    stiffness: Callable[[Places, Theta], Array] | None = None
     solves: bool = False
     febio_only: bool = False
     new_mesh: bool = False
     spreads: bool = False
+    dear: bool = False
     onset: str = ""
     each_time: bool = False
     tell_tale: str = ""
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """The parameters that have a null value: without them there is no effect."""
+        return tuple(each for each in self.parameters if not each.shape)
 
     @property
     def null(self) -> dict[str, float]:
@@ -90,11 +117,21 @@ class Effect:
 
     @property
     def start(self) -> dict[str, float]:
-        return {**self.grid[0], **{each.name: each.start for each in self.parameters}}
+        return {**{each.name: each.start for each in self.parameters}, **self.grid[0]}
 
     @property
     def typical(self) -> dict[str, float]:
-        return {**self.grid[0], **{each.name: each.typical for each in self.parameters}}
+        return {**{each.name: each.typical for each in self.parameters}, **self.grid[0]}
+
+    def free(self, point: Theta) -> dict[str, float]:
+        """What of a point of the grid a fit begins with, and then moves."""
+        names = {each.name for each in self.parameters}
+        return {name: value for name, value in point.items() if name in names}
+
+    def held(self, point: Theta) -> dict[str, float]:
+        """What of a point of the grid stays as it is."""
+        names = {each.name for each in self.parameters}
+        return {name: value for name, value in point.items() if name not in names}
 
     def without_onset(self, point: Theta) -> dict[str, float]:
         """A point of the grid as the model takes it: when the effect sets in is no matter of the model."""

@@ -36,7 +36,9 @@ EFFECT = Effect(
     kind="tissue",
     source="Zhang & Mak 1999, Prosthet Orthot Int 23:135",
     parameters=(COEFFICIENT,),
+    needs=("force", "map"),
     apply=apply,
     solves=True,
+    dear=True,
     tell_tale="next to none in force and mean speed",
 )

@@ -7,63 +7,132 @@ or layer follows from one solved indentation, exactly; for a finite change it is
 the energy. Speeds follow from the law at the same deformation: their part through the
 changed deformation is left out (a few per cent of the mean speed).
 
+A factor on all stiffnesses (`Effect.stiffness`) needs no law at all: energies are weighed by it, speeds by
+its root, at the places of the unloaded tissue that each pixel averages.
+
 Source: Bonnans & Shapiro 2000, Perturbation Analysis of Optimization Problems, section 4.3.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from limbcli.effects.base import TISSUE
+from limbcli.effects.places import Places, Stiffness, cell_means
+from limbcli.effects.tissue import TISSUE
 from limbcli.effects.waves import log_speed
 from limbcli.materials import compile_material
 from limbcli.materials.energy import program_energy
-from limbcli.model import Array, IntArray, LimbModel
+from limbcli.measurement.swe_prediction import PixelAverages
+from limbcli.model import Array, LimbModel
+
+
+class Region(Protocol):
+    """The scanner's region: from speeds at its pixels to ln means of the whole and its parts."""
+
+    def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What the scanner's region shows at one depth.
+
+    averages : from cells to pixels; places (n_pixels, q, 3) : of the unloaded tissue that each pixel averages,
+    with weights (q,)
+    """
+
+    averages: PixelAverages
+    places: Places
+    weight: Array
+    region: Region
+
+    def log_means(self, speed_m_per_s: Array, stiffness: Sequence[Stiffness] = ()) -> Array:
+        """ln mean speeds (n_parts,) of speeds at cells (n_cells,), the law's stiffnesses times fields."""
+        return self.with_fields(self.averages(speed_m_per_s), stiffness)
+
+    def with_fields(self, at_pixels: Array, stiffness: Sequence[Stiffness]) -> Array:
+        """The same of speeds at pixels (n_pixels,)."""
+        speed = at_pixels
+        for each in stiffness:
+            speed = speed * (np.sqrt(each(self.places)) @ self.weight)
+        return self.region.log_means_of(speed)
+
+
+@dataclass(eq=False)
 class Kinematics:
     """A solved indentation, cell by cell of the tissue's block.
 
-    depth (n,) mm from 0; gradient (n, n_cells, 3, 3); volume (n_cells,) mm^3; parts: for every part
-    of the scanner's window and every depth the cells in it
+    depth (n,) mm from 0; gradient (n, n_cells, 3, 3); volume (n_cells,) mm^3; seen : at every depth
     """
 
     depth: Array
     gradient: Array
     volume: Array
-    parts: tuple[tuple[IntArray, ...], ...] = ()
+    seen: tuple[Seen, ...] = ()
+    _energies: dict[int, Array] = field(default_factory=dict)
+    _speeds: dict[int, Array] = field(default_factory=dict)
+    _models: list[LimbModel] = field(default_factory=list)
+
+    def cell_energies(self, model: LimbModel) -> Array:
+        """Stored energy (n, n_cells) N mm of every cell at every depth; kept for each model."""
+        if id(model) not in self._energies:
+            material = compile_material(model.materials[TISSUE], TISSUE)
+            program = material.program(len(self.volume), lambda name: 1.0)
+            ops: Any = program.ops
+            with np.errstate(over="ignore", invalid="ignore"):  # an exponential law may leave all numbers
+                self._energies[id(model)] = np.array(
+                    [program_energy(ops, program.par, F[:, None])[:, 0] * self.volume for F in self.gradient]
+                )
+            self._models.append(model)  # its id stays its own
+        return self._energies[id(model)]
+
+    def forget(self, *models: LimbModel) -> None:
+        """Of models that do not come again."""
+        for model in models:
+            self._energies.pop(id(model), None)
+            self._speeds.pop(id(model), None)
+            self._models = [each for each in self._models if each is not model]
+
+    def pixel_speeds(self, model: LimbModel, *, density_kg_per_m3: float) -> Array:
+        """Speeds (n, n_pixels) m/s at every depth; kept for each model."""
+        if id(model) not in self._speeds:
+            rows = []
+            for F, seen in zip(self.gradient, self.seen, strict=True):
+                needed = np.unique(seen.averages.index)
+                speed = np.full(len(self.volume), np.nan)
+                found = log_speed(model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3)
+                speed[needed] = np.exp(found)
+                rows.append(seen.averages(speed))
+            self._speeds[id(model)] = np.array(rows)
+            self._models.append(model)
+        return self._speeds[id(model)]
 
 
-def energies(model: LimbModel, kinematics: Kinematics) -> Array:
-    """Stored energy (n,) N mm at every depth."""
-    material = compile_material(model.materials[TISSUE], TISSUE)
-    program = material.program(len(kinematics.volume), lambda name: 1.0)
-    ops: Any = program.ops
-    total = [
-        float(program_energy(ops, program.par, F[:, None])[:, 0] @ kinematics.volume)
-        for F in kinematics.gradient
-    ]
-    return np.array(total)
+def frozen_force(model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = ()) -> Array:
+    """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the law
+    leaves the range of numbers.
 
-
-def frozen_force(model: LimbModel, kinematics: Kinematics) -> Array:
-    """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives."""
-    curve = CubicSpline(kinematics.depth, energies(model, kinematics))
+    stiffness : fields that all of the model's stiffnesses are multiplied with
+    """
+    energies = kinematics.cell_energies(model)
+    share = np.ones(energies.shape[1])
+    for each in stiffness:
+        share = share * cell_means(model, each)
+    total = energies @ share
+    if not np.isfinite(total).all():
+        return np.full(len(kinematics.depth), np.nan)
+    curve = CubicSpline(kinematics.depth, total)
     return np.asarray(curve(kinematics.depth, 1))
 
 
-def frozen_speed(model: LimbModel, kinematics: Kinematics, *, density_kg_per_m3: float) -> Array:
+def frozen_speed(
+    model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = (), *, density_kg_per_m3: float
+) -> Array:
     """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation."""
-    rows = []
-    for k, parts in enumerate(zip(*kinematics.parts, strict=True)):
-        needed = np.unique(np.concatenate(parts))
-        speed = np.full(len(kinematics.volume), np.nan)
-        F = kinematics.gradient[k][needed]
-        speed[needed] = np.exp(log_speed(model, TISSUE, F, needed, density_kg_per_m3=density_kg_per_m3))
-        rows.append([float(np.log(np.nanmean(speed[part]))) if len(part) else np.nan for part in parts])
+    speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)
+    rows = [seen.with_fields(row, stiffness) for seen, row in zip(kinematics.seen, speeds, strict=True)]
     return np.array(rows).reshape(len(kinematics.depth), -1)

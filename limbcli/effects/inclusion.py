@@ -1,7 +1,7 @@
-"""A region of other stiffness: a scar, fibrosis, a stiff band next to the bone.
+"""A region of other stiffness: a scar, fibrosis.
 
-c(X) = c exp(a) in a ball of 7 mm at one of several places under the probe, or in the 5 mm next to
-the bone.
+c(X) = c exp(a) in a ball at any place in the image plane, of any radius, with an edge of 1 mm; what it does
+out of the plane is taken for what a ball does whose middle lies in it.
 FEBio: element maps of c1, c2, cp.
 Tell-tale: seen in the map at rest, at the same place at every load; the force moves little.
 Source: Bramley et al. 2021, Ann Biomed Eng 49:3176 (residual-limb tissue is patchy);
@@ -10,58 +10,51 @@ element-wise c from a speed map, as in Oddes & Solav 2023.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.effects.tissue import centroids, scaled, tissue_block
+from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
-X, DEPTH, NEAR_BONE = "inclusion_x_mm", "inclusion_depth_mm", "near_bone_mm"
-RADIUS_MM, EDGE_MM = 7.0, 1.5
-CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-1.6, high=3.0, typical=1.0,
+X, DEPTH, RADIUS = "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm"
+EDGE_MM = 0.5
+CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=3.0, typical=1.0,
                      prior="scars 2 to 10 times as stiff")  # fmt: skip
+SHAPE = (
+    Parameter.of_shape(X, 0.0, -26.0, 26.0, "under the probe"),
+    Parameter.of_shape(DEPTH, 12.0, 2.0, 40.0, "below the skin under the probe's centre"),
+    Parameter.of_shape(RADIUS, 7.0, 3.0, 16.0, "scars and their beds: 5 to 15 mm"),
+)
+_PLACES = tuple(
+    {X: float(x), DEPTH: float(depth), RADIUS: 7.0}
+    for depth, x in itertools.product((7, 13, 19, 26), (0, -8, 8, -16, 16))
+)
+
+
+def stiffness(places: Places, theta: Theta) -> Array:
+    middle = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 12.0)])
+    beyond = np.linalg.norm(places.at - middle, axis=-1) - theta.get(RADIUS, 7.0)
+    inside = 1.0 / (1.0 + np.exp(np.clip(beyond / EDGE_MM, -40, 40)))
+    return np.asarray(1.0 + inside * np.expm1(theta[CONTRAST.name]))
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    contrast = theta[CONTRAST.name]
-    if contrast == 0.0:
+    if theta[CONTRAST.name] == 0.0:
         return model
-    if theta.get(NEAR_BONE, 0.0) > 0.0:
-        inside = _near_bone(model, theta[NEAR_BONE])
-    else:
-        place = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 10.0)])
-        inside = _soft_step(RADIUS_MM - np.linalg.norm(centroids(model) - place, axis=1))
-    return scaled(model, np.exp(contrast * inside))
-
-
-def _soft_step(distance: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(distance / EDGE_MM, -40, 40))))
-
-
-def _near_bone(model: LimbModel, reach: float) -> Array:
-    from scipy.spatial import cKDTree
-
-    nodes = model.mesh.node_sets.get("bone", model.mesh.node_sets.get("fixed"))
-    if nodes is None or not len(nodes):
-        return np.zeros(len(tissue_block(model).cells))
-    distance, _ = cKDTree(model.mesh.points[nodes]).query(centroids(model))
-    return _soft_step(reach - distance)
+    return stiffened(model, lambda places: stiffness(places, theta))
 
 
 EFFECT = Effect(
     name="inclusion",
-    sentence="a region (scar, fibrosis, near the bone) is stiffer or softer than the rest",
+    sentence="a region (scar, fibrosis) is stiffer or softer than the rest",
     kind="tissue",
     source="Bramley et al. 2021, Ann Biomed Eng 49:3176",
-    parameters=(CONTRAST,),
+    parameters=(CONTRAST, *SHAPE),
     apply=apply,
-    grid=(
-        {X: 0.0, DEPTH: 8.0},
-        {X: -9.0, DEPTH: 10.0},
-        {X: 9.0, DEPTH: 10.0},
-        {X: 0.0, DEPTH: 18.0},
-        {NEAR_BONE: 5.0},
-    ),
+    stiffness=stiffness,
+    grid=_PLACES,
     solves=True,
     tell_tale="a spot in the speed map at every load, there at rest already",
 )

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import TISSUE, Effect, Parameter, Theta
-from limbcli.effects.tissue import core, ground_modulus, with_core
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.tissue import TISSUE, core, ground_modulus, with_core
 from limbcli.model import LimbModel, Material
 
 DRAINED = "drained_f_kappa"

@@ -14,21 +14,24 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.effects.base import Effect, Parameter, Theta, same_model
-from limbcli.effects.tissue import layer_share, scaled
-from limbcli.model import LimbModel
+from limbcli.effects.places import Places, stiffened
+from limbcli.model import Array, LimbModel
 
 THICKNESS = "skin_thickness_mm"
 STIFFNESS = Parameter("log_skin_ratio", null=0.0, start=1.5, low=0.0, high=6.0, typical=2.3,
                       prior="dermis 5 to 300 times as stiff as what lies below")  # fmt: skip
 
 
-def apply(model: LimbModel, theta: Theta) -> LimbModel:
+def stiffness(places: Places, theta: Theta) -> Array:
     """ln of the ratio is the parameter: 0 without skin, 2.3 for ten times as stiff."""
-    ratio = float(np.exp(theta[STIFFNESS.name]))
-    if ratio == 1.0:
+    inside = places.below_skin < theta.get(THICKNESS, 1.5)
+    return np.asarray(1.0 + inside * np.expm1(theta[STIFFNESS.name]))
+
+
+def apply(model: LimbModel, theta: Theta) -> LimbModel:
+    if theta[STIFFNESS.name] == 0.0:
         return model
-    share = layer_share(model, 0.0, theta.get(THICKNESS, 1.5))
-    return scaled(model, 1.0 + share * (ratio - 1.0))
+    return stiffened(model, lambda places: stiffness(places, theta))
 
 
 EFFECT = Effect(
@@ -39,6 +42,7 @@ EFFECT = Effect(
     parameters=(STIFFNESS,),
     apply=apply,
     waves=same_model,
+    stiffness=stiffness,
     grid=({THICKNESS: 1.5},),
     solves=True,
     spreads=True,

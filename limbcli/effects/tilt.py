@@ -18,23 +18,24 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.model import Array, LimbModel
 
 _AROUND = 10.0  # mm beside the probe
-DIRECTION = "tilt_direction_deg"
-ANGLE = Parameter(
-    "tilt_deg", null=0.0, start=5.0, low=0.0, high=15.0, typical=5.0, prior="by hand, within 10 deg"
-)
+ABOUT_SHORT = Parameter("tilt_about_short_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
+                        prior="by hand, within 10 deg")  # fmt: skip
+ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
+                       prior="by hand, within 10 deg")  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
     """Turn the probe about an axis in its face, then move it along the beam until it is as near the skin as
     before: on a round limb the lowered edge is beside the top.
 
-    The direction is the side that comes lower: 0 deg +x, 90 deg +y.
+    Right-handed turns: +5 deg about the short axis (y) lowers the side of +x, about the long one (x) that
+    of -y.
     """
-    angle = np.deg2rad(theta[ANGLE.name])
+    turn = np.deg2rad([theta[ABOUT_LONG.name], theta[ABOUT_SHORT.name], 0.0])
+    angle = float(np.linalg.norm(turn))
     if angle == 0.0:
         return model
-    toward = np.deg2rad(theta.get(DIRECTION, 0.0))
-    axis = np.array([-np.sin(toward), np.cos(toward), 0.0])
+    axis = turn / angle
     body = model.bodies[0]
     nodes = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
     center = np.array(body.center_of_mass)
@@ -71,9 +72,9 @@ EFFECT = Effect(
     sentence="the probe was held at an angle",
     kind="measurement",
     source="Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71",
-    parameters=(ANGLE,),
+    parameters=(ABOUT_SHORT, ABOUT_LONG),
+    needs=("force", "map"),
     apply=apply,
-    grid=tuple({DIRECTION: float(d)} for d in (0, 90, 180, 270)),
     solves=True,
     new_mesh=True,
     each_time=True,

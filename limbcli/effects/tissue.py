@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from limbcli.effects.base import TISSUE
 from limbcli.errors import SolveError
-from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Mesh, Value
+from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
 
+TISSUE = "tissue"  # the name of its material
 # Barycentric places on a facet, in sixths.
 _SPREAD = (
     (6, 0, 0), (0, 6, 0), (0, 0, 6), (3, 3, 0), (0, 3, 3), (3, 0, 3), (2, 2, 2), (4, 1, 1), (1, 4, 1),
@@ -89,16 +88,7 @@ def scaled(model: LimbModel, factor: Array) -> LimbModel:
     return model.with_material(TISSUE, scale(model.materials[TISSUE], ""))
 
 
-def below_skin(model: LimbModel, places: Array) -> Array:
-    """Depth below the skin (mm) of places (n, 3): distance to the nearest point of the skin's surface."""
-    from scipy.spatial import cKDTree
-
-    corners = _skin_points(model)
-    distance, _ = cKDTree(corners).query(places)
-    return np.asarray(distance)
-
-
-def _skin_points(model: LimbModel) -> Array:
+def skin_points(model: LimbModel) -> Array:
     """Points spread over the skin's facets, dense enough that the nearest one tells the distance."""
     surface = model.mesh.surfaces.get("skin")
     if surface is None:
@@ -111,33 +101,6 @@ def _skin_points(model: LimbModel) -> Array:
         if facets.shape[1] == 4:
             points.append(model.mesh.points[facets].mean(axis=1))
     return np.concatenate(points)
-
-
-def layer_share(model: LimbModel, low: float, high: float) -> Array:
-    """Part of each tissue cell (n_cells,) that lies between two depths below the skin (mm).
-
-    By sampling each tetrahedron's volume at 35 points, so that a layer thinner than an
-    element keeps its volume, hence its stiffness along the skin.
-    """
-    depth = _SAMPLED.get(model.mesh)
-    if depth is None:
-        depth = _SAMPLED[model.mesh] = _sampled_depths(model)
-    return np.asarray(((depth >= low) & (depth < high)).mean(axis=0))
-
-
-_SAMPLED: WeakKeyDictionary[Mesh, Array] = WeakKeyDictionary()  # the search takes seconds, and meshes stay
-
-
-def _sampled_depths(model: LimbModel) -> Array:
-    """Depths below the skin (35, n_cells) of points spread over each tissue cell."""
-    corners = model.mesh.points[tissue_block(model).cells[:, :4]]
-    n = 4
-    steps = [
-        (i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)
-    ]
-    weights = (np.array(steps) + 0.25) / (n + 1)
-    places = np.einsum("wk,nkd->wnd", weights, corners)
-    return below_skin(model, places.reshape(-1, 3)).reshape(places.shape[:2])
 
 
 def limb_axis(model: LimbModel) -> tuple[float, float, float]:
@@ -155,13 +118,6 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
         length = float(np.linalg.norm(axis))
         axis = axis / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
     return float(axis[0]), float(axis[1]), float(axis[2])
-
-
-def centroids(model: LimbModel) -> Array:
-    """(n_cells, 3) of the tissue's cells, by their corners."""
-    block = tissue_block(model)
-    corners = {"tet10": 4, "tet4": 4}.get(block.kind, block.cells.shape[1])
-    return np.asarray(model.mesh.points[block.cells[:, :corners]].mean(axis=1))
 
 
 def thickness(model: LimbModel) -> float:

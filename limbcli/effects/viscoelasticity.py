@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import TISSUE, Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
+from limbcli.effects.tissue import TISSUE
 from limbcli.model import LimbModel, Material
 
 TAU = "relaxation_time_s"

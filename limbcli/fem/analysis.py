@@ -67,7 +67,7 @@ class Analysis:
 
     def run(
         self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
-        hoped: int | None = None,
+        hoped: int | None = None, last: int | None = None, patient: bool = True,
     ) -> list[Snapshot]:  # fmt: skip
         """All steps from rest to the end; `visit` is called at every converged time.
 
@@ -75,7 +75,10 @@ class Analysis:
         required : how many levels must be reached; where a later one fails the run ends with those before
             it. None: all
         hoped : how many are worth the full effort, later ones are tried briefly. None: those required
+        last : how many are tried at all; None: all
+        patient : where Newton's method fails, let the tissue come to rest by a drag, which takes long
         """
+        self._march.patient = patient
         snapshots: list[Snapshot] = []
         state: State | None = None
         histories: Histories | None = None
@@ -92,6 +95,8 @@ class Analysis:
                 histories = Histories(newton.system)
             self._march.begin(self.model, step, newton, histories)
             for target in targets:
+                if last is not None and n_must >= last:
+                    return snapshots
                 number += 1
                 level = Level(number, n_levels, newton.depth_at(begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None

@@ -48,6 +48,7 @@ class March:
 
     def __init__(self) -> None:
         self._wary = 0
+        self.patient = True  # where Newton's method fails, whether the tissue is let come to rest
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
         """Stand at the start of a step. histories : those that every stride is a step of, if any"""
@@ -92,7 +93,7 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
-                relaxed = None if brief else self._relaxed(aim, level, error, last=aim == target)
+                relaxed = None if brief or not self.patient else self._relaxed(aim, level, error, last=aim == target)
                 if relaxed is not None:
                     cuts, known = 0, None
                     self._stride = aim - begin

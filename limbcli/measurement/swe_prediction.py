@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 _FEWEST, _MOST = 32, 400  # elements that a pixel is fitted to
 _REACH = 2.5  # of the Gaussian, in its standard deviations
@@ -70,11 +71,48 @@ def predict_map(
         If no pixel lies in the tissue.
     """
     lateral, depth = window.pixels() if pixels is None else pixels
-    near = np.isfinite(speed_m_per_s) & (np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
-    targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
-    if near.sum() < _FEWEST:
+    known = np.flatnonzero(np.isfinite(speed_m_per_s))
+    averages = pixel_averages(positions[known], (lateral, depth), face_height=face_height, window=window)
+    inside = averages.inside
+    if not inside.any():
         raise _no_pixel(face_height)
-    points, values = positions[near], speed_m_per_s[near]
+    speed = averages(speed_m_per_s[known])[inside]
+    good = np.isfinite(speed) & (speed > 0)
+    return SweMap(lateral[inside][good], depth[inside][good], speed[good])
+
+
+@dataclass(frozen=True, eq=False)
+class PixelAverages:
+    """How pixels average what elements hold: a linear map of the elements' values.
+
+    inside (n_pixels,) bool: in the tissue; index, weight (n_inside, k): elements and what each counts
+    """
+
+    inside: NDArray[np.bool_]
+    index: IntArray
+    weight: Array
+
+    def __call__(self, values: Array) -> Array:
+        """Of values (n_elements,) or (n_elements, q), those of all pixels (n_pixels, ...); NaN outside."""
+        out = np.full((len(self.inside), *values.shape[1:]), np.nan)
+        out[self.inside] = np.einsum("pk,pk...->p...", self.weight, values[self.index])
+        return out
+
+
+def pixel_averages(
+    positions: Array, pixels: tuple[Array, Array], *, face_height: float, window: Window
+) -> PixelAverages:
+    """The averages of `predict_map` for elements at positions (n_elements, 3) mm.
+
+    pixels : lateral and depth (n_pixels,) mm
+    """
+    lateral, depth = pixels
+    nothing = PixelAverages(np.zeros(len(lateral), dtype=bool), np.zeros((0, 1), np.int64), np.zeros((0, 1)))
+    near = np.flatnonzero(np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
+    targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
+    if len(near) < _FEWEST:
+        return nothing
+    points = positions[near]
     tree = cKDTree(points)
     sigma = window.smoothing / 2.355
     counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
@@ -84,11 +122,9 @@ def predict_map(
     reach = np.maximum(spacing[index[:, 0]], window.pixel)
     inside = _surrounded(points, targets, distance, index, reach=reach)
     if not inside.any():
-        raise _no_pixel(face_height)
+        return nothing
     offset = points[index[inside]] - targets[inside][:, None, :]
-    speed = _local_linear(offset, values[index[inside]], sigma=sigma)
-    good = np.isfinite(speed) & (speed > 0)
-    return SweMap(lateral[inside][good], depth[inside][good], speed[good])
+    return PixelAverages(inside, near[index[inside]], _local_linear(offset, sigma=sigma))
 
 
 def _no_pixel(face_height: float) -> MeasurementError:
@@ -107,11 +143,12 @@ def _surrounded(points: Array, targets: Array, distance: Array, index: Array, *,
     return np.asarray((distance[:, 0] <= reach) & (center <= 1.5 * spread))
 
 
-def _local_linear(offset: Array, values: Array, *, sigma: float) -> Array:
-    """Value at offset 0 of a weighted linear fit, (n,); offset (n, k, 3), values (n, k)."""
+def _local_linear(offset: Array, *, sigma: float) -> Array:
+    """Weights (n, k) of values at offsets (n, k, 3), that give the value at 0 of a weighted linear fit."""
     weight = np.exp(-0.5 * np.sum((offset / sigma) ** 2, axis=2)) + 1e-9
-    design = np.concatenate([np.ones((*values.shape, 1)), offset], axis=2)
-    normal = np.einsum("nk,nki,nkj->nij", weight, design, design)
+    design = np.concatenate([np.ones((*weight.shape, 1)), offset], axis=2)
+    weighted = weight[:, :, None] * design
+    normal = np.einsum("nki,nkj->nij", weighted, design)
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.diag([0.0, 1.0, 1.0, 1.0])
-    right = np.einsum("nk,nki,nk->ni", weight, design, values)
-    return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, 0, 0])
+    first = np.linalg.solve(normal, np.broadcast_to(np.eye(4)[:, :1], (len(normal), 4, 1)))[:, :, 0]
+    return np.einsum("nki,ni->nk", weighted, first)

@@ -37,9 +37,10 @@ class Sizes:
     far: float = 8.0
     growth: float = 0.35
     reach: float = 2.0  # mm round the face that keep the fine size
+    bends: float = 2.5  # the shortest edges that bent surfaces ask for
 
     def finer(self, factor: float) -> Sizes:
-        return Sizes(self.under_probe * factor, self.far * factor, self.growth, self.reach)
+        return Sizes(self.under_probe * factor, self.far * factor, self.growth, self.reach, self.bends * factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     sag = _chord_error(domain, probe)
     for field in (domain.skin, domain.bone):
         if field is not None:
-            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far))
+            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
     return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
 
@@ -92,7 +93,7 @@ def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growt
     return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))
 
 
-def _bend_limit(field: Field, sag: Array, far: float, *, least: float = 2.5) -> Array:
+def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
     """Edge length that keeps chords within `sag` of a bent surface: sqrt(8 sag / curvature)."""
     h = field.grid.spacing
     phi = ndimage.gaussian_filter(field.values, 1.5)

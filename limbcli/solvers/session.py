@@ -89,6 +89,8 @@ class ReferenceSession:
         field_gradients: bool = False,
         required: int | None = None,
         hoped: int | None = None,
+        last: int | None = None,
+        patient: bool = True,
         leads: bool = True,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
@@ -101,6 +103,8 @@ class ReferenceSession:
         field_gradients : fill them, and differentiate all that they hold by `wrt`
         required : how many levels must be reached, the rest as far as the solver gets; None: all
         hoped : how many are worth the full effort, later ones are tried briefly; None: those required
+        last : how many are tried at all; None: all
+        patient : where Newton's method fails, let the tissue come to rest, which takes long
         leads : later solves may start from its levels
 
         Raises
@@ -120,7 +124,7 @@ class ReferenceSession:
         asked = self._records(model, records or field_gradients)
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
-        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped)
+        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient)
         self.model = model
         if leads:
             warm.keep(

@@ -23,7 +23,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_changes import Book, only_febio
 from limbcli.stages.diagnosis_curves import FIRST_M
 from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits
+from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, held_points
 from limbcli.stages.diagnosis_menu import menu
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_slots import Slot
@@ -31,6 +31,7 @@ from limbcli.stages.diagnosis_tie import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
+_FEW = 6  # effects: these were asked for by name
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
@@ -65,7 +66,11 @@ class SiteBench(Fits):
         return [
             Facts(
                 e.name, e.sentence, e.kind,
-                {s.name: s.parameter.typical - s.parameter.null for s in self.slots((e.name,))},
+                {
+                    s.name: s.parameter.typical - s.parameter.null
+                    for s in self.slots((e.name,)) if not s.parameter.shape
+                },
+                e.dear and len(self.effects) > _FEW,
             )
             for e in self.effects.values()
         ]  # fmt: skip
@@ -77,7 +82,9 @@ class SiteBench(Fits):
         self._check_channels(explanation)
         effects = [self.effects[name] for name in explanation]
         # Among several effects none sets in late: a free step beside another effect bends to almost any gap.
-        grids = [e.grid[:1] if e.onset and len(effects) > 1 else e.grid for e in effects]
+        grids = [
+            held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects
+        ]
         combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)
@@ -126,7 +133,7 @@ class SiteBench(Fits):
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.effects[name]
         self._check_channels((name,))
-        slots = self.slots((name,))
+        slots = [slot for slot in self.slots((name,)) if not slot.parameter.shape]
         found, problem = [], None
         for point in effect.grid:
             try:
@@ -136,7 +143,9 @@ class SiteBench(Fits):
                 continue
             signs = tuple(slot.parameter.sign for slot in slots)
             names = tuple(slot.name for slot in slots)
-            found.append(Direction(np.stack(columns, axis=1), signs, point_name(point), names))
+            found.append(
+                Direction(np.stack(columns, axis=1), signs, point_name(point), names, effect.free(point))
+            )
         if not found and problem is not None:
             raise problem
         return found
@@ -149,10 +158,10 @@ class SiteBench(Fits):
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
         """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
         p, old = slot.parameter, fitted.explanation
-        points = [*self.points(fitted), point]
+        points = [*self.points(fitted), effect.held(point)]
         explanation = (*old, effect.name)
         slots = self.slots(explanation)
-        values = {s.name: s.parameter.null for s in slots} | dict(fitted.values)
+        values = {s.name: s.parameter.null for s in slots} | effect.free(point) | dict(fitted.values)
         x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
         x += [values[s.name] for s in slots]
         k = 2 + [s.name for s in slots].index(slot.name)

@@ -20,6 +20,7 @@ from limbcli.model import Array
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, touches_loads
 
+_REMEMBERED = 8  # values of the parameters
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
 
@@ -51,6 +52,37 @@ class Change:
         return np.asarray(total)
 
 
+class FieldChange:
+    """The same of an effect that is a factor on all stiffnesses, at any of its parameters.
+
+    missed : (n, 1 + n_parts) by which a simulation at `start` differs from the kept deformation, in proportion
+    to the effect's first parameter; None where none was made
+    """
+
+    def __init__(self, book: Book, effect: Effect, point: Theta, m: float):
+        self.book, self.effect, self.point, self.m = book, effect, point, m
+        self.missed: Array | None = None
+        self._last: list[tuple[tuple[float, ...], Array]] = []
+
+    def at(self, theta: Theta) -> Array:
+        names = [p.name for p in self.effect.parameters]
+        values = tuple(float(theta.get(name, self.effect.start[name])) for name in names)
+        for known, change in self._last:
+            if known == values:
+                return change
+        change = self._at(dict(zip(names, values, strict=True)))
+        self._last = [*self._last[-_REMEMBERED:], (values, change)]
+        return change
+
+    def _at(self, theta: Theta) -> Array:
+        size = self.effect.sizes[0]
+        moved = np.column_stack(self.book.shift(self.m, ((self.effect, {**self.point, **theta}),)))
+        moved = np.nan_to_num(filled(moved))
+        if self.missed is not None:
+            moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
+        return moved
+
+
 def _within(spline: CubicSpline, x: float) -> Array:
     """The spline between its ends, its tangent beyond them."""
     inside = float(np.clip(x, spline.x[0], spline.x[-1]))
@@ -68,9 +100,9 @@ class Changes:
         self.book, self.progress = book, progress
         self.m = 2.0
         self.not_simulated: dict[str, str] = {}
-        self._known: dict[tuple[str, str], Change] = {}
+        self._known: dict[tuple[str, str], Change | FieldChange] = {}
 
-    def of(self, effect: Effect, point: Theta) -> Change:
+    def of(self, effect: Effect, point: Theta) -> Change | FieldChange:
         """At one point of the effect's grid.
 
         Raises
@@ -84,10 +116,15 @@ class Changes:
             self._known[key] = self._solved_change(effect, point)
         return self._known[key]
 
-    def _solved_change(self, effect: Effect, point: Theta) -> Change:
+    def _solved_change(self, effect: Effect, point: Theta) -> Change | FieldChange:
         if effect.febio_only:
             raise only_febio(effect)
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
+        if effect.stiffness is not None:
+            field = FieldChange(self.book, effect, point, self.m)
+            if effect.spreads:
+                field.missed = self._missed(effect, point, effect.sizes[0])
+            return field
         splines = {}
         for p in effect.parameters:
             if effect.new_mesh or touches_loads(effect):

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from limbcli.effects.base import Effect, Theta, applied
 from limbcli.effects.contact import EFFECT as CONTACT
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
+from limbcli.effects.places import Places, Stiffness
 from limbcli.effects.reading import Curves, continued
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
@@ -34,14 +36,13 @@ from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import (
     indentation_model,
     starting_depth,
-    window_cells,
     with_penalty,
 )
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
 # The stiffer law keeps its stability further, and its levels lead the softer ones through.
-FIRST_M = (10.0, 5.0, 2.0)
+FIRST_M, USUAL_M = (8.0, 4.0), 4.0
 _PATH_STEPS = 2  # a depth
 _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
@@ -57,7 +58,7 @@ class CurveBook:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    needed : mm, the depth to be reached; the deeper levels are tried briefly. Where the solver stops short of
+    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. Where the solver stops short of
         it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the model without
         effects: `in_part` tells which do
     c : MPa, the reference stiffness; keep : folder of curves already solved
@@ -74,8 +75,7 @@ class CurveBook:
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
         cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
-        near = window_cells(model, depths[-1]) - first_cell(model)
-        self._table = CellTable(cells, near, windows, density_kg_per_m3)
+        self._table = CellTable(cells, windows, density_kg_per_m3)
         model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], self._table.record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
@@ -95,6 +95,7 @@ class CurveBook:
         self._failed: dict[str, SolveError] = {}
         self._changed: dict[str, str] = {}
         self._kinematics: dict[str, Kinematics] = {}
+        self._plain: dict[float, LimbModel] = {}
         self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows)
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
@@ -123,17 +124,24 @@ class CurveBook:
         of the first level.
         """
         kinematics = self.kinematics(m)
-        plain, changed = self.model_with(m, ()), self.model_with(m, ingredients)
-        in_window = self.model_with(m, ingredients, waves=True)
-        ratio = frozen_force(changed, kinematics)[1:] / frozen_force(plain, kinematics)[1:]
+        plain = self._plain.setdefault(m, self.model_with(m, ()))
+        laws = tuple(each for each in ingredients if each[0].stiffness is None)
+        changed = self.model_with(m, laws) if laws else plain
+        in_window = self.model_with(m, laws, waves=True) if laws else plain
+        ratio = (
+            frozen_force(changed, kinematics, fields(ingredients))[1:] / frozen_force(plain, kinematics)[1:]
+        )
         if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
             raise SolveError(
                 f"it changes the force more than {_MOST_CHANGE:g} times at a kept deformation",
                 where="diagnose", fix="smaller steps",
             )  # fmt: skip
         speeds = [
-            frozen_speed(each, kinematics, density_kg_per_m3=self.density) for each in (in_window, plain)
+            frozen_speed(model, kinematics, stiffness, density_kg_per_m3=self.density)
+            for model, stiffness in ((in_window, fields(ingredients, waves=True)), (plain, ()))
         ]
+        if laws:
+            kinematics.forget(changed, in_window)
         added = np.log(ratio)
         return np.concatenate([added[:1], added]), speeds[0] - speeds[1]
 
@@ -160,17 +168,6 @@ class CurveBook:
         factor = penalty / self.model.contacts[0].penalty
         return () if abs(factor - 1.0) < 1e-9 else ((CONTACT, {"penalty_factor": factor}),)
 
-    def log_speeds(self, m: float, ingredients: Ingredients = (), *, law_m: float) -> Array | None:
-        """ln speeds (n, n_parts) where the tissue is deformed as with m, but stiff as with `law_m`.
-
-        ingredients : none or numerical ones. None where the deformation was not kept on disk.
-        """
-        curves = self.curves(m, ingredients)
-        values = self.kept.cells(self._key(m, ingredients))
-        if values is None:
-            return None
-        return self._table.log_speeds(self.model_with(law_m, ()), curves.depth[1:], values)
-
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
@@ -187,6 +184,7 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
+        hoped = self._required if all(e.kind == "numerical" for e, _ in ingredients) and ingredients else self._hoped
         self.work.begin(candidate=bool(ingredients), rubs=rubs, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
@@ -195,7 +193,8 @@ class CurveBook:
                 session.start_like(self._session)
             try:
                 result = session.solve(
-                    model, records=True, required=self._required, hoped=self._hoped, leads=not ingredients
+                    model, records=True, required=self._required, hoped=hoped, leads=not ingredients,
+                    patient=not ingredients, last=None if m == USUAL_M and not ingredients else hoped,
                 )
             finally:
                 self.work.end()
@@ -210,24 +209,27 @@ class CurveBook:
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
         values = table.values[found]
-        curves = self._table.curves(
-            model,
-            self.model_with(m, ingredients, waves=True),
-            result.must_points.depths + offset,
-            result.must_points.forces,
-            values,
+        kinematics = self._table.kinematics(
+            model, np.concatenate([[0.0], result.must_points.depths + offset]), values
         )
+        laws = tuple(each for each in ingredients if each[0].stiffness is None)
+        curves = self._table.curves(
+            model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces,
+            fields(ingredients, waves=True),
+        )  # fmt: skip
         n_reached = len(values)
         if n_reached < self.n_depths:
             further = [each + offset for each in self.depths[n_reached:]]
             curves = continued(curves, further, like=self._beside(m, ingredients))
             values = np.concatenate([values, *[values[-1:]] * len(further)])
+            kinematics = self._table.kinematics(model, curves.depth, values)
         if not ingredients:
             self.work.usual.append(work)
-            self._kinematics[key] = self._table.kinematics(model, curves.depth, values)
+            self._kinematics[key] = kinematics
         if all(effect.kind == "numerical" for effect, _ in ingredients):
             self.kept.keep_cells(key, values)
-        self._tell(m, ingredients, n_reached)
+        if n_reached < hoped:
+            self._tell(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
 
@@ -281,8 +283,22 @@ class CurveBook:
         self.work.total += found.work
         if not ingredients:
             self.work.usual.append(found.work)
-        self._tell(m, ingredients, found.n_reached)
+        if not all(effect.kind == "numerical" for effect, _ in ingredients) or not ingredients:
+            self._tell(m, ingredients, found.n_reached)
         return found.curves
+
+
+def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
+    """Those of the effects that are a factor on all stiffnesses; `waves`: as the scanner's window meets them."""
+    return tuple(
+        partial(_stiffness_of, effect, theta) for effect, theta in ingredients
+        if effect.stiffness is not None and not (waves and effect.waves is not None)
+    )  # fmt: skip
+
+
+def _stiffness_of(effect: Effect, theta: Theta, places: Places) -> Array:
+    assert effect.stiffness is not None
+    return effect.stiffness(places, theta)
 
 
 def _has_fitted_size(ingredients: Ingredients) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.bench import Data
@@ -24,9 +25,17 @@ from limbcli.effects.reading import (
 )
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
+from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_noise import ModelError, depth_slopes, noise_parts, readings
+from limbcli.stages.diagnosis_noise import (
+    MapNoise,
+    ModelError,
+    SmoothDepth,
+    depth_slopes,
+    noise_parts,
+    readings,
+)
 from limbcli.stages.diagnosis_rows import (
     Extra,
     Row,
@@ -37,8 +46,9 @@ from limbcli.stages.diagnosis_rows import (
     thickness_rows,
     travel_rows,
 )
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis_windows import Windows, pitch_of
 
+USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 _LEAST_N = 0.2  # below it a force tells no depth
 _MOST_DEVIATIONS = 4.0  # of the depth's reading: what is further off is no error of reading
 
@@ -68,7 +78,14 @@ class SiteData:
         further = self._further(curves, reading)
         moved = replace(self.protocol, depth=self.protocol.depth + further)
         out = self._laid_out(read(curves, moved, reading), curves, reading)
-        return out - self.slope * further[self._levels] if len(self.slope) else out
+        if not len(self.slope):
+            return out
+        out = out - self.slope * further[self._levels]
+        if "map" in self._places:
+            # Parts of a map differ in their slopes, and change little over an error of depth: as it was read.
+            places, levels, parts = self._places["map"]
+            out[places] = read(curves, self.protocol, reading).log_speed[levels, parts]
+        return out
 
     @cached_property
     def _levels(self) -> IntArray:
@@ -124,30 +141,39 @@ class SiteData:
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
     model_error: Sequence[ModelError] = (), held: HeldForces | None = None, extras: Sequence[Extra] = (),
+    usable: NDArray[np.bool_] | None = None, thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
+    map_slopes: Array | None = None,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
     model_error : known differences between models, over all rows of the levels
+    usable : parts (n_parts,) of a map that the model shows at every level; None: all
+    thickness : mm, skin to bone; map_share : of the usual error of a model's maps
+    map_slopes : 1/mm (n_levels, n_parts), of a model's ln speeds over depth
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
     rows, y, own = force_rows(protocol, noise)
     for more in (
-        speed_rows(levels, keep, noise, windows, maps),
+        speed_rows(levels, keep, noise, windows, maps, usable),
         travel_rows(levels, keep),
         thickness_rows(levels, keep),
         hold_rows(held),
         extra_rows(extras),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
-    slope = depth_slopes(protocol, tuple(rows), np.array(y))
-    parts = noise_parts(protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error)
+    slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes)
+    parts = noise_parts(
+        protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error,
+        None if maps is None else map_noise(windows, maps, noise, SmoothDepth.through(protocol).at(protocol.force) / thickness),
+        map_share, map_slopes,
+    )  # fmt: skip
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
     data = Data(
         np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows),
-        series,
+        series, _place(rows, windows),
     )  # fmt: skip
     present = tuple(dict.fromkeys(channel))
     extra = ("swe",) if "map" in present else ()
@@ -167,6 +193,16 @@ def site_data(
     )
 
 
+def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
+    """Of the parts of these maps; strain (n_levels,): depth over thickness."""
+    pitch = tuple(
+        pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
+    )
+    size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
+    pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
+    return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
+
+
 def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, np.ndarray]:
     """Channels; thirds of the levels by channel; the way back; parts of the window."""
     groups: dict[str, np.ndarray] = {}
@@ -183,11 +219,21 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     if any(protocol.unloading):
         back = np.array([row.channel == "force" and protocol.unloading[row.level] for row in rows])
         groups["force, unloading"] = back
-    for part, label in enumerate(windows.names()):
-        mask = np.array([row.channel == "map" and row.part == part for row in rows])
-        if mask.any() and part:
+    names = windows.names()
+    for label in dict.fromkeys(names[1:]):
+        mask = np.array([row.channel == "map" and names[row.part] == label for row in rows])
+        if mask.any():
             groups[f"speed maps, {label}"] = mask
     return groups
+
+
+def _place(rows: Sequence[Row], windows: Windows) -> Array:
+    """Of every datum, where its part of a map lies (n, 2) mm; NaN of others."""
+    found = np.full((len(rows), 2), np.nan)
+    for k, row in enumerate(rows):
+        if row.channel == "map":
+            found[k] = windows.middles[row.part - 1]
+    return found
 
 
 def _blocks(rows: list[Row]) -> dict[str, np.ndarray]:

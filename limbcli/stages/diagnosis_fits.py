@@ -6,7 +6,6 @@ given points of the effects' grids.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -28,7 +27,24 @@ from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
+_ROOMY = 3.0  # times a plausible size: one deviation of what keeps flat fits from running to a bound
 _NONE: Mapping[str, float] = {}
+
+
+def held_points(effect: Effect) -> list[Theta]:
+    """The points of an effect's grid, without what a fit moves; each once."""
+    found: list[Theta] = []
+    for point in effect.grid:
+        if effect.held(point) not in found:
+            found.append(effect.held(point))
+    return found
+
+
+def _guess(slot: Slot, start: Mapping[str, float]) -> float:
+    p = slot.parameter
+    if p.shape:
+        return start.get(slot.name, p.start)
+    return p.null + start.get(slot.name, 0.0) or p.start
 
 
 class Fits:
@@ -82,8 +98,9 @@ class Fits:
         """The point of each effect's grid that was chosen."""
         chosen: list[Theta] = []
         for effect in (self.effects[name] for name in fitted.explanation):
-            match = [q for q in effect.grid if all(fitted.values.get(k) == v for k, v in q.items())]
-            chosen.append(match[0] if match else effect.grid[0])
+            held = held_points(effect)
+            match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
+            chosen.append(match[0] if match else held[0])
         return chosen
 
     # ------------------------------------------------------------ predictions
@@ -111,7 +128,7 @@ class Fits:
 
     def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
         parameters = [slot.parameter for slot in self.slots(explanation)]
-        sizes = [1.0, 1.0, *(max(abs(p.start - p.null), 1e-6) for p in parameters)]
+        sizes = [1.0, 1.0, *(p.step for p in parameters)]
         columns = []
         for k, size in enumerate(sizes):
             up, down = x.copy(), x.copy()
@@ -131,21 +148,30 @@ class Fits:
         slots = self.slots(explanation)
         parameters = [slot.parameter for slot in slots]
         low, high = self._around(held, explanation)
-        scale = np.array([0.1, 0.3, *(abs(p.start - p.null) for p in parameters)])
-        guesses = [
-            [s.parameter.null + start.get(s.name, 0.0) or s.parameter.start for s in slots],
-            [p.start for p in parameters],
-        ]
+        scale = np.array([0.1, 0.3, *(p.step for p in parameters)])
+        guesses = [[_guess(s, start) for s in slots]]
+        if not any(p.shape and s.name in start for p, s in zip(parameters, slots, strict=True)):
+            guesses.append([p.start for p in parameters])
         for each in self.sites:
             each.inherit_parts(explanation, points)
         best = None
-        starts = [
-            np.array([np.log(c), np.log(m), *guess])
-            for guess, (c, m) in itertools.product(guesses if parameters else [[]], self._tissue_starts())
+        tissues = self._tissue_starts()
+        pairs = list(zip(guesses, tissues, strict=False)) if parameters else [([], each) for each in tissues]
+        starts = [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
+        ends = self._ends_of_parts(explanation, points)
+        if (explanation, label(points)) in self._ends and not start:
+            starts = []  # it was fitted before, from everywhere
+        plausible = [
+            (2 + k, p.null, _ROOMY * abs(p.typical - p.null)) for k, p in enumerate(parameters) if not p.shape
         ]
-        for x0 in starts + self._ends_of_parts(explanation, points):
+
+        def off(x: Array) -> Array:
+            far = [(x[k] - null) / size for k, null, size in plausible if size > 0]
+            return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
+
+        for x0 in ends + starts:
             found = least_squares(
-                lambda x: self.whiten(self.data.y - self.predict(x, explanation, points)),
+                off,
                 np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=scale, diff_step=1e-4,
                 max_nfev=60 if thorough else 12,
             )  # fmt: skip
@@ -232,7 +258,7 @@ class Fits:
             lambda z: whiten(self.data.y - self.predict(full(z), explanation, points)),
             np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
             ftol=1e-5, xtol=1e-4,
-            x_scale=np.array([0.1, *(abs(s.parameter.start - s.parameter.null) for s in slots)]),
+            x_scale=np.array([0.1, *(s.parameter.step for s in slots)]),
         )  # fmt: skip
         names = ["c_kpa", *(s.name for s in slots)]
         J = whiten(self._jacobian(full(found.x), explanation, points))[:, free]

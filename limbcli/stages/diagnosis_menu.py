@@ -19,7 +19,7 @@ See = Callable[[Curves, Reading, Protocol], Array]
 _SLOW_S, _FAST_S = 20.0, 0.5
 ROTATE = "rotate the probe"
 # Effects that a turned probe sees otherwise than the first measurement does.
-_TURNS = ("anisotropy", "contraction", "inclusion", "tilt")
+_TURNS = ("anisotropy", "contraction")
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,17 @@ from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics.noise import NoisePart, common, correlated, independent
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
+from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
-COMMON_GAIN = 0.03  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
-PART_ERROR = 0.025  # of a part's mean speed, at every level: the model's resolution (assumed)
+COMMON_GAIN = 0.02  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
+# The model's error in a map: of ln speed, a unit of strain (depth over thickness), as a mesh of 5 mm edges
+# differs from FEBio's over seven limbs: in the parts, more just below the face, and of the map's mean.
+_IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.06, 0.08, 3.0, 4.0
+_IN_WIDE, _WIDE_MM, _IN_MEAN, _ALIKE = 0.055, 14.0, 0.07, 0.95  # over the image; from level to level
+_RESOLVED = 0.005  # of a part's ln speed, whatever the strain
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
 _WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
@@ -43,13 +48,76 @@ class ModelError:
     strain: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class MapNoise:
+    """What maps err by: the pixels' noise, and the model's own error.
+
+    middles (n_parts, 2) mm, lateral and below the face, and the size (mm, mm) of the parts; pitch : mm, (lateral,
+    depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
+    """
+
+    middles: Array
+    size: tuple[float, float]
+    pitch: tuple[float, float]
+    pixel: PixelNoise
+    strain: Array
+
+    def of_pixels(self, rows: Sequence[Row], own: Array) -> Array:
+        """Covariance (n, n) of the parts by the pixels' noise; own (n,) : were they independent."""
+        sides = [
+            _side_correlation(self.pixel, np.subtract.outer(at, at), size, pitch)
+            for at, size, pitch in zip(self.middles.T, self.size, self.pitch, strict=True)
+        ]
+        counts = [max(round(size / pitch), 1) for size, pitch in zip(self.size, self.pitch, strict=True)]
+        together = self.pixel.share * sides[0] * sides[1]
+        n_pixels = counts[0] * counts[1]
+        together += np.eye(len(together)) * (1.0 - self.pixel.share) / n_pixels
+        part, level = _map_places(rows)
+        times = own * np.sqrt(n_pixels)
+        same = level[:, None] == level[None, :]
+        return np.asarray(np.where(same, together[np.ix_(part, part)], 0.0) * np.outer(times, times))
+
+    def of_model(self, rows: Sequence[Row], share: float) -> Array:
+        """Covariance (n, n) by the model's error; share : times what is usual."""
+        part, level = _map_places(rows)
+        x, z = self.middles[part].T
+        strain = np.abs(self.strain[level])
+        size = _IN_PARTS + _BELOW_FACE * np.exp(-(z - self.middles[:, 1].min()) / _FADES_MM)
+        deviation = share * size * strain
+        apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+        alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
+        near, wide = (np.exp(-0.5 * (apart / each) ** 2) for each in (_NEAR_MM, _WIDE_MM))
+        # What is wide or common is of one size everywhere: else the contrast between places would tell it.
+        over = (share * _IN_WIDE) ** 2 * wide + _IN_MEAN**2
+        found = alike * (near * np.outer(deviation, deviation) + over * np.outer(strain, strain))
+        return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
+
+
+def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
+    part, level = np.array([(row.part - 1, row.level) for row in rows], dtype=np.int64).T
+    return part, level
+
+
+def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float) -> Array:
+    """Mean correlation along one side, over all pairs of pixels of two parts `apart` mm from each other."""
+    n = max(round(size / pitch), 1)
+    at = (np.arange(n) - 0.5 * (n - 1)) * pitch
+    distance = apart[..., None, None] + np.subtract.outer(at, at)
+    if noise.smoothing <= 0:
+        return np.asarray((np.abs(distance) < 1e-9).mean(axis=(-2, -1)))
+    return np.asarray(np.exp(-(distance**2) / (4 * noise.smoothing**2)).mean(axis=(-2, -1)))
+
+
 def noise_parts(
     protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
-    keep: IntArray, model_error: Sequence[ModelError],
+    keep: IntArray, model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
+    map_slopes: Array | None = None,
 ) -> list[NoisePart]:  # fmt: skip
+    """maps : of their parts, where there are maps; map_share : of the model's usual error in them"""
     source = noise.source
-    parts = [independent("measurement: own error of each reading", own, source=source)]
-    slope = depth_slopes(protocol, rows, y)
+    is_map = np.array([row.channel == "map" for row in rows])
+    parts = [independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source)]
+    slope = depth_slopes(protocol, rows, y, map_slopes)
     levels = np.array([row.level for row in rows])
     exact = [k for k in range(len(protocol)) if protocol.force[k] == 0.0 and protocol.depth[k] == 0.0]
     by_depth = np.zeros((len(rows), len(rows)))
@@ -57,16 +125,20 @@ def noise_parts(
         direction = np.where((levels == level) & (level not in exact), slope, 0.0) * noise.depth
         by_depth += np.outer(direction, direction)
     parts.append(NoisePart("measurement: depth, in all channels of a level", by_depth, source))
-    is_map = np.array([row.channel == "map" for row in rows])
-    if is_map.any():
+    if is_map.any() and maps is not None:
+        mine, at = [row for row in rows if row.channel == "map"], np.flatnonzero(is_map)
+        for name, covariance, origin in (
+            ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
+            ("model: maps", maps.of_model(mine, map_share), "computed"),
+        ):
+            whole = np.zeros((len(rows), len(rows)))
+            whole[np.ix_(at, at)] = covariance
+            parts.append(NoisePart(name, whole, origin))
         common_to_level = np.zeros((len(rows), len(rows)))
         for level in range(len(protocol)):
             direction = np.where(is_map & (levels == level), noise.swe_level_fraction, 0.0)
             common_to_level += np.outer(direction, direction)
         parts.append(NoisePart("measurement: speeds of a level", common_to_level, source))
-        places = np.array([row.part for row in rows])
-        together = (places[:, None] == places[None, :]) & is_map[:, None] & is_map[None, :]
-        parts.append(NoisePart("model: parts of the window", PART_ERROR**2 * together, "assumed"))
     speeds = np.array([row.channel in ("swe", "map") for row in rows], dtype=float)
     if speeds.any():
         parts.append(common(GAIN_OF_SPEEDS, COMMON_GAIN * speeds, source="assumed"))
@@ -95,19 +167,26 @@ def _model_direction(rows: tuple[Row, ...], y: Array, log_force: Array, log_spee
     return out
 
 
-def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
-    """How each datum changes with depth (n,), from smooth curves through the measured values.
+def depth_slopes(
+    protocol: Protocol, rows: tuple[Row, ...], y: Array, map_slopes: Array | None = None
+) -> Array:
+    """How each datum changes with depth (n,), from smooth curves through the measured values; parts of maps
+    as a model has it, `map_slopes` (n_levels, n_parts), where that is known.
 
     Depth and speeds are smoothed over the force, which is read without much error: over a depth with errors
     the slope of a steep curve comes out too low.
     """
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
-    groups: dict[tuple[str, int], list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for k, row in enumerate(rows):
-        groups.setdefault((row.channel, row.part), []).append(k)
-    for (channel, _), members in groups.items():
+        groups.setdefault(row.channel, []).append(k)
+    for channel, members in groups.items():
         if channel not in _WITH_DEPTH:
+            continue
+        if channel == "map" and map_slopes is not None:
+            part, level = _map_places([rows[k] for k in members])
+            out[members] = map_slopes[level, part]
             continue
         force = protocol.force[[rows[k].level for k in members]]
         place = smooth.place(force)
@@ -115,8 +194,8 @@ def depth_slopes(protocol: Protocol, rows: tuple[Row, ...], y: Array) -> Array:
             out[members] = 1.0
         elif channel == "force":
             out[members] = (np.maximum(force, 0.0) + smooth.unit) / smooth.rate
-        elif channel != "skin-bone" and len(members) >= 3 and np.ptp(place) > 0:
-            curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(members) > 4 else 1)
+        elif channel != "skin-bone" and len(np.unique(place)) >= 3:
+            curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(np.unique(place)) > 4 else 1)
             out[members] = curve.deriv()(place) / smooth.rate
     return out
 

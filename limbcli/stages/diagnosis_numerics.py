@@ -6,12 +6,15 @@ of the incompressibility that is held, of cut and contact enters the noise.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.case import Case, Site
 from limbcli.effects import Effect, effect
@@ -24,6 +27,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
+from limbcli.stages.diagnosis_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, ModelError, SmoothDepth, readings
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
@@ -35,12 +39,11 @@ USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any wo
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
-_SURFACE_GEOMETRY = (0.15, 0.02)  # mm, fraction: surfaces that were given are taken for better
-_USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
-# Of a part's ln speed, a unit of strain (depth over thickness): by what meshes of 2.8, 3.5 and 5 mm edges
-# differ in single parts (of one limb, at a strain of 0.34: rms 0.05, and 0.2 in the worst, beside bone).
-_PART_ERROR = 0.15
-_PART_ALIKE = 0.8
+_SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
+_IN_MEAN = 0.07  # of ln mean speed, a unit of strain: as FEBio's and our meshes differ
+_CUT_LEFT = 0.2  # of what freeing the cut changes: half of it is put right
+_STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
+_MAP_STRAIN = 0.04  # the same of a map's pattern alone: how fast it grows differs between meshes
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # times the reference c
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
 
@@ -92,11 +95,16 @@ class Numerics:
         self.sinking: Sinking | None = None  # of the contact that the curves have; known after interventions
 
     def tie(self, *, solves: bool = True) -> Tie:
-        """To the site's own mesh; `solves`: by a simulation on it."""
+        """To the site's own mesh, and a limb that is not cut; `solves`: by simulations."""
+        m, freed = self.likely_m, None
+        if solves:
+            with contextlib.suppress(SolveError):  # told where it is tried as an intervention
+                crop = effect("crop")
+                freed = self.book.curves(m, ((crop, crop.start),))
         return Tying(
-            self.site, self.depth, self.book, out=self.out, size=self.size, m=self._likely_m(),
+            self.site, self.depth, self.book, out=self.out, size=self.size, m=m,
             notes=self.notes, progress=self.progress,
-        ).tie(solves=solves)  # fmt: skip
+        ).tie(solves=solves, freed=freed)  # fmt: skip
 
     def _at_levels(self, curves: Curves, table: Array) -> Array:
         return at_depths(self.depth, curves, table)
@@ -108,7 +116,7 @@ class Numerics:
 
     def interventions(self) -> list[Intervention]:
         """Each tried at the m that is nearest to the tissue's, as their effects grow with it."""
-        found, m = [], self._likely_m()
+        found, m = [], self.likely_m
         for numerical in (effect("crop"), effect("contact"), INCOMPRESSIBILITY):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
@@ -117,7 +125,8 @@ class Numerics:
                 self.notes.data.setdefault("numerical_not_evaluated", {})[numerical.name] = error.what
         return found + self._locking()
 
-    def _likely_m(self) -> float:
+    @cached_property
+    def likely_m(self) -> float:
         """The m whose depths at the measured forces, for any c, are nearest to the measured ones, of those
         solved first."""
         force, depth = self.levels.force, self.levels.depth
@@ -140,10 +149,10 @@ class Numerics:
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.sinking = sinking(plain_curves, changed)
-        # With the cut free the force is too low, fixed it is too high: half the difference is the doubt.
+        # With the cut free the force is too low, held it is too high: curves are put half-way.
         # What a quarter of the penalty takes from the force is one and a half times to three times what the
         # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
-        share = {"crop": 0.5, "contact": 1.0 if self.sinking is None else LEFT_ERROR}
+        share = {"crop": _CUT_LEFT, "contact": 1.0 if self.sinking is None else LEFT_ERROR}
         return replace(judged, left=share.get(numerical.name, 1.0))
 
     def _locking(self) -> list[Intervention]:
@@ -183,38 +192,67 @@ class Numerics:
 
     # ------------------------------------------------------------ as noise
 
-    def noise(self, tie: Tie, interventions: list[Intervention]) -> list[ModelError]:
+    def _growth(self) -> list[ModelError]:
+        """How fast a map's pattern grows with depth."""
+        if self.site.swe_maps is None:
+            return []
+        curves = self.book.curves(self.likely_m)
+        rise = np.nan_to_num(np.gradient(curves.log_speed, curves.depth, axis=0))
+        moved = _MAP_STRAIN * np.nan_to_num(self.depth)[:, None] * at_depths(np.nan_to_num(self.depth), curves, rise)
+        return [ModelError("model: growth of the maps' pattern", np.zeros(len(self.levels)), moved)]
+
+    def map_slopes(self) -> Array:
+        """1/mm (n_levels used, n_parts): how the model's ln speeds change with depth at the levels."""
+        curves = self.book.curves(self.likely_m)
+        rise = np.nan_to_num(np.gradient(curves.log_speed[:, 1:], curves.depth, axis=0))
+        keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
+        return at_depths(self.depth[keep], curves, rise)
+
+    def parts_seen(self) -> NDArray[np.bool_]:
+        """Parts of the region (n_parts,) that the models without effects show at every depth."""
+        seen = np.ones(len(self.book.windows.depths) - 1, dtype=bool)
+        for m in FIRST_M:
+            with contextlib.suppress(SolveError):
+                seen &= np.isfinite(self.book.curves(m).log_speed[:, 1:]).all(axis=0)
+        return seen
+
+    def noise(self, tie: Tie, interventions: Sequence[Intervention]) -> list[ModelError]:
         """What of all this the data have to allow for."""
         errors = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
         ]  # fmt: skip
         errors += self._geometry()
-        no_force, no_speed = np.zeros(len(self.levels)), np.zeros_like(tie.speed_error)
+        no_force = np.zeros(len(self.levels))
+        no_speed = np.zeros((len(self.levels), len(self.book.windows.depths)))
         return [
             *errors,
             ModelError("model: mesh", tie.mesh_error, no_speed, correlation=_ALIKE),
-            ModelError("model: mesh, in the mean speed", no_force, _only(tie.speed_error, 0)),
-            *self._parts(tie),
+            *self._mean_speed(tie, no_force),
         ]
 
-    def _parts(self, tie: Tie) -> list[ModelError]:
-        """What any mesh does to single parts of a map, the more the further it is deformed, and where two
-        meshes differ."""
-        if self.site.swe_maps is None:
+    def _mean_speed(self, tie: Tie, no_force: Array) -> list[ModelError]:
+        """Of the means, where there are no maps: the mesh, and how wide the region is that they are of."""
+        if self.site.swe_maps is not None:
             return []
-        names = self.book.windows.names()
-        usual = _PART_ERROR * np.nan_to_num(self.levels.depth) / self._thickness()
-        error, none = np.hypot(tie.speed_error, usual[:, None]), np.zeros(len(self.levels))
+        curves = self.book.curves(self.likely_m)
+        width = np.interp(self.depth, curves.depth, self.book.windows.width_doubt(curves.log_speed))
+        strain = _IN_MEAN * np.nan_to_num(self.depth) / self.thickness
         return [
-            ModelError(f"model: {names[k]} of the window", none, _only(error, k), correlation=_PART_ALIKE)
-            for k in range(1, len(names))
+            ModelError("model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))),
+            ModelError("model: width of the window", no_force, self._in_mean(width)),
         ]
 
-    def _thickness(self) -> float:
+    def _in_mean(self, deviation: Array) -> Array:
+        table = np.zeros((len(self.levels), len(self.book.windows.depths)))
+        table[:, 0] = np.nan_to_num(deviation)
+        return table
+
+    @property
+    def thickness(self) -> float:
         """mm of tissue under the probe, as far as it is known."""
-        thick = self.book.curves(self._likely_m()).thickness
-        return thick if np.isfinite(thick) and thick > 0 else _USUAL_THICKNESS
+        thick = self.book.curves(self.likely_m).thickness
+        return thick if np.isfinite(thick) and thick > 0 else USUAL_THICKNESS
 
     def _geometry(self) -> list[ModelError]:
         """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
@@ -223,19 +261,15 @@ class Numerics:
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
             touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
-        strain = touch / self._thickness()
+        strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
         none = np.zeros((n, len(self.book.windows.depths)))
         return [
             ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
             ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
+            *self._growth(),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
-
-
-def _only(table: Array, column: int) -> Array:
-    """One column of a table, the others 0."""
-    return np.where(np.arange(table.shape[1]) == column, table, 0.0)
 
 
 def too_doubtful(interventions: Sequence[Intervention]) -> str | None:

@@ -31,20 +31,21 @@ from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
-from limbcli.stages.diagnosis_noise import ModelError, deepest, readings
+from limbcli.stages.diagnosis_noise import deepest, readings
 from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
-from limbcli.stages.diagnosis_tie import F_KAPPA
+from limbcli.stages.diagnosis_tie import F_KAPPA, Tie
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
 
 STAGE = "diagnose"
-_N_DEPTHS = 7
+_N_DEPTHS = 6
 # Times the deepest reading, and mm more, or that share of the tissue: a record may be read too shallow.
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm
+_BENDS = 8.0  # mm, the shortest edges that bent surfaces ask for: bone is followed roughly
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
 
 
@@ -120,7 +121,7 @@ def turned_by_90(
     curves = SiteCurves(known.site, book, known.effects, sinking=known.sinking, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
-        curves.solve_nodes(nearest[:3])
+        curves.solve_nodes(nearest[:2])
         curves.changes.m = min(curves.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     finally:
         book.close()
@@ -159,7 +160,8 @@ class _Preparation:
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
         self.levels = read_levels(site.levels)
-        self.windows = Windows()
+        self.maps = None if site.swe_maps is None else read_maps(site.swe_maps, len(self.levels))
+        self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.notes = Notes()
@@ -177,7 +179,7 @@ class _Preparation:
             )  # fmt: skip
             tie = numerics.tie(solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
-            data = self._data(numerics.noise(tie, interventions), extras)
+            data = self._data(numerics, tie, interventions, extras)
         except LimbError:
             book.close()
             raise
@@ -218,7 +220,7 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size]  # fmt: skip
+                  self.size, self.mesh.far_size, _BENDS]  # fmt: skip
         text = json.dumps(plain(recipe))
         self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"
@@ -226,7 +228,7 @@ class _Preparation:
             return load_model(kept)
         self.progress.event("note", text="making the working mesh")
         probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size)
+        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS)
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
@@ -234,10 +236,10 @@ class _Preparation:
         key.write_text(text, encoding="utf-8")
         return load_model(kept)  # as it will be when the diagnosis is taken up again
 
-    def _data(self, model_error: Sequence[ModelError], extras: Sequence[Extra]) -> SiteData:
-        maps = None
+    def _data(
+        self, numerics: Numerics, tie: Tie, interventions: Sequence[Intervention], extras: Sequence[Extra]
+    ) -> SiteData:
         if self.site.swe_maps is not None:
-            maps = read_maps(self.site.swe_maps, len(self.levels))
             self.notes.inputs["swe maps"] = self.site.swe_maps
         held = None
         if self.site.trace is not None:
@@ -246,8 +248,9 @@ class _Preparation:
             if held is None:
                 self.notes.data["holds_not_used"] = why
         return site_data(
-            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=maps,
-            model_error=model_error, held=held, extras=extras,
+            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
+            model_error=numerics.noise(tie, interventions), held=held, extras=extras,
+            usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share, map_slopes=numerics.map_slopes(),
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

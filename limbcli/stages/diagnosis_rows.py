@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
 from limbcli.effects.reading import Curves, Protocol, Reading
@@ -15,7 +16,6 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_holds import HeldForces
 from limbcli.stages.diagnosis_windows import Windows
 
-MAP_ERROR = 0.015  # of a part's mean speed, from level to level (assumed)
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
 _FEWEST_SPEEDS = 4
@@ -54,8 +54,13 @@ def force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
 
 
 def speed_rows(
-    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None
-) -> Stacked:
+    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None,
+    usable: NDArray[np.bool_] | None = None,
+) -> Stacked:  # fmt: skip
+    """Parts of the maps (their own deviation is `MapNoise`'s), or the mean speeds.
+
+    usable : parts (n_parts,) that the model shows at every level; None: all
+    """
     rows: list[Row] = []
     y: list[float] = []
     own: list[float] = []
@@ -63,12 +68,10 @@ def speed_rows(
         for level, number in enumerate(keep.tolist()):
             means, counts = windows.log_means(maps[number])
             for part in range(1, len(means)):
-                if np.isfinite(means[part]):
+                if np.isfinite(means[part]) and (usable is None or usable[part - 1]):
                     rows.append(Row("map", level, part))
                     y.append(float(means[part]))
-                    own.append(
-                        float(np.hypot(MAP_ERROR, noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
-                    )
+                    own.append(float(noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
         return rows, y, own
     speeds = levels.swe_mean_m_per_s[keep]
     if np.isfinite(speeds).sum() < _FEWEST_SPEEDS:

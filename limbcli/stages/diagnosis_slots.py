@@ -38,10 +38,16 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
         p = slot.parameter
         if not fixed[k]:
             continue
+        if p.shape:
+            found.append(f"{slot.name} ended on its bound {value:g}")
+            continue
         if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
             side = "higher" if value > p.null else "lower"
             found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
-        elif all(fixed[n] for n, other in enumerate(slots) if _same_effect(slot, other, effects)):
+        elif all(
+            fixed[n] for n, other in enumerate(slots)
+            if not other.parameter.shape and _same_effect(slot, other, effects)
+        ):
             found.append(f"{slot.name} ended at {p.null:g}, which is without it")
     return found
 

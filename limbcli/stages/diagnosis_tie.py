@@ -1,9 +1,9 @@
-"""From the diagnosis' coarse working mesh to the site's own.
+"""From the diagnosis' coarse working mesh to what the limb would give: finer elements, and no cut.
 
-The law with the tissue's likely m is solved on the site's own mesh once. Where that is not to be done, or
-fails, the site's finished `run` takes its place: both meshes then have the contact of that run, and force is
-compared as it was run (f_kappa 100, m 2). Wave speeds hang on stretches to the power of m, so they are
-compared for the likely m all the same, each mesh with its own deformation at m 2.
+The law with the tissue's likely m is solved on the site's own mesh, at a few depths: the mesh's difference
+hardly depends on the law. The cut is held in the model, and in the limb it is not: with it held the force is too
+high, with it free too low, and half-way between them is what ever larger models tend to (held at 40, 57 and
+75 mm beyond the probe: a third, a half and more of the way, on three limbs).
 """
 
 from __future__ import annotations
@@ -17,26 +17,23 @@ from limbcli.case import Site
 from limbcli.effects.reading import Curves
 from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import USUAL_PENALTY
-from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.solvers.tables import read_finished
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.fit_curves import with_tissue
-from limbcli.stages.fit_speeds import level_maps
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0
-# Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts): two to
-# three times are usual.
+# Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts).
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
+_SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """From the working mesh to the site's own: ln ratio of force (n,), speeds (n, n_parts), thickness.
+    """What is added to the working mesh's curves: ln force (n,), ln speeds (n, n_parts); thickness ratio.
 
-    mesh_error, speed_error : one deviation of ln force (n_levels,) and ln speeds (n_levels, n_parts) at the
-    levels that the mesh still leaves
+    mesh_error, speed_error : one deviation of ln force (n_levels,) and ln mean speed (n_levels,) at the levels
+    that the mesh still leaves; map_share : of the usual error of a model's maps
     """
 
     log_force: Array
@@ -44,41 +41,21 @@ class Tie:
     thickness_ratio: float
     mesh_error: Array
     speed_error: Array
+    map_share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class OwnRun:
-    """The site's own run at the start values: its element and contact's penalty; depths (mm) and forces
-    (N, at the reference c) of the levels that are deeper than those before; where the records are."""
+    """The site's own run at the start values: its element; depths (mm) and forces (N, at the reference c) of
+    the levels that are deeper than those before."""
 
     element: str
-    penalty: float
     depth: Array
     force: Array
-    times: Array
-    folder: Path
-    solver: str
-
-    def log_speeds(self, book: CurveBook, m: float) -> Array:
-        """ln speed (n, n_parts) of every part of the window, for the law with this m.
-
-        Raises
-        ------
-        LimbError
-            If the records of the run cannot be read, or hold no tissue in the window.
-        """
-        from limbcli.feb.read import read_feb
-
-        feb = self.folder / "model.feb"
-        simulation = read_finished(self.solver, feb)
-        rows: IntArray = np.abs(simulation.times[None, :] - self.times[:, None]).argmin(axis=1)
-        model = with_tissue(read_feb(feb), c=book.c, f_kappa=book.f_kappa, m=m)
-        maps = level_maps(model, simulation, rows, density_kg_per_m3=book.density, window=book.windows.window)
-        return np.array([book.windows.log_means(each)[0] for each in maps])
 
 
 def own_curves(meshed: LimbModel, book: CurveBook, m: float, *, size_ratio: float) -> Curves:
-    """The law with this m on the site's own mesh, beside the working mesh's book; kept as the book's are.
+    """The law with this m on the site's own mesh, at a few of the book's depths; kept as the book's are.
 
     size_ratio : edges of the own mesh over the working mesh's. A penalty is taken for a facet of its size, so
     that the same penalty in proportion gives both the same contact.
@@ -88,7 +65,8 @@ def own_curves(meshed: LimbModel, book: CurveBook, m: float, *, size_ratio: floa
     SolveError
         If the solver gets not far enough, or takes many times the work of the working mesh.
     """
-    depths = [each for each in book.depths if each <= book.needed + 1e-9]
+    deep = np.array(book.depths)
+    depths = sorted({book.depths[int(np.abs(deep - share * book.needed).argmin())] for share in _SHARES})
     own = CurveBook(
         meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
         windows=book.windows, keep=book.kept.folder, progress=book.progress, threads=book.threads,
@@ -119,7 +97,7 @@ def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
             where=str(ran.folder), fix="run `limbcli build-feb` and `limbcli run` without options",
         )  # fmt: skip
     table = np.loadtxt(ran.path("force_depth"), delimiter=",", skiprows=1, ndmin=2)
-    time, depth, force = table[:, 0], table[:, 1], table[:, 2]
+    depth, force = table[:, 1], table[:, 2]
     rising = np.flatnonzero((np.diff(depth, prepend=0.0) > 1e-6) & (force > 0))
     if len(rising) < 2:
         raise CaseError(
@@ -127,10 +105,7 @@ def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
             fix="run `limbcli run` again",
         )  # fmt: skip
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
-    return OwnRun(
-        str(built.data.get("element")), contact_penalty(site, out), depth[rising],
-        force[rising] * scale, time[rising], ran.folder, str(ran.data.get("solver")),
-    )  # fmt: skip
+    return OwnRun(str(built.data.get("element")), depth[rising], force[rising] * scale)
 
 
 def contact_penalty(site: Site, out: Path) -> float:
@@ -140,29 +115,3 @@ def contact_penalty(site: Site, out: Path) -> float:
     except LimbError:
         return USUAL_PENALTY
     return float(found) if isinstance(found, int | float) else USUAL_PENALTY
-
-
-def speed_ratio(own: OwnRun, book: CurveBook, m: float) -> Array:
-    """ln of the speeds on the site's own mesh over those on the working mesh (n_depths, n_parts) of the book.
-
-    0 at rest, where nothing is known, and where either mesh has no tissue; beyond the run's depths as at
-    its last.
-    """
-    depth = book.curves(START_M).depth
-    nothing = np.zeros((len(depth), len(book.windows.depths)))
-    try:
-        theirs = own.log_speeds(book, m)
-        ours = book.log_speeds(START_M, book.with_contact(own.penalty), law_m=m)
-    except LimbError as error:
-        book.progress.event("note", text=f"speeds are not tied to the site's own mesh: {error.what}")
-        return nothing
-    if ours is None:
-        return nothing
-    for k in range(nothing.shape[1]):
-        known = np.isfinite(theirs[:, k])
-        there = np.isfinite(ours[:, k])
-        if known.sum() < 2 or there.sum() < 2:
-            continue
-        apart = theirs[known, k] - np.interp(own.depth[known], depth[there], ours[there, k])
-        nothing[:, k] = np.interp(depth, np.r_[0.0, own.depth[known]], np.r_[0.0, apart])
-    return nothing

@@ -1,78 +1,182 @@
-"""The scanner's region cut into parts: what a map's pixels and a model's cells belong to."""
+"""The scanner's region cut into parts: what a map's pixels belong to, and where a model is looked at.
+
+A map is kept at the resolution that an image of shear waves has: parts a few millimetres wide and deep.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from limbcli.effects.frozen import Seen
+from limbcli.effects.places import Places
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.swe_prediction import Window
-from limbcli.model import Array, IntArray
+from limbcli.measurement.swe_prediction import Window, pixel_averages
+from limbcli.model import Array, IntArray, LimbModel
 
-_FEWEST_CELLS, _FARTHEST = 6, 12.0  # of a part of the window; mm from its middle
+_PART_MM = 4.0  # of a side of a part, about
+_USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map tells it
+_WIDTH_PARTS = 10  # the usual region's parts across: those within the inner width are whole
+_SHARE = 0.6  # of a part's pixels that must be there
+_SUBDIVIDED = 2  # each side of a part, for the places where a model is looked at
+# A place is blurred by the scanner's smoothing along x, y and z, and over its slice along y.
+_BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in deviations: Gauss-Hermite
+_SLICE, _SLICE_WEIGHT = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)  # in half slices: Gauss-Legendre
 
 
 @dataclass(frozen=True)
 class Windows:
-    """The scanner's region cut into parts: the whole of it first, then `across` x `down` cells."""
+    """A region `left` to `right`, `top` to `bottom` (mm, below the face) of `across` x `down` parts.
 
-    window: Window = field(default_factory=Window)
-    across: int = 3
+    Counted are the whole of it first, then its parts, row by row downwards.
+    whole_is_known : by maps; else the mean may be of all of it or of what lies within 12 mm of its middle
+    """
+
+    left: float = -_USUAL_MM
+    right: float = _USUAL_MM
+    top: float = 2.0
+    bottom: float = 25.0
+    across: int = _WIDTH_PARTS
     down: int = 3
+    smoothing: float = 3.0
+    elevation: float = 2.0
+    whole_is_known: bool = False
+
+    @staticmethod
+    def usual(probe_length: float) -> Windows:
+        """Where only means are given: as wide as the probe, 40 mm at most."""
+        half = min(_USUAL_MM, probe_length / 2)
+        return Windows(-half, half, across=max(2 * round(half / _PART_MM), 2))
+
+    @staticmethod
+    def of_maps(maps: Sequence[SweMap]) -> Windows:
+        """The region of measured maps, in parts of about 4 mm."""
+        lateral, depth = (np.concatenate([getattr(each, name) for each in maps]) for name in ("lateral", "depth"))
+        half_x, half_z = (0.5 * pitch_of(values) for values in (lateral, depth))
+        left, right = float(lateral.min() - half_x), float(lateral.max() + half_x)
+        top, bottom = float(depth.min() - half_z), float(depth.max() + half_z)
+        across, down = (max(round(size / _PART_MM), 1) for size in (right - left, bottom - top))
+        return Windows(left, right, max(top, 0.0), bottom, across, down, whole_is_known=True)
+
+    @property
+    def n_parts(self) -> int:
+        return self.across * self.down
+
+    @cached_property
+    def middles(self) -> Array:
+        """Lateral place and depth below the face (n_parts, 2) mm of each part's middle."""
+        x = self.left + (self.right - self.left) * (np.arange(self.across) + 0.5) / self.across
+        z = self.top + (self.bottom - self.top) * (np.arange(self.down) + 0.5) / self.down
+        return np.array([(a, b) for b in z for a in x])
 
     @property
     def depths(self) -> Array:
         """Middle of each part below the face (mm), the whole first."""
-        w = self.window
-        edges = np.linspace(w.depth_from, w.depth_to, self.down + 1)
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        return np.concatenate([[0.5 * (w.depth_from + w.depth_to)], np.repeat(middles, self.across)])
+        return np.concatenate([[0.5 * (self.top + self.bottom)], self.middles[:, 1]])
 
     def names(self) -> list[str]:
-        sides = ["left", "middle", "right"] if self.across == 3 else [str(k) for k in range(self.across)]
-        levels = ["shallow", "mid-depth", "deep"] if self.down == 3 else [str(k) for k in range(self.down)]
-        return ["whole", *(f"{depth} {side}" for depth in levels for side in sides)]
-
-    def members(self, places: Array, face: float) -> list[IntArray]:
-        """The cells, at `places` (n_cells, 3) mm, in every part of the window below a face at this height.
-
-        A part in which there are few cells (they are larger than the part) takes those nearest to its
-        middle; none where the tissue ends above it.
-        """
-        w, depth = self.window, face - places[:, 2]
-        near = (np.abs(places[:, 0]) <= w.half_width) & (np.abs(places[:, 1]) <= 2 * w.elevation)
-        near &= (depth >= w.depth_from) & (depth <= w.depth_to)
-        part = self._part(places[:, 0], depth)
-        found = [np.flatnonzero(near)]
-        for k, (x, z) in enumerate(self._middles()):
-            inside = np.flatnonzero(near & (part == k))
-            if len(inside) < _FEWEST_CELLS:
-                away = np.hypot(np.hypot(places[:, 0] - x, places[:, 1]), depth - z)
-                nearest = np.argsort(away)[:_FEWEST_CELLS]
-                inside = nearest[away[nearest] < _FARTHEST]
-            found.append(inside)
+        """Of the whole and every part: in which third of the region it lies."""
+        sides, levels = ("left", "middle", "right"), ("shallow", "mid-depth", "deep")
+        found = ["whole"]
+        for x, z in self.middles:
+            column = int(3 * (x - self.left) / (self.right - self.left))
+            row = int(3 * (z - self.top) / (self.bottom - self.top))
+            found.append(f"{levels[min(row, 2)]} {sides[min(column, 2)]}")
         return found
 
-    def _middles(self) -> list[tuple[float, float]]:
-        """Lateral place and depth of each part's middle (mm), row by row downwards."""
-        w = self.window
-        x = w.half_width * (2 * np.arange(self.across) + 1 - self.across) / self.across
-        z = w.depth_from + (w.depth_to - w.depth_from) * (np.arange(self.down) + 0.5) / self.down
-        return [(float(a), float(b)) for b in z for a in x]
+    @cached_property
+    def pixels(self) -> tuple[Array, Array]:
+        """Lateral, depth (n_pixels,) of the places where a model is looked at, part after part."""
+        share = (np.arange(_SUBDIVIDED) + 0.5) / _SUBDIVIDED - 0.5
+        dz, dx = np.meshgrid(
+            share * (self.bottom - self.top) / self.down, share * (self.right - self.left) / self.across,
+            indexing="ij",
+        )  # fmt: skip
+        lateral = self.middles[:, :1] + dx.ravel()
+        return lateral.ravel(), (self.middles[:, 1:] + dz.ravel()).ravel()
 
-    def _part(self, lateral: Array, depth: Array) -> IntArray:
-        w = self.window
-        column = np.floor((lateral + w.half_width) / (2 * w.half_width + 1e-9) * self.across)
-        row = np.floor((depth - w.depth_from) / (w.depth_to - w.depth_from + 1e-9) * self.down)
-        return np.asarray(row * self.across + column).astype(np.int64)
+    def seen(self, model: LimbModel, places: Array, rest: Array, gradient: Array, *, depth: float) -> Seen:
+        """What the region shows of cells with the face at this depth (mm).
+
+        places, rest : (n_cells, 3) mm, deformed and at rest; gradient : (n_cells, 3, 3)
+        """
+        window = Window(smoothing=self.smoothing, elevation=self.elevation, pixel=_PART_MM / _SUBDIVIDED)
+        averages = pixel_averages(places, self.pixels, face_height=-depth, window=window)
+        at, F = averages(rest), averages(gradient.reshape(-1, 9)).reshape(-1, 3, 3)
+        offsets, weight = self._blur()
+        F = np.where(np.isfinite(F).all(axis=(1, 2))[:, None, None], F, np.eye(3))
+        back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
+        blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
+        return Seen(averages, Places(blurred, model), weight, self)
+
+    def _blur(self) -> tuple[Array, Array]:
+        """Offsets (27, 3) mm and weights (27,) of the places that one pixel averages."""
+        sigma = self.smoothing / 2.355
+        offsets, weights = [], []
+        for a, wa in zip(_BLUR, _BLUR_WEIGHT, strict=True):
+            for b, wb in zip(_SLICE, _SLICE_WEIGHT, strict=True):
+                for c, wc in zip(_BLUR, _BLUR_WEIGHT, strict=True):
+                    offsets.append((a * sigma, b * self.elevation, c * sigma))
+                    weights.append(wa * wb * wc)
+        return np.array(offsets), np.array(weights)
+
+    def log_means_of(self, speed_m_per_s: Array) -> Array:
+        """ln of the mean speed of the whole and of every part (1 + n_parts,), of speeds at `pixels`."""
+        table = speed_m_per_s.reshape(self.n_parts, -1)
+        known = np.isfinite(table)
+        counts = known.sum(axis=1)
+        total = np.where(known, table, 0.0).sum(axis=1)
+        enough = counts >= _SHARE * table.shape[1]
+        parts = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
+        return np.concatenate([[self._whole(total, counts)], parts])
+
+    def _whole(self, total: Array, counts: Array) -> float:
+        if not counts.any():
+            return float("nan")
+        every = np.log(total.sum() / counts.sum())
+        if self.whole_is_known:
+            return float(every)
+        inner = np.abs(self.middles[:, 0]) < _INNER_MM
+        if not counts[inner].any():
+            return float(every)
+        return float(0.5 * (every + np.log(total[inner].sum() / counts[inner].sum())))
+
+    def width_doubt(self, log_speed: Array) -> Array:
+        """Of ln mean speed (n,): half of what the region's width makes, from its parts (n, 1 + n_parts)."""
+        if self.whole_is_known:
+            return np.zeros(len(log_speed))
+        speed = np.exp(log_speed[:, 1:])
+        inner = np.abs(self.middles[:, 0]) < _INNER_MM
+        with np.errstate(invalid="ignore"):
+            narrow, wide = (np.nanmean(np.where(mask, speed, np.nan), axis=1) for mask in (inner, np.isfinite(inner)))
+        return np.nan_to_num(0.5 * np.log(narrow / wide))
+
+    def part_of(self, lateral: Array, depth: Array) -> IntArray:
+        """Number of the part that pixels (n,) lie in; -1 outside the region."""
+        column = np.floor((lateral - self.left) / (self.right - self.left) * self.across).astype(np.int64)
+        row = np.floor((depth - self.top) / (self.bottom - self.top) * self.down).astype(np.int64)
+        inside = (column >= 0) & (column < self.across) & (row >= 0) & (row < self.down)
+        return np.asarray(np.where(inside, row * self.across + column, -1))
 
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
-        """ln of the mean speed and the pixel count of every part: (1 + across * down,) each."""
-        part = self._part(swe.lateral, swe.depth)
-        means, counts = [np.log(swe.speed_m_per_s.mean())], [len(swe)]
-        for k in range(self.across * self.down):
-            inside = part == k
-            counts.append(int(inside.sum()))
-            means.append(np.log(swe.speed_m_per_s[inside].mean()) if inside.sum() >= 4 else np.nan)
-        return np.array(means), np.array(counts)
+        """ln of the mean speed and the pixel count of the whole and every part: (1 + n_parts,) each.
+
+        NaN where a part has few of its pixels: at the edge of bone, or none was read.
+        """
+        part = self.part_of(swe.lateral, swe.depth)
+        inside = part >= 0
+        counts = np.bincount(part[inside], minlength=self.n_parts)
+        total = np.bincount(part[inside], swe.speed_m_per_s[inside], minlength=self.n_parts)
+        enough = counts >= max(_SHARE * counts.max(initial=0), 1)
+        means = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
+        whole = np.log(swe.speed_m_per_s[inside].mean()) if inside.any() else np.nan
+        return np.r_[whole, means], np.r_[inside.sum(), counts]
+
+
+def pitch_of(values: Array) -> float:
+    """Distance between neighbouring pixels (mm); 1 where there is one only."""
+    apart = np.diff(np.unique(np.round(values, 6)))
+    return float(np.median(apart)) if len(apart) else 1.0

@@ -17,9 +17,9 @@ from limbcli.errors import SolveError
 _PER_ITERATION, _PER_FACTOR = 10, 20
 # Of the mean work of the model without effects: to see what an effect changes, and with a fitted size, whose
 # answer decides; the same with friction, which goes by steps.
-_TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 4.0, 12.0
-_LEAST_ALLOWED = 3000  # some eight seconds on a working mesh
-_TIMES_USUAL_IN_ALL, _LEAST_USUAL = 46.0, 500.0
+_TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 3.0, 6.0
+_LEAST_ALLOWED = 1500  # some four seconds on a working mesh
+_TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
 
 
 @dataclass

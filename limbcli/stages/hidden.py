@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from limbcli.effects import effect
 from limbcli.effects.base import Effect, Theta
-from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
+from limbcli.effects.places import layer_share
+from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel, Material, Value

@@ -20,7 +20,8 @@ from limbcli.diagnostics.heldout import fell
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
-from limbcli.effects.tissue import ground_modulus, layer_share, limb_axis, scaled, with_part
+from limbcli.effects.places import layer_share
+from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import site_data

@@ -1,0 +1,82 @@
+"""Places in the unloaded tissue, and what a field of stiffness over them makes of its cells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.effects.tissue import scaled, skin_points, tissue_block
+from limbcli.model import Array, LimbModel, Mesh
+
+_SPLITS = 4  # of a tetrahedron's edges, for the places sampled in it
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places (..., 3) mm of the unloaded tissue in the site's frame, of one model."""
+
+    at: Array
+    model: LimbModel
+
+    @cached_property
+    def below_skin(self) -> Array:
+        """mm (...) to the nearest point of the skin's surface."""
+        distance, _ = skin_tree(self.model).query(self.at.reshape(-1, 3))
+        return np.asarray(distance).reshape(self.at.shape[:-1])
+
+    @cached_property
+    def to_bone(self) -> Array:
+        """mm (...) to the nearest node of the bone; infinite without one."""
+        sets = self.model.mesh.node_sets
+        nodes = sets.get("bone", sets.get("fixed"))
+        if nodes is None or not len(nodes):
+            return np.full(self.at.shape[:-1], np.inf)
+        distance, _ = cKDTree(self.model.mesh.points[nodes]).query(self.at.reshape(-1, 3))
+        return np.asarray(distance).reshape(self.at.shape[:-1])
+
+
+Stiffness = Callable[[Places], Array]
+_TREES: WeakKeyDictionary[Mesh, cKDTree] = WeakKeyDictionary()
+_SAMPLED: WeakKeyDictionary[Mesh, Places] = WeakKeyDictionary()  # the search takes seconds, and meshes stay
+
+
+def skin_tree(model: LimbModel) -> cKDTree:
+    found = _TREES.get(model.mesh)
+    if found is None:
+        found = _TREES[model.mesh] = cKDTree(skin_points(model))
+    return found
+
+
+def sampled(model: LimbModel) -> Places:
+    """Places (35, n_cells, 3) spread evenly over each of the tissue's cells (by their first four corners)."""
+    found = _SAMPLED.get(model.mesh)
+    if found is None:
+        corners = model.mesh.points[tissue_block(model).cells[:, :4]]
+        n = _SPLITS
+        steps = [
+            (i, j, k, n - i - j - k)
+            for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)
+        ]  # fmt: skip
+        weights = (np.array(steps) + 0.25) / (n + 1)
+        found = _SAMPLED[model.mesh] = Places(np.einsum("wk,nkd->wnd", weights, corners), model)
+    return found
+
+
+def cell_means(model: LimbModel, stiffness: Stiffness) -> Array:
+    """(n_cells,) of a field over the tissue: a layer thinner than an element keeps its share of it."""
+    return np.asarray(stiffness(sampled(model)).mean(axis=0))
+
+
+def stiffened(model: LimbModel, stiffness: Stiffness) -> LimbModel:
+    """The model with all stiffnesses of its tissue times a field of places."""
+    return scaled(model, cell_means(model, stiffness))
+
+
+def layer_share(model: LimbModel, low: float, high: float) -> Array:
+    """Part of each tissue cell (n_cells,) that lies between two depths below the skin (mm)."""
+    return cell_means(model, lambda places: (places.below_skin >= low) & (places.below_skin < high))
