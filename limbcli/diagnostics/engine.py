@@ -21,6 +21,7 @@ from limbcli.diagnostics.ground import ALPHA, Ground
 from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.refits import Refits
 from limbcli.diagnostics.score import Trial
+from limbcli.diagnostics.sizes import sizes_95
 from limbcli.diagnostics.verdict import Diagnosis, Word
 from limbcli.progress import SILENT, Progress
 
@@ -61,7 +62,9 @@ class _Run:
             return self._finish("untestable", "there are no more data than fitted parameters", None)
         for name, each in self.facts.items():
             if each.dear:
-                self.not_evaluated[name] = f"it takes many times the usual work: `--effects {name}` looks at it"
+                self.not_evaluated[name] = (
+                    f"it takes many times the usual work: `--effects {name}` looks at it"
+                )
         trials = whitened_trials(
             ground.bench, ground.base, self.facts, ground.whiten, self.not_evaluated, ground.progress
         )
@@ -219,4 +222,5 @@ class _Run:
             next_steps=account.next_steps(kept, self.not_evaluated) if self.propose else (),
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
             roughness=ground.rough, facts=self.facts, seed=ground.seed, held_out_z=account.held_out_z(),
+            sizes=sizes_95(ground.state, self.family, self.facts),
         )  # fmt: skip

@@ -123,7 +123,8 @@ def narrowed(state: LinearFit, trial: Trial, n: int = 2) -> Trial:
         return trial
     left = state.left[None]
     value = [
-        float(cone_projection(visible_columns(state, each), each.signs, left)[0][0]) for each in trial.directions
+        float(cone_projection(visible_columns(state, each), each.signs, left)[0][0])
+        for each in trial.directions
     ]
     best = np.argsort(value)[::-1][:n]
     return Trial(trial.name, tuple(trial.directions[k] for k in best))

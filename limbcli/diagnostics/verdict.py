@@ -49,6 +49,7 @@ class Diagnosis:
     closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
     not_evaluated : candidate -> why
     left_out : refits dropped -> why
+    sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added
     angles : cosines between members of the set and their look-alikes
     """
 
@@ -72,6 +73,7 @@ class Diagnosis:
     facts: Mapping[str, Facts] = field(default_factory=dict)
     seed: int = 0
     held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     @property
     def told(self) -> Reported:

@@ -93,7 +93,11 @@ class March:
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
-                relaxed = None if brief or not self.patient else self._relaxed(aim, level, error, last=aim == target)
+                relaxed = (
+                    None
+                    if brief or not self.patient
+                    else self._relaxed(aim, level, error, last=aim == target)
+                )
                 if relaxed is not None:
                     cuts, known = 0, None
                     self._stride = aim - begin

@@ -40,7 +40,9 @@ class Sizes:
     bends: float = 2.5  # the shortest edges that bent surfaces ask for
 
     def finer(self, factor: float) -> Sizes:
-        return Sizes(self.under_probe * factor, self.far * factor, self.growth, self.reach, self.bends * factor)
+        return Sizes(
+            self.under_probe * factor, self.far * factor, self.growth, self.reach, self.bends * factor
+        )
 
 
 @dataclass(frozen=True, eq=False)

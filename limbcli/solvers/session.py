@@ -124,7 +124,9 @@ class ReferenceSession:
         asked = self._records(model, records or field_gradients)
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
-        snapshots = self._analysis.run(watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient)
+        snapshots = self._analysis.run(
+            watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient
+        )
         self.model = model
         if leads:
             warm.keep(

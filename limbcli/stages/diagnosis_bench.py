@@ -82,9 +82,7 @@ class SiteBench(Fits):
         self._check_channels(explanation)
         effects = [self.effects[name] for name in explanation]
         # Among several effects none sets in late: a free step beside another effect bends to almost any gap.
-        grids = [
-            held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects
-        ]
+        grids = [held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects]
         combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)

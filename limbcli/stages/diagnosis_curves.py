@@ -184,7 +184,11 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        hoped = self._required if all(e.kind == "numerical" for e, _ in ingredients) and ingredients else self._hoped
+        hoped = (
+            self._required
+            if all(e.kind == "numerical" for e, _ in ingredients) and ingredients
+            else self._hoped
+        )
         self.work.begin(candidate=bool(ingredients), rubs=rubs, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
@@ -193,8 +197,13 @@ class CurveBook:
                 session.start_like(self._session)
             try:
                 result = session.solve(
-                    model, records=True, required=self._required, hoped=hoped, leads=not ingredients,
-                    patient=not ingredients, last=None if m == USUAL_M and not ingredients else hoped,
+                    model,
+                    records=True,
+                    required=self._required,
+                    hoped=hoped,
+                    leads=not ingredients,
+                    patient=not ingredients,
+                    last=None if m == USUAL_M and not ingredients else hoped,
                 )
             finally:
                 self.work.end()

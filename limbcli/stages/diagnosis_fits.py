@@ -27,7 +27,7 @@ from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
-_ROOMY = 3.0  # times a plausible size: one deviation of what keeps flat fits from running to a bound
+_ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
 _NONE: Mapping[str, float] = {}
 
 

@@ -27,7 +27,10 @@ def joined(sites: Sequence[SiteData]) -> Data:
     order = np.concatenate([site.data.order for site in sites])
     series = tuple(f"{name} {site.name}" for site in sites for name in site.data.series)
     place = np.concatenate(
-        [np.full((len(site.data), 2), np.nan) if site.data.place is None else site.data.place for site in sites]
+        [
+            np.full((len(site.data), 2), np.nan) if site.data.place is None else site.data.place
+            for site in sites
+        ]
     )
     return Data(y, channel, order, _noise(sites), _groups(sites), _blocks(sites), series, place)
 

@@ -41,6 +41,7 @@ _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
 _IN_MEAN = 0.07  # of ln mean speed, a unit of strain: as FEBio's and our meshes differ
+_THICKNESS_LEFT = 0.8  # of what 5 % more tissue change: surfaces and posture leave 4 %
 _CUT_LEFT = 0.2  # of what freeing the cut changes: half of it is put right
 _STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
 _MAP_STRAIN = 0.04  # the same of a map's pattern alone: how fast it grows differs between meshes
@@ -117,7 +118,7 @@ class Numerics:
     def interventions(self) -> list[Intervention]:
         """Each tried at the m that is nearest to the tissue's, as their effects grow with it."""
         found, m = [], self.likely_m
-        for numerical in (effect("crop"), effect("contact"), INCOMPRESSIBILITY):
+        for numerical in (effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
                 found.append(self._intervene(numerical, m))
@@ -152,7 +153,10 @@ class Numerics:
         # With the cut free the force is too low, held it is too high: curves are put half-way.
         # What a quarter of the penalty takes from the force is one and a half times to three times what the
         # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
-        share = {"crop": _CUT_LEFT, "contact": 1.0 if self.sinking is None else LEFT_ERROR}
+        share = {
+            "crop": _CUT_LEFT, "contact": 1.0 if self.sinking is None else LEFT_ERROR,
+            "thickness": _THICKNESS_LEFT,
+        }  # fmt: skip
         return replace(judged, left=share.get(numerical.name, 1.0))
 
     def _locking(self) -> list[Intervention]:
@@ -198,7 +202,11 @@ class Numerics:
             return []
         curves = self.book.curves(self.likely_m)
         rise = np.nan_to_num(np.gradient(curves.log_speed, curves.depth, axis=0))
-        moved = _MAP_STRAIN * np.nan_to_num(self.depth)[:, None] * at_depths(np.nan_to_num(self.depth), curves, rise)
+        moved = (
+            _MAP_STRAIN
+            * np.nan_to_num(self.depth)[:, None]
+            * at_depths(np.nan_to_num(self.depth), curves, rise)
+        )
         return [ModelError("model: growth of the maps' pattern", np.zeros(len(self.levels)), moved)]
 
     def map_slopes(self) -> Array:
@@ -239,7 +247,9 @@ class Numerics:
         width = np.interp(self.depth, curves.depth, self.book.windows.width_doubt(curves.log_speed))
         strain = _IN_MEAN * np.nan_to_num(self.depth) / self.thickness
         return [
-            ModelError("model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))),
+            ModelError(
+                "model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))
+            ),
             ModelError("model: width of the window", no_force, self._in_mean(width)),
         ]
 

@@ -16,6 +16,7 @@ from limbcli.diagnostics.verdict import Diagnosis, Shrink
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_joint import slices
+from limbcli.stages.diagnosis_sizes import told_sizes
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:
@@ -64,6 +65,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
             "power_for_its_worst_pair": best[1] if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
+        "sizes_95": told_sizes(bench.effects, found.sizes, found.told.values["c_kpa"]),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,

@@ -41,11 +41,17 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
         if p.shape:
             found.append(f"{slot.name} ended on its bound {value:g}")
             continue
+        if any(
+            not fixed[n] and not other.parameter.shape and _same_effect(slot, other, effects)
+            for n, other in enumerate(slots)
+        ):
+            continue  # another size of the effect is free, and says that it is there
         if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
             side = "higher" if value > p.null else "lower"
             found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
         elif all(
-            fixed[n] for n, other in enumerate(slots)
+            fixed[n]
+            for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):
             found.append(f"{slot.name} ended at {p.null:g}, which is without it")

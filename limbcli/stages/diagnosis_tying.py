@@ -22,7 +22,11 @@ from limbcli.stages.diagnosis_tie import Tie, own_curves
 _SAFETY = 1.5
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
 _FREED = 0.5  # of the way from a cut that is held to one that is free: the limb
-_USUAL_MAP, _LEAST_SHARE, _MOST_SHARE = 0.07, 0.7, 1.5  # of ln speed, a unit of strain, by which meshes differ
+_USUAL_MAP, _LEAST_SHARE, _MOST_SHARE = (
+    0.07,
+    0.7,
+    1.5,
+)  # of ln speed, a unit of strain, by which meshes differ
 
 
 class Tells(Protocol):
@@ -69,7 +73,9 @@ class Tying:
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
-                self.notes.warnings.append("the working mesh is not tied to the site's own, of linear elements")
+                self.notes.warnings.append(
+                    "the working mesh is not tied to the site's own, of linear elements"
+                )
                 return None
             model = load_model(meshed.folder / "model.npz")
         except LimbError as error:

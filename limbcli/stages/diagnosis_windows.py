@@ -24,7 +24,10 @@ _SHARE = 0.6  # of a part's pixels that must be there
 _SUBDIVIDED = 2  # each side of a part, for the places where a model is looked at
 # A place is blurred by the scanner's smoothing along x, y and z, and over its slice along y.
 _BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in deviations: Gauss-Hermite
-_SLICE, _SLICE_WEIGHT = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)  # in half slices: Gauss-Legendre
+_SLICE, _SLICE_WEIGHT = (
+    (-(0.6**0.5), 0.0, 0.6**0.5),
+    (5 / 18, 8 / 18, 5 / 18),
+)  # in half slices: Gauss-Legendre
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,9 @@ class Windows:
     @staticmethod
     def of_maps(maps: Sequence[SweMap]) -> Windows:
         """The region of measured maps, in parts of about 4 mm."""
-        lateral, depth = (np.concatenate([getattr(each, name) for each in maps]) for name in ("lateral", "depth"))
+        lateral, depth = (
+            np.concatenate([getattr(each, name) for each in maps]) for name in ("lateral", "depth")
+        )
         half_x, half_z = (0.5 * pitch_of(values) for values in (lateral, depth))
         left, right = float(lateral.min() - half_x), float(lateral.max() + half_x)
         top, bottom = float(depth.min() - half_z), float(depth.max() + half_z)
@@ -151,7 +156,9 @@ class Windows:
         speed = np.exp(log_speed[:, 1:])
         inner = np.abs(self.middles[:, 0]) < _INNER_MM
         with np.errstate(invalid="ignore"):
-            narrow, wide = (np.nanmean(np.where(mask, speed, np.nan), axis=1) for mask in (inner, np.isfinite(inner)))
+            narrow, wide = (
+                np.nanmean(np.where(mask, speed, np.nan), axis=1) for mask in (inner, np.isfinite(inner))
+            )
         return np.nan_to_num(0.5 * np.log(narrow / wide))
 
     def part_of(self, lateral: Array, depth: Array) -> IntArray:

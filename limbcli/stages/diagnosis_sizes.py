@@ -1,0 +1,95 @@
+"""The sizes of effects in the words of the field: f0_n for a force at zero, f_c_hz for a guided wave, ...
+
+From intervals of the parameters that are fitted to intervals of what they stand for, with units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from limbcli.effects.base import Effect
+
+Interval = tuple[float | None, float | None]
+Sizes = dict[str, dict[str, Interval]]
+_Turn = Callable[[float, float], float]
+
+
+def _same(value: float, c_kpa: float) -> float:
+    return value
+
+
+def _ratio(value: float, c_kpa: float) -> float:
+    return float(np.exp(value))
+
+
+def _softer(value: float, c_kpa: float) -> float:
+    return float(np.exp(-value))
+
+
+def _of_c(value: float, c_kpa: float) -> float:
+    return value * c_kpa
+
+
+def _skin(value: float, c_kpa: float) -> float:
+    return float(np.exp(value)) * c_kpa
+
+
+def _inverse(value: float, c_kpa: float) -> float:
+    return float("inf") if value <= 0 else 1.0 / value
+
+
+def _cut_off(value: float, c_kpa: float) -> float:
+    return float("inf") if value <= 0 else 100.0 / float(np.sqrt(value))
+
+
+# Parameter as it is fitted: its name as it is told, and how the one turns into the other.
+_TOLD: Mapping[str, tuple[str, _Turn]] = {
+    "force_zero_n": ("f0_n", _same),
+    "depth_zero_mm": ("d0_mm", _same),
+    "preload_n": ("f0_n", _same),
+    "thickness_change": ("epsilon", _same),
+    "tilt_about_short_axis_deg": ("about_short_axis_deg", _same),
+    "tilt_about_long_axis_deg": ("about_long_axis_deg", _same),
+    "log_inclusion_ratio": ("stiffness_ratio", _ratio),
+    "log_fat_softness": ("stiffness_ratio", _softer),
+    "log_skin_ratio": ("c_kpa", _skin),
+    "weight_q": ("q", _same),
+    "fibre_shear_per_c": ("mu_f_kpa", _of_c),
+    "fibre_tension_per_c": ("ksi_kpa", _of_c),
+    "active_stress_per_c": ("t0_kpa", _of_c),
+    "relaxing_share": ("g1", _same),
+    "friction_coefficient": ("coefficient", _same),
+    "support_compliance_mm_per_n": ("k_n_per_mm", _inverse),
+    "swe_modulus_scale": ("s_t", _same),
+    "swe_loss_per_mm": ("beta_per_mm", _same),
+    "guided_1e4_per_hz2": ("f_c_hz", _cut_off),
+}
+
+
+def told_sizes(
+    effects: Mapping[str, Effect], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
+) -> Sizes:
+    """Intervals with the names and units in which they are told; None: open on that side.
+
+    found : by effect and parameter, the distance from its null value; effects that are not there are open
+    """
+    sizes: Sizes = {}
+    for name, effect in effects.items():
+        row: dict[str, Interval] = {}
+        for p in effect.sizes:
+            low, high = found.get(name, {}).get(p.name, (-np.inf, np.inf))
+            ends = [p.null + low, p.null + high]
+            open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
+            inside = [float(np.clip(each, p.low, p.high)) for each in ends]
+            label, turn = _TOLD.get(p.name, (p.name, _same))
+            values: list[float | None] = [
+                None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned
+                for each, is_open in zip(inside, open_ends, strict=True)
+            ]
+            if turn(1.0, c_kpa) > turn(2.0, c_kpa):
+                values.reverse()
+            row[label] = (values[0], values[1])
+        sizes[name] = row
+    return sizes
