@@ -27,8 +27,16 @@ from limbcli.effects.tissue import TISSUE
 from limbcli.effects.waves import log_speed
 from limbcli.materials import compile_material
 from limbcli.materials.energy import program_energy
-from limbcli.measurement.swe_prediction import PixelAverages
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, IntArray, LimbModel
+
+
+class Averages(Protocol):
+    """From what cells hold to pixels: (n_cells, ...) -> (n_pixels, ...); index: the cells that count."""
+
+    @property
+    def index(self) -> IntArray: ...
+
+    def __call__(self, values: Array) -> Array: ...
 
 
 class Region(Protocol):
@@ -45,7 +53,7 @@ class Seen:
     with weights (q,)
     """
 
-    averages: PixelAverages
+    averages: Averages
     places: Places
     weight: Array
     region: Region

@@ -58,6 +58,8 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
         return PixelNoise(usual)
     left = np.where(known, np.clip(left, *_within(left[known])), 0.0)
     variance = float(np.sum(left**2) / known.sum())
+    if variance <= 0.0:
+        return PixelNoise(usual)
     distances, values, counts = [], [], []
     for i in range(int(_FARTHEST / lateral) + 1):
         for j in range(int(_FARTHEST / depth) + 1):

@@ -219,7 +219,9 @@ class Fits:
             if not sizes:
                 break
             again, other = self.best_fit(fitted.explanation, points, {}, held=sizes)
-            left = LinearFit.of(self.whiten(self.data.y - other.prediction), self.whiten(other.jacobian)).chi2
+            shapes = [slot.parameter.shape for slot in self.slots(fitted.explanation)]
+            columns = other.jacobian[:, np.r_[np.ones(len(other.base_names), bool), ~np.array(shapes)]]
+            left = LinearFit.of(self.whiten(self.data.y - other.prediction), self.whiten(columns)).chi2
             if not other.at_bound and again < min(deviance, left) + WITHIN:
                 return other
         return fitted

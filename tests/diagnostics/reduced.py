@@ -58,7 +58,7 @@ def kinematics(model: LimbModel, depth: np.ndarray, windows: Windows, *, spread:
     at = model.mesh.points[model.mesh.block("tissue").cells].mean(axis=1)
     beside = np.exp(-((at[:, 0] / 30) ** 4) - (np.abs(at[:, 1]) / (12 * spread)) ** 3)
     shape = beside * (1.0 + 0.25 * (0.5 + at[:, 2] / height))
-    gradients, parts = [], []
+    gradients, seen = [], []
     for d in depth:
         x_z = np.log1p(-np.minimum(0.85 * shape * d / height, 0.9))
         F = np.zeros((len(at), 3, 3))
@@ -66,8 +66,8 @@ def kinematics(model: LimbModel, depth: np.ndarray, windows: Windows, *, spread:
         F[:, 1, 2] = 0.25 * d / height * np.sin(np.pi * at[:, 1] / 22) * np.exp(-((at[:, 0] / 30) ** 4))
         gradients.append(F)
         places = at - np.outer((1 + at[:, 2] / height) * beside, [0, 0, d])
-        parts.append(windows.members(places, -d))
-    return Kinematics(depth, np.array(gradients), volumes(model), tuple(zip(*parts, strict=True)))
+        seen.append(windows.seen(model, places, at, F, depth=float(d)))
+    return Kinematics(depth, np.array(gradients), volumes(model), tuple(seen))
 
 
 @dataclass

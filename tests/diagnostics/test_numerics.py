@@ -10,6 +10,7 @@ import pytest
 from limbcli.effects.reading import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis_changes import filled
+from limbcli.stages.diagnosis_curves import FIRST_M
 from limbcli.stages.diagnosis_numerics import Intervention, Numerics, measured_slope, too_doubtful
 
 
@@ -73,14 +74,14 @@ def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
         def curves(self, m: float) -> Curves:
             return curve(1.0 + 0.1 * m)
 
-    for m in (2.0, 5.0, 10.0):
+    for m in FIRST_M:
         depth = np.array([0.0, 1.0, 2.0, 4.0, 6.0, 7.0])
         n = len(depth)
         nan, one = np.full(n, np.nan), np.ones(n)
         force = 3.0 * depth ** (1.02 + 0.1 * m) * (1 + 0.02 * np.cos(9 * depth))
         levels = Levels(force, depth, nan, nan, nan, ("load",) * n, one, nan, nan, Path("x"))
         numerics = Numerics(None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None)
-        assert numerics._likely_m() == m
+        assert numerics.likely_m == m
 
 
 def test_doubt_that_is_a_large_part_of_the_force_is_warned_of():

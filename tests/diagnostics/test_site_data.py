@@ -31,18 +31,45 @@ def levels(**changes) -> Levels:
 
 
 def grid_map(speed) -> SweMap:
-    lateral, depth = Windows().window.pixels()
+    lateral, depth = every_mm()
     return SweMap(lateral, depth, np.broadcast_to(speed, lateral.shape).astype(float))
 
 
-def test_parts_of_the_window_share_it_evenly():
-    windows = Windows()
-    lateral, depth = windows.window.pixels()
-    means, counts = windows.log_means(SweMap(lateral, depth, np.exp(0.01 * depth)))
+MAPPED = Windows(across=10, down=6, whole_is_known=True)
+
+
+def every_mm() -> tuple[np.ndarray, np.ndarray]:
+    """Pixels 40 mm wide, from 2 to 25 mm below the face."""
+    x, z = np.meshgrid(np.arange(-19.5, 20.0), np.arange(2.5, 25.0))
+    return x.ravel(), z.ravel()
+
+
+def test_parts_of_a_map_are_about_four_millimetres_wide_and_share_it_evenly():
+    lateral, depth = every_mm()
+    swe = SweMap(lateral, depth, np.exp(0.01 * depth))
+    windows = Windows.of_maps([swe])
+    means, counts = windows.log_means(swe)
+    assert (windows.left, windows.right, windows.top, windows.bottom) == (-20.0, 20.0, 2.0, 25.0)
+    assert (windows.across, windows.down) == (10, 6)
     assert counts[0] == len(lateral) == counts[1:].sum()
-    assert means[1] < means[4] < means[7]
-    assert means[1] == pytest.approx(means[3])
-    assert len(windows.names()) == len(means) == len(windows.depths) == 10
+    assert means[1] == pytest.approx(means[10])
+    assert means[1] < means[11] < means[51]
+    assert len(windows.names()) == len(means) == len(windows.depths) == 61
+
+
+def test_pixels_outside_the_region_belong_to_no_part():
+    windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
+    outside = SweMap(np.array([-11.0, 10.5, 0.0, 5.0]), np.array([5.0, 5.0, 13.0, 5.0]), np.full(4, 3.0))
+    assert windows.part_of(outside.lateral, outside.depth).tolist() == [-1, -1, -1, 1]
+
+
+def test_a_mean_whose_region_is_not_known_lies_between_that_of_a_narrow_and_of_a_wide_one():
+    windows = Windows.usual(53.0)
+    x, _ = windows.pixels
+    found = windows.log_means_of(np.where(np.abs(x) < 12.0, 3.0, 2.0))[None]
+    narrow, wide = np.log(3.0), np.log(0.6 * 3.0 + 0.4 * 2.0)
+    assert found[0, 0] == pytest.approx((narrow + wide) / 2)
+    assert windows.width_doubt(found) == pytest.approx([(narrow - wide) / 2])
 
 
 def test_channels_are_those_measured():
@@ -52,9 +79,9 @@ def test_channels_are_those_measured():
     full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
     held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
-    rich = site_data("p1", full, Noise(), windows=Windows(), maps=[grid_map(2.0)] * N, held=held)
+    rich = site_data("p1", full, Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
     assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
-    assert sum(row.channel == "map" for row in rich.rows) == 9 * N
+    assert sum(row.channel == "map" for row in rich.rows) == 60 * N
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
     assert {"speed maps, deep middle", "speed maps, first third of the levels"} <= set(rich.data.groups)
     assert np.linalg.eigvalsh(rich.data.noise.covariance).min() > 0
@@ -66,7 +93,7 @@ def test_assumed_noise_is_recognised_and_known_noise_is_not():
 
 
 def test_pixels_of_a_level_err_together():
-    data = site_data("p1", levels(), Noise(), windows=Windows(), maps=[grid_map(2.0)] * N)
+    data = site_data("p1", levels(), Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
     covariance = data.data.noise.covariance
     index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
     within = covariance[index["map", 2, 1], index["map", 2, 5]]
@@ -75,7 +102,7 @@ def test_pixels_of_a_level_err_together():
 
 
 def test_model_error_moves_force_and_speed_as_stated():
-    log_force, log_speed = np.full(N, 0.05), np.zeros((N, 10))
+    log_force, log_speed = np.full(N, 0.05), np.zeros((N, len(Windows().depths)))
     with_error = site_data(
         "p1", levels(), Noise(), windows=Windows(), model_error=[ModelError("mesh", log_force, log_speed)]
     )
@@ -85,7 +112,7 @@ def test_model_error_moves_force_and_speed_as_stated():
 
 
 def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
-    none = np.zeros((N, 10))
+    none = np.zeros((N, len(Windows().depths)))
     touch = ModelError("first touch", np.zeros(N), none, depth=0.4)
     with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[touch])
     without = site_data("p1", levels(), Noise(), windows=Windows())
@@ -96,7 +123,7 @@ def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
 
 
 def test_doubt_about_the_thickness_moves_levels_by_their_depth():
-    none = np.zeros((N, 10))
+    none = np.zeros((N, len(Windows().depths)))
     thick = ModelError("thickness", np.zeros(N), none, strain=0.02)
     with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[thick])
     without = site_data("p1", levels(), Noise(), windows=Windows())
@@ -107,7 +134,7 @@ def test_doubt_about_the_thickness_moves_levels_by_their_depth():
 
 
 def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():
-    mesh = ModelError("mesh", np.full(N, 0.05), np.zeros((N, 10)), correlation=0.8)
+    mesh = ModelError("mesh", np.full(N, 0.05), np.zeros((N, len(Windows().depths))), correlation=0.8)
     with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[mesh])
     without = site_data("p1", levels(), Noise(), windows=Windows())
     added = with_error.data.noise.covariance - without.data.noise.covariance
@@ -116,22 +143,11 @@ def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():
     assert added[1, 4] == pytest.approx(0.8**3 * size[1] * size[4])
 
 
-def test_a_part_smaller_than_the_cells_takes_the_nearest_ones():
-    coarse = np.stack(np.meshgrid([-9.0, 0.0, 9.0], [0.0], -np.arange(2.0, 30.0, 5.0), indexing="ij"), -1)
-    places = coarse.reshape(-1, 3)
-    parts = Windows().members(places, 0.0)
-    assert all(len(each) >= 1 for each in parts)
-    deep_left = places[parts[7]]
-    assert np.all(np.hypot(deep_left[:, 0] + 8.0, deep_left[:, 2] + 21.2) < 12.0)
-    beyond = Windows().members(places[places[:, 2] > -8.0], 0.0)
-    assert len(beyond[8]) == 0
-
-
 def test_prediction_is_laid_out_like_the_data():
     depth = np.linspace(0, 10, 6)
-    curves = Curves(depth, depth**1.2, np.tile(np.log(np.arange(2.0, 12.0)), (6, 1)), Windows().depths, 28.0)
+    curves = Curves(depth, depth**1.2, np.tile(np.log(np.arange(2.0, 63.0)), (6, 1)), MAPPED.depths, 28.0)
     data = site_data(
-        "p1", levels(skin_bone=np.full(N, 30.0)), Noise(), windows=Windows(), maps=[grid_map(2.0)] * N
+        "p1", levels(skin_bone=np.full(N, 30.0)), Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N
     )
     found = data.predict(curves, Reading())
     for row, value in zip(data.rows, found, strict=True):

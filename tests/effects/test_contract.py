@@ -72,7 +72,7 @@ def test_name_source_and_bounds(each: Effect):
     for p in each.parameters:
         assert p.low <= p.null <= p.high
         assert p.low <= p.start <= p.high
-        assert p.start != p.null
+        assert p.shape or p.start != p.null
         assert p.low <= p.typical <= p.high
 
 
@@ -223,7 +223,9 @@ def test_a_turned_probe_touches_first_where_it_is_nearest():
     base = on_a_cylinder(radius=50.0)
     body = base.mesh.block("probe").cells.ravel()
     for angle in (2.0, 8.0):
-        turned = effect("tilt").apply(base, {"tilt_deg": angle, "tilt_direction_deg": 0.0})
+        turned = effect("tilt").apply(
+            base, {"tilt_about_short_axis_deg": angle, "tilt_about_long_axis_deg": 0.0}
+        )
         x, z = turned.mesh.points[np.unique(body)][:, [0, 2]].T
         above = z - (np.sqrt(50.0**2 - x**2) - 50.0)
         assert above.min() == pytest.approx(0.0, abs=0.05)

@@ -45,14 +45,14 @@ def whole(block, m, ingredients=()):
 
 @pytest.mark.parametrize(
     ("m", "ingredients", "words", "within"),
-    [(5.0, (), "no effect", 0.01), (10.0, THICKER, "thickness", 0.001)],
+    [(4.0, (), "no effect", 0.01), (8.0, THICKER, "thickness", 0.002)],
 )
 def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredients, words, within):
     stops = Stops(9)
     book = CurveBook(
         block, DEPTHS, c=0.006, threads=1, tolerance=1e-6, progress=Progress(stops), keep=tmp_path
     )
-    book.curves(10.0)
+    book.curves(8.0)
     stops.after = 3
     found, expected = book.curves(m, ingredients), whole(block, m, ingredients)
     book.close()
@@ -109,7 +109,7 @@ def iterate(work: Work, n: int, *, factors: int = 0) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "iterations"), [({}, 200), ({"fitted": True}, 400), ({"rubs": True}, 1200)]
+    ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"rubs": True}, 600)]
 )
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])
@@ -149,12 +149,12 @@ def test_a_size_that_was_fitted_is_told_from_a_sensitivitys(block, monkeypatch, 
 
 def test_all_the_work_of_a_diagnosis_has_a_limit():
     work = Work(usual=[2000, 4000])
-    for _ in range(47):
+    for _ in range(31):
         assert not work.spent
         work.begin(candidate=True)
         iterate(work, 100)
         work.end()
-    assert work.total == 47 * 3000
+    assert work.total == 31 * 3000
     assert work.spent
 
 

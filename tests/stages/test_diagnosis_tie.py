@@ -10,7 +10,7 @@ import pytest
 from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_tie import own_curves, own_run, speed_ratio
+from limbcli.stages.diagnosis_tie import own_curves, own_run
 from limbcli.stages.run import run
 from tests.stages import block_case as block
 
@@ -43,47 +43,6 @@ def test_run_is_scaled_to_the_reference_stiffness(ran):
     assert own.force == pytest.approx(true, rel=1e-3)
 
 
-def test_on_the_same_mesh_the_speeds_are_the_same(ran, tmp_path):
-    """Although the diagnosis has a harder contact, which changes them by a tenth here."""
-    case, out = ran
-    book = _book(tmp_path)
-    own = own_run(case.sites[0], out, c=C)
-    ratio, theirs = speed_ratio(own, book, 6.0), own.log_speeds(book, 6.0)
-    harder = book.log_speeds(2.0, law_m=6.0)
-    book.close()
-    assert ratio.shape == (6, len(book.windows.depths))
-    assert np.abs(ratio).max() < 0.03
-    assert np.nanmax(np.abs(harder[-1] - theirs[-1])) > 0.06
-
-
-def test_on_a_coarser_mesh_they_are_put_right_where_they_were_run(ran, tmp_path):
-    """Working speeds times the ratio are those of the site's own mesh, at any m, and rest is rest."""
-    case, out = ran
-    book, own = _book(tmp_path, counts=(6, 4, 2)), own_run(case.sites[0], out, c=C)
-    ratio = speed_ratio(own, book, 6.0)
-    tied = book.log_speeds(2.0, book.with_contact(20.0), law_m=6.0) + ratio
-    book.close()
-    theirs = own.log_speeds(book, 6.0)
-    known = np.isfinite(theirs)
-    assert known.sum() > 4
-    assert np.abs(ratio[2:][known]).max() > 0.01
-    assert tied[2:][known] == pytest.approx(theirs[known], abs=1e-6)
-    assert np.all(ratio[0] == 0.0)
-
-
-def test_a_run_with_a_harder_contact_is_compared_with_such_a_one(ran, tmp_path):
-    _, usual = ran
-    out = tmp_path / "out"
-    case = block.make_case(tmp_path / "case", out, DEPTHS, DEPTHS**1.5, c=C, penalty=80.0)
-    run(case, out=out, solver="reference")
-    own, book = own_run(case.sites[0], out, c=C), _book(tmp_path)
-    ratio = speed_ratio(own, book, 6.0)
-    book.close()
-    assert (own.penalty, own_run(case.sites[0], usual, c=C).penalty) == (80.0, 20.0)
-    assert book.with_contact(80.0) == ()
-    assert np.abs(ratio).max() < 0.03
-
-
 def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
     case, _ = ran
     out = tmp_path / "out"
@@ -100,7 +59,9 @@ def test_the_same_mesh_solved_again_is_the_same(tmp_path):
     again = own_curves(block.block_model("tet4"), book, 5.0, size_ratio=1.0)
     working = book.curves(5.0)
     book.close()
-    assert again.force == pytest.approx(working.force, rel=1e-9)
+    at = np.searchsorted(working.depth, again.depth - 1e-6)
+    assert len(at) == 3
+    assert again.force == pytest.approx(working.force[at], rel=1e-3)
 
 
 def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_path):
@@ -111,7 +72,8 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
     models = []
     for ratio in (0.5, 1.0):
         own = own_curves(fine, book, 2.0, size_ratio=ratio)
-        models.append(own.force[-1] / book.curves(2.0).force[-1])
+        working = book.curves(2.0)
+        models.append(own.force[-1] / np.interp(own.depth[-1], working.depth, working.force))
     book.close()
     assert asked == 80.0
     assert models[1] > 1.02 * models[0]

@@ -21,7 +21,8 @@ from tests.stages.block_case import block_model
 def test_a_turned_probe_is_as_deep_as_its_lowest_edge(golden) -> None:
     model = read_feb(golden / "effect-base-tet4" / "model.feb")
     model = replace(model, bodies=(replace(model.bodies[0], center_of_mass=(0.0, 0.0, 0.0)),))
-    tilted = effect("tilt").apply(model, {"tilt_deg": 7.0, "tilt_direction_deg": 0.0})
+    turn = {"tilt_about_short_axis_deg": 7.0, "tilt_about_long_axis_deg": 0.0}
+    tilted = effect("tilt").apply(model, turn)
     lift = tilted.bodies[0].center_of_mass[2]
     assert lift > 0.1
     pressed = SimpleNamespace(probe_depth=lambda body: np.array([3.0, 5.0]) - lift)
