@@ -11,6 +11,7 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -85,14 +86,44 @@ def _is_alive(pid: int) -> bool:
     return True
 
 
+_NOT_CONTENT = (".DS_Store", "Thumbs.db", "desktop.ini")  # what looking at a folder leaves in it
+_SETTLED_S = 3.0  # the coarsest time stamps of usual file systems, and a little more
+_MOST_KNOWN = 50_000
+_known: dict[tuple[str, int, int, int, int], str] = {}
+
+
 def sha256(path: Path) -> str:
-    """Hash of a file, or of every file of a folder in name order (hex)."""
+    """Hash of a file, or of the names and contents of all files of a folder in name order (hex).
+
+    Raises
+    ------
+    OSError
+        If there is no such file or folder, or a file cannot be read.
+    """
+    if not path.is_dir():
+        return _file_hash(path)
     digest = hashlib.sha256()
-    paths = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
-    for each in paths:
-        if path.is_dir():
-            digest.update(str(each.relative_to(path)).encode())
-        with each.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
+    for each in sorted(each for each in path.rglob("*") if each.is_file() and each.name not in _NOT_CONTENT):
+        digest.update(f"{each.relative_to(path).as_posix()}\0{_file_hash(each)}\0".encode())
     return digest.hexdigest()
+
+
+def _file_hash(path: Path) -> str:
+    """Remembered while size, inode and both time stamps stay; not of a file changed a moment ago, whose
+    stamps need not tell of a change that follows at once."""
+    stamp = _stamp(path)
+    if stamp in _known:
+        return _known[stamp]
+    with path.open("rb") as stream:
+        found = hashlib.file_digest(stream, "sha256").hexdigest()
+    settled = time.time() - max(stamp[3:]) / 1e9 > _SETTLED_S
+    if settled and _stamp(path) == stamp:
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[stamp] = found
+    return found
+
+
+def _stamp(path: Path) -> tuple[str, int, int, int, int]:
+    status = path.stat()
+    return str(path.absolute()), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
