@@ -15,7 +15,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from limbcli.faults import told
+
 _PARTIAL = ".partial-"
+_OLD = "-old-"
 
 
 @contextlib.contextmanager
@@ -29,18 +32,19 @@ def atomic_file(target: Path) -> Iterator[Path]:
     >>> (folder / "a.txt").read_text(), len(list(folder.iterdir()))
     ('whole', 1)
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        prefix=f"{_PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
-    )
-    os.close(handle)
-    partial = Path(name)
-    try:
-        yield partial
-        partial.chmod(0o644)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    with told(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f"{_PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
+        )
+        os.close(handle)
+        partial = Path(name)
+        try:
+            yield partial
+            partial.chmod(0o644)
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -49,28 +53,45 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
     What an interrupted earlier run left behind is cleared first.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    clear_partial(target.parent)
-    partial = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target.parent))
-    partial.chmod(0o755)
+    with told(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        clear_partial(target.parent)
+        partial = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target.parent))
+        partial.chmod(0o755)
+        try:
+            yield partial
+            _put_in_place(partial, target)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(partial: Path, target: Path) -> None:
+    """The folder takes the target's place; what was there comes back if that fails."""
+    retired = target.parent / f"{_PARTIAL}{os.getpid()}{_OLD}{target.name}"
     try:
-        yield partial
-        retired = target.parent / f"{_PARTIAL}{os.getpid()}-old-{target.name}"
         if target.exists():
             os.replace(target, retired)
         os.replace(partial, target)
-        shutil.rmtree(retired, ignore_errors=True)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    except BaseException:
+        if retired.exists() and not target.exists():
+            os.replace(retired, target)
+        raise
+    shutil.rmtree(retired, ignore_errors=True)
 
 
 def clear_partial(folder: Path) -> None:
-    """Remove partial files and folders whose maker is no longer running."""
+    """Remove partial files and folders whose maker is no longer running.
+
+    A folder that was on its way out when its maker was killed comes back where nothing took its place.
+    """
     for path in folder.glob(f"{_PARTIAL}*"):
         pid = path.name.removeprefix(_PARTIAL).split("-")[0]
         if pid.isdigit() and _is_alive(int(pid)):
             continue
-        if path.is_dir():
+        before = path.name.partition(_OLD)[2]
+        if before and not (folder / before).exists():
+            os.replace(path, folder / before)
+        elif path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
