@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limbcli.cli.options import FebioOpt, JsonOpt, OutOpt, QuietOpt, SolverOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import (
+    FebioOpt,
+    JsonOpt,
+    NoWaitOpt,
+    OutOpt,
+    QuietOpt,
+    SolverOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
 from limbcli.cli.terminal import emit_json, terminal
+from limbcli.cli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
@@ -36,6 +47,7 @@ def command(
     force: ForceOpt = False,
     defaults: DefaultsOpt = False,
     expect: ExpectOpt = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -57,7 +69,7 @@ def command(
     entries = []
     for case in cases:
         target = default_out(case) if out is None else out if len(cases) == 1 else out / case.resolve().name
-        entries.append(_one(case, target, options, progress, expect=expect, as_json=json))
+        entries.append(_one(case, target, options, progress, wait=not no_wait, expect=expect, as_json=json))
     if json:
         emit_json([each for each, _ in entries])
     if len(cases) > 1:
@@ -85,7 +97,14 @@ def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
 
 
 def _one(
-    case: Path, target: Path, options: BatchOptions, progress: Progress, *, expect: bool, as_json: bool
+    case: Path,
+    target: Path,
+    options: BatchOptions,
+    progress: Progress,
+    *,
+    wait: bool,
+    expect: bool,
+    as_json: bool,
 ) -> tuple[dict[str, Any], int]:
     """One case: its JSON entry and its exit code; its error is shown, not raised."""
     from limbcli.cli.app import report_error
@@ -97,7 +116,9 @@ def _one(
 
     progress.event("stage", name=f"case {case}")
     try:
-        outcome = batch(case, out=target, options=options, progress=progress)
+        turn = one_writer(target, wait=wait, progress=progress) if case.is_dir() else nullcontext()
+        with turn:
+            outcome = batch(case, out=target, options=options, progress=progress)
         comparisons = compare(case, target) if expect else []
     except LimbError as error:
         report_error(error, as_json=False)
