@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from limbcli.cli import writing
 from limbcli.cli.app import main
 from limbcli.cli.writing import LOCK, one_writer
 from limbcli.errors import CaseError
@@ -93,6 +94,22 @@ def test_two_are_never_in_at_once(tmp_path: Path):
     for each in threads:
         each.join(timeout=60)
     assert most == [1]
+
+
+def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Path, monkeypatch):
+    """Its holder left between our opening the file and our locking it."""
+    lock, calls = writing._try, []
+
+    def late(stream):
+        if not calls:
+            (tmp_path / LOCK).unlink()
+        calls.append(stream)
+        return lock(stream)
+
+    monkeypatch.setattr(writing, "_try", late)
+    with one_writer(tmp_path):
+        assert (tmp_path / LOCK).is_file()
+    assert len(calls) == 2
 
 
 def test_a_folder_that_got_nothing_is_not_left(tmp_path: Path):
