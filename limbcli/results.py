@@ -193,6 +193,9 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        for name in ("files", "data", "provenance"):
+            if not isinstance(content[name], dict):
+                raise ValueError(f"`{name}` is no table")
         return StageResult(
             stage=content["stage"],
             subject=content["subject"],
@@ -204,7 +207,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
             warnings=tuple(content["warnings"]),
             provenance=content["provenance"],
         )
-    except (ValueError, KeyError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise CaseError(
             f"the result of `{stage}` cannot be read ({error})",
             where=str(path),

@@ -105,7 +105,7 @@ class _Run:
     def __init__(self, case: Case, out: Path, options: BatchOptions, progress: Progress):
         self.case, self.out, self.options, self.progress = case, out, options, progress
         self.outcome = CaseOutcome(case.folder, out)
-        self.memory = Memory(out)
+        self.memory = Memory(out, case.subject)
         self.chain = Chain(case, out)
 
     def all(self) -> CaseOutcome:

@@ -77,16 +77,16 @@ class Chain:
         about : as in `result`; None: every site of the case
         """
         own = Step.of(found)
-        made = found.provenance.get("made_from") or {}
-        for label, link in made.get("results", {}).items():
+        made = _links(found)
+        for label, link in made["results"].items():
             earlier = self._broken_at(label, link)
             if earlier is not None:
                 return replace(earlier, steps=(*earlier.steps, own))
         if found.subject != self.case.subject:
             what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
             return Broken(what, str(found.folder), (own,))
-        if made.get("version") != __version__:
-            by = f"limbcli {made['version']}" if "version" in made else "an earlier limbcli"
+        if made["version"] != __version__:
+            by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
             what = f"the result of `{found.label}` was made by {by}, this is {__version__}"
             return Broken(what, str(found.folder), (own,))
         changed = next(self._changes(found, made, about), None)
@@ -145,6 +145,23 @@ class Chain:
 
     def _names(self) -> list[str]:
         return [each.name for each in self.case.sites]
+
+
+def _links(found: StageResult) -> dict[str, Any]:
+    """What a result says that it was made from; nothing, by no version, where that is damaged or absent."""
+    made = found.provenance.get("made_from")
+    kinds = ("case", "files", "results")
+    if (
+        isinstance(made, dict)
+        and all(isinstance(made.get(each), dict) for each in kinds)
+        and all(_is_link(each) for each in made["results"].values())
+    ):
+        return {"version": "", **made}
+    return {"version": "", **{each: {} for each in kinds}}
+
+
+def _is_link(link: object) -> bool:
+    return isinstance(link, dict) and all(isinstance(link.get(each), dict) for each in ("files", "data"))
 
 
 def _named(label: str) -> tuple[str, str | None]:

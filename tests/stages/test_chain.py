@@ -301,6 +301,21 @@ def test_a_batch_mends_what_no_key_sees(root: Path, monkeypatch: pytest.MonkeyPa
     assert {"mesh p1"} <= set(batch(case, out=out, options=options).ran)
 
 
+@pytest.mark.parametrize(
+    "damaged", [None, [], {}, {"case": []}, {"case": {}, "files": {}, "results": {"segment": None}}]
+)
+def test_a_damaged_account_of_what_a_result_was_made_from_is_none(root: Path, damaged: object):
+    path = root / "out" / "segment" / "segment.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["made_from"] = damaged
+    path.write_text(json.dumps(content))
+    with pytest.raises(CaseError, match="an earlier limbcli"):
+        mesh_module.mesh(Case.open(root / "case"), out=root / "out")
+    path.write_text(json.dumps({**content, "provenance": []}))
+    with pytest.raises(CaseError, match="cannot be read"):
+        mesh_module.mesh(Case.open(root / "case"), out=root / "out")
+
+
 def test_hashes_are_remembered_only_of_files_that_have_settled(tmp_path: Path):
     path = tmp_path / "image"
     path.write_bytes(b"a")
