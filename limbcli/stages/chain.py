@@ -24,18 +24,26 @@ from limbcli.stages.commands import Step, commands
 
 @dataclass(frozen=True)
 class Broken:
-    """A link that does not hold: what changed, where, and the stages to run again, the first one first."""
+    """A link that does not hold: what changed, where, and the stages to run again, the first one first.
+
+    before : what to do instead, or before, in words that lead up to the commands
+    """
 
     what: str
     where: str
     steps: tuple[Step, ...]
+    before: str = ""
+
+    def fix(self, case: Case, out: Path) -> str:
+        """What is to be thought of before, and the commands."""
+        return self.before + commands(self.steps, case.folder, out)
 
     def error(self, case: Case, out: Path) -> CaseError:
         first = self.steps[0]
         return CaseError(
             self.what,
             where=self.where,
-            fix=commands(self.steps, case.folder, out),
+            fix=self.fix(case, out),
             stage=first.stage,
             site=first.site,
         )
@@ -84,7 +92,8 @@ class Chain:
                 return replace(earlier, steps=(*earlier.steps, own))
         if found.subject != self.case.subject:
             what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
-            return Broken(what, str(found.folder), (own,))
+            before = f"name another --out; to replace the results of {found.subject} for good: "
+            return Broken(what, str(found.folder), (own,), before)
         if made["version"] != __version__:
             by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
             what = f"the result of `{found.label}` was made by {by}, this is {__version__}"

@@ -185,7 +185,11 @@ def test_every_changed_input_stops_every_stage_that_rests_on_it(root: Path, chan
         with pytest.raises(CaseError) as caught:
             call()
         assert words in caught.value.what, stage
-        told = [shlex.split(each) for each in caught.value.fix.split(" && ")]
+        advice, _, rest = caught.value.fix.rpartition(": ")
+        assert advice == (
+            "name another --out; to replace the results of S1 for good" if "S1" in words else ""
+        )
+        told = [shlex.split(each) for each in rest.split(" && ")]
         assert [each[1] for each in told] == list(ORDER[ORDER.index(first) : ORDER.index(last) + 1]), stage
         assert {each[2] for each in told} == {str(case.folder)}
         assert {each[each.index("--out") + 1] for each in told} == {str(out)}
