@@ -9,6 +9,7 @@ from pathlib import Path
 
 from limbcli.errors import CaseError, LimbError, ToolError
 
+PARTIAL = ".partial-"  # how the name begins of what is not whole yet
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
@@ -25,7 +26,8 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
       where: out/mesh
       fix:   free space there, or name another --out; the same command then goes on
     """
-    where = str(error.filename or place or "unknown")
+    named = str(error.filename or "")
+    where = str(place) if place is not None and (not named or PARTIAL in named) else named or "unknown"
     why = f"({error.strerror})"
     if error.errno in _FULL:
         return ToolError(

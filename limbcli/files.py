@@ -15,9 +15,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from limbcli.faults import told
+from limbcli.faults import PARTIAL, told
 
-_PARTIAL = ".partial-"
 _OLD = "-old-"
 
 
@@ -35,7 +34,7 @@ def atomic_file(target: Path) -> Iterator[Path]:
     with told(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            prefix=f"{_PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
+            prefix=f"{PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
         )
         os.close(handle)
         partial = Path(name)
@@ -56,7 +55,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     with told(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
-        partial = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target.parent))
+        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{os.getpid()}-", dir=target.parent))
         partial.chmod(0o755)
         try:
             yield partial
@@ -67,7 +66,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
 def _put_in_place(partial: Path, target: Path) -> None:
     """The folder takes the target's place; what was there comes back if that fails."""
-    retired = target.parent / f"{_PARTIAL}{os.getpid()}{_OLD}{target.name}"
+    retired = target.parent / f"{PARTIAL}{os.getpid()}{_OLD}{target.name}"
     try:
         if target.exists():
             os.replace(target, retired)
@@ -84,8 +83,8 @@ def clear_partial(folder: Path) -> None:
 
     A folder that was on its way out when its maker was killed comes back where nothing took its place.
     """
-    for path in folder.glob(f"{_PARTIAL}*"):
-        pid = path.name.removeprefix(_PARTIAL).split("-")[0]
+    for path in folder.glob(f"{PARTIAL}*"):
+        pid = path.name.removeprefix(PARTIAL).split("-")[0]
         if pid.isdigit() and _is_alive(int(pid)):
             continue
         before = path.name.partition(_OLD)[2]

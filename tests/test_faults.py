@@ -38,6 +38,15 @@ def test_a_fault_while_writing_is_told_and_keeps_what_was_there(
     assert len(list(tmp_path.iterdir())) == 2
 
 
+def test_the_place_told_is_the_results_not_that_of_its_half(tmp_path: Path):
+    with pytest.raises(ToolError) as caught, atomic_folder(tmp_path / "mesh") as work:
+        raise OSError(errno.ENOSPC, "full", str(work / "mesh.vtu"))
+    assert caught.value.where == str(tmp_path / "mesh")
+    with pytest.raises(CaseError) as refused, atomic_folder(tmp_path / "mesh"):
+        raise OSError(errno.EACCES, "denied", "/home/levels.csv")
+    assert refused.value.where == "/home/levels.csv"
+
+
 def test_a_file_in_the_way_of_the_output_folder_is_told(tmp_path: Path):
     (tmp_path / "out").write_text("mine")
     for target in (tmp_path / "out" / "mesh", tmp_path / "out" / "mesh" / "p1"):
