@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -121,8 +122,8 @@ def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
 
 def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: str) -> Outcome:
     folder = stage_folder(out, stage, site)
-    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=case_name)
-    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {out}"
+    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=shlex.quote(case_name))
+    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {shlex.quote(str(out))}"
     failure = _failure(folder / ERROR_FILE)
     result = None
     if (folder / f"{stage}.json").is_file():

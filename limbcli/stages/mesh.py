@@ -113,7 +113,7 @@ def mesh_options(
 
 def read_limb(segmented: StageResult) -> Limb:
     """The surfaces that `segment` left, mended."""
-    paths = sorted(segmented.folder.glob("bone_*.ply"))
+    paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
     skin = read_surface(segmented.folder / "skin.ply")
     return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
 
@@ -156,7 +156,7 @@ def _mesh_site(
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
         writer.data["asked"] = inputs.asked
         inputs.note(writer, site)
-        for path in sorted(segmented.folder.glob("*.ply")):
+        for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):
             writer.used(path.name, path)
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
         laws = layer_laws(site, layers_in(found.model))

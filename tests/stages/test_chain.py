@@ -204,6 +204,14 @@ def test_the_report_tells_every_change(root: Path, change: str):
     assert any(words.lower() in each.lower() for each in told), told
 
 
+def test_a_bone_that_somebody_laid_beside_the_results_is_not_one_of_the_limb(root: Path, monkeypatch):
+    monkeypatch.undo()
+    out = root / "out"
+    shutil.copyfile(out / "segment" / "bone_1.ply", out / "segment" / "bone_2.ply")
+    segmented = Chain(Case.open(root / "case"), out).result("segment")
+    assert len(mesh_module.read_limb(segmented).bones) == 1
+
+
 def test_a_site_may_move_without_a_new_segmentation_where_its_layers_are_given(root: Path):
     in_case("29.5, 0.0]", "29.5, 3.0]")(root)
     case, out = Case.open(root / "case"), root / "out"
