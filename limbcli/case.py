@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli import case_schema as schema
+from limbcli.case_files import CaseFiles
 from limbcli.case_parts import Imaging, ModelOptions, Noise, Probe, Site
 from limbcli.errors import CaseError
 from limbcli.problems import Problem, checked
@@ -82,15 +83,17 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
         problems.append(Problem("case.toml lacks 'format'", file, "add `format = 1` as its first line"))
     tables = {
         "subject": schema.SUBJECT, "imaging": schema.IMAGING, "probe": schema.PROBE, "model": schema.MODEL,
+        "files": schema.FILES,
     }  # fmt: skip
     for name, keys in tables.items():
-        if name not in raw and name != "model":
+        if name not in raw and name not in ("model", "files"):
             problems.append(Problem(f"case.toml lacks the table [{name}]", file, f"add [{name}]"))
         parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
         problems += found if name in raw else []
-    sites, found = _read_sites(raw.get("site"), folder)
+    files = CaseFiles.of(raw, folder)
+    sites, found = _read_sites(raw.get("site"), files)
     problems += found
-    imaging, found = _read_imaging(parts["imaging"], folder, present="imaging" in raw)
+    imaging, found = _read_imaging(parts["imaging"], files, present="imaging" in raw)
     problems += found
     if any(each.severity == "error" for each in problems):
         return None, problems
@@ -138,8 +141,10 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
 
 
-def _read_imaging(table: Mapping[str, Any], folder: Path, *, present: bool) -> tuple[Imaging, list[Problem]]:
-    file = str(folder / CASE_FILE)
+def _read_imaging(
+    table: Mapping[str, Any], files: CaseFiles, *, present: bool
+) -> tuple[Imaging, list[Problem]]:
+    file = str(files.folder / CASE_FILE)
     problems: list[Problem] = []
     if present and not any(table.get(key) for key in ("mri", "labels", "skin")):
         fix = 'add `mri = "folder"`, `labels = "file"`, or `skin` and `bones`'
@@ -150,26 +155,26 @@ def _read_imaging(table: Mapping[str, Any], folder: Path, *, present: bool) -> t
         problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("mri", True), ("labels", False), ("skin", False)):
-        paths[key], found = _existing(table.get(key), folder, f"imaging.{key}", is_folder=is_folder)
+        paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     bones = []
     for k, name in enumerate(table.get("bones") or []):
-        bone, found = _existing(name, folder, f"imaging.bones[{k}]", is_folder=False)
+        bone, found = files.existing(name, f"imaging.bones[{k}]", is_folder=False)
         problems += found
         if bone:
             bones.append(bone)
     return Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones)), problems
 
 
-def _read_sites(tables: object, folder: Path) -> tuple[list[Site], list[Problem]]:
-    file = str(folder / CASE_FILE)
+def _read_sites(tables: object, files: CaseFiles) -> tuple[list[Site], list[Problem]]:
+    file = str(files.folder / CASE_FILE)
     if not isinstance(tables, list) or not tables:
         return [], [Problem("case.toml has no site", file, "add a [[site]] (see the case format)")]
     sites: list[Site] = []
     problems: list[Problem] = []
     names: set[str] = set()
     for k, table in enumerate(tables, 1):
-        site, found = _read_site(table, folder, label=f"site {k}")
+        site, found = _read_site(table, files, label=f"site {k}")
         problems += found
         if site is None:
             continue
@@ -180,8 +185,8 @@ def _read_sites(tables: object, folder: Path) -> tuple[list[Site], list[Problem]
     return sites, problems
 
 
-def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None, list[Problem]]:
-    file = str(folder / CASE_FILE)
+def _read_site(table: object, files: CaseFiles, *, label: str) -> tuple[Site | None, list[Problem]]:
+    file = str(files.folder / CASE_FILE)
     values, problems = schema.check_table(table, schema.SITE, name=label, file=file)
     if not values:
         return None, problems
@@ -193,7 +198,7 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
     raw_noise = values.get("noise")
     noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
     problems += found
-    instruments, found = _read_instruments(values, folder, label)
+    instruments, found = _read_instruments(values, files, label)
     problems += found
     layers, found = _read_layers(values["layers"], label, file)
     problems += found
@@ -201,9 +206,9 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
         made = {"levels": bool(instruments), "swe_maps": "swe_images" in instruments}.get(key, False)
         if made and isinstance(values.get(key), str):
-            paths[key] = folder / values[key]
-            continue
-        paths[key], found = _existing(values.get(key), folder, f"{label}: {key}", is_folder=is_folder)
+            paths[key], found = files.placed(values[key], f"{label}: {key}")
+        else:
+            paths[key], found = files.existing(values.get(key), f"{label}: {key}", is_folder=is_folder)
         problems += found
     if problems or paths["levels"] is None:
         return None, problems
@@ -211,7 +216,7 @@ def _read_site(table: object, folder: Path, *, label: str) -> tuple[Site | None,
 
 
 def _read_instruments(
-    values: Mapping[str, Any], folder: Path, label: str
+    values: Mapping[str, Any], files: CaseFiles, label: str
 ) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
     """The tables that `limbcli measure` reads, with the path of the file or folder each names."""
     tables: dict[str, dict[str, Any]] = {}
@@ -220,15 +225,15 @@ def _read_instruments(
         if values.get(name) is None:
             continue
         title = f"{label} {name}"
-        table, found = schema.check_table(values[name], keys, name=title, file=str(folder / CASE_FILE))
+        table, found = schema.check_table(values[name], keys, name=title, file=str(files.folder / CASE_FILE))
         problems += found
         kind = "file" if "file" in keys else "folder"
-        path, found = _existing(table.get(kind), folder, f"{title}: {kind}", is_folder=kind == "folder")
+        path, found = files.existing(table.get(kind), f"{title}: {kind}", is_folder=kind == "folder")
         problems += found
         tables[name] = {**table, "path": path}
     if "load_cell" not in tables and isinstance(values.get("trace"), str):
         usual, _ = schema.check_table({"file": values["trace"]}, schema.LOAD_CELL, name="", file="")
-        tables["load_cell"] = {**usual, "path": folder / values["trace"]}
+        tables["load_cell"] = {**usual, "path": files.folder / values["trace"]}
     return tables, problems
 
 
@@ -279,18 +284,3 @@ def _make_site(
         instruments=instruments,
         layers=layers,
     )  # fmt: skip
-
-
-def _existing(
-    name: object, folder: Path, label: str, *, is_folder: bool
-) -> tuple[Path | None, list[Problem]]:
-    if not isinstance(name, str):
-        return None, []
-    path = folder / name
-    if path.is_dir() if is_folder else path.is_file():
-        return path, []
-    kind = "folder" if is_folder else "file"
-    if path.exists():
-        return None, [Problem(f"{label} is not a {kind}: {name}", str(path), f"name a {kind}")]
-    fix = f"put the {kind} there, or correct the name (it is relative to {folder})"
-    return None, [Problem(f"{label} names a {kind} that is not there: {name}", str(path), fix)]

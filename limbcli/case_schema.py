@@ -96,6 +96,10 @@ def whole(low: int, high: int) -> Check:
     return check
 
 
+def truth(value: object) -> str | None:
+    return None if isinstance(value, bool) else f"is {value!r}, neither true nor false"
+
+
 def table(value: object) -> str | None:
     return None if isinstance(value, dict) else f"is {value!r}, not a table"
 
@@ -136,6 +140,7 @@ IMAGING = {
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
 }
+FILES = {"allow_outside": Key("true | false", truth, default=False)}
 PROBE = {
     "name": Key("text", text, default="probe"),
     "length_mm": Key("mm", number(5.0, 150.0, "mm"), required=True),
@@ -213,6 +218,7 @@ NOISE = {
 TOP = {
     "format": Key("1", lambda value: None if value == 1 else f"is {value!r}; this program reads format 1"),
     "subject": Key("table", lambda _: None),
+    "files": Key("table", lambda _: None),
     "imaging": Key("table", lambda _: None),
     "probe": Key("table", lambda _: None),
     "model": Key("table", lambda _: None),

@@ -70,3 +70,9 @@ class FitError(LimbError):
     """The identification did not reach a result that can be stood by."""
 
     exit_code = 7
+
+
+class UnforeseenError(LimbError):
+    """Whatever limbcli cannot foresee: a fault of its own, told with a file to send in."""
+
+    exit_code = 70

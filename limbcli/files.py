@@ -11,10 +11,13 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
-_PARTIAL = ".partial-"
+from limbcli.faults import PARTIAL, told
+
+_OLD = "-old-"
 
 
 @contextlib.contextmanager
@@ -28,18 +31,19 @@ def atomic_file(target: Path) -> Iterator[Path]:
     >>> (folder / "a.txt").read_text(), len(list(folder.iterdir()))
     ('whole', 1)
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        prefix=f"{_PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
-    )
-    os.close(handle)
-    partial = Path(name)
-    try:
-        yield partial
-        partial.chmod(0o644)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    with told(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f"{PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
+        )
+        os.close(handle)
+        partial = Path(name)
+        try:
+            yield partial
+            partial.chmod(0o644)
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -48,28 +52,45 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
     What an interrupted earlier run left behind is cleared first.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    clear_partial(target.parent)
-    partial = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target.parent))
-    partial.chmod(0o755)
+    with told(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        clear_partial(target.parent)
+        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{os.getpid()}-", dir=target.parent))
+        partial.chmod(0o755)
+        try:
+            yield partial
+            _put_in_place(partial, target)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(partial: Path, target: Path) -> None:
+    """The folder takes the target's place; what was there comes back if that fails."""
+    retired = target.parent / f"{PARTIAL}{os.getpid()}{_OLD}{target.name}"
     try:
-        yield partial
-        retired = target.parent / f"{_PARTIAL}{os.getpid()}-old-{target.name}"
         if target.exists():
             os.replace(target, retired)
         os.replace(partial, target)
-        shutil.rmtree(retired, ignore_errors=True)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    except BaseException:
+        if retired.exists() and not target.exists():
+            os.replace(retired, target)
+        raise
+    shutil.rmtree(retired, ignore_errors=True)
 
 
 def clear_partial(folder: Path) -> None:
-    """Remove partial files and folders whose maker is no longer running."""
-    for path in folder.glob(f"{_PARTIAL}*"):
-        pid = path.name.removeprefix(_PARTIAL).split("-")[0]
+    """Remove partial files and folders whose maker is no longer running.
+
+    A folder that was on its way out when its maker was killed comes back where nothing took its place.
+    """
+    for path in folder.glob(f"{PARTIAL}*"):
+        pid = path.name.removeprefix(PARTIAL).split("-")[0]
         if pid.isdigit() and _is_alive(int(pid)):
             continue
-        if path.is_dir():
+        before = path.name.partition(_OLD)[2]
+        if before and not (folder / before).exists():
+            os.replace(path, folder / before)
+        elif path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
@@ -85,14 +106,44 @@ def _is_alive(pid: int) -> bool:
     return True
 
 
+_NOT_CONTENT = (".DS_Store", "Thumbs.db", "desktop.ini")  # what looking at a folder leaves in it
+_SETTLED_S = 3.0  # the coarsest time stamps of usual file systems, and a little more
+_MOST_KNOWN = 50_000
+_known: dict[tuple[str, int, int, int, int], str] = {}
+
+
 def sha256(path: Path) -> str:
-    """Hash of a file, or of every file of a folder in name order (hex)."""
+    """Hash of a file, or of the names and contents of all files of a folder in name order (hex).
+
+    Raises
+    ------
+    OSError
+        If there is no such file or folder, or a file cannot be read.
+    """
+    if not path.is_dir():
+        return _file_hash(path)
     digest = hashlib.sha256()
-    paths = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
-    for each in paths:
-        if path.is_dir():
-            digest.update(str(each.relative_to(path)).encode())
-        with each.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
+    for each in sorted(each for each in path.rglob("*") if each.is_file() and each.name not in _NOT_CONTENT):
+        digest.update(f"{each.relative_to(path).as_posix()}\0{_file_hash(each)}\0".encode())
     return digest.hexdigest()
+
+
+def _file_hash(path: Path) -> str:
+    """Remembered while size, inode and both time stamps stay; not of a file changed a moment ago, whose
+    stamps need not tell of a change that follows at once."""
+    stamp = _stamp(path)
+    if stamp in _known:
+        return _known[stamp]
+    with path.open("rb") as stream:
+        found = hashlib.file_digest(stream, "sha256").hexdigest()
+    settled = time.time() - max(stamp[3:]) / 1e9 > _SETTLED_S
+    if settled and _stamp(path) == stamp:
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[stamp] = found
+    return found
+
+
+def _stamp(path: Path) -> tuple[str, int, int, int, int]:
+    status = path.stat()
+    return str(path.absolute()), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns

@@ -11,7 +11,7 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +24,7 @@ from limbcli.errors import CaseError
 from limbcli.files import atomic_folder, sha256
 
 FORMAT = 1
+_PICTURES = (".png", ".svg", ".html")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,18 @@ class StageResult:
     def path(self, name: str) -> Path:
         """Absolute path of one of `files`."""
         return self.folder / self.files[name]
+
+    @property
+    def label(self) -> str:
+        """Stage and site, as results are named among each other: "segment", "mesh p1"."""
+        return f"{self.stage} {self.site}" if self.site else self.stage
+
+    def value(self, key: str) -> Any:
+        """A value of `data`, its keys joined by "/"; None where there is none."""
+        found: Any = self.data
+        for name in key.split("/"):
+            found = found.get(name) if isinstance(found, Mapping) else None
+        return found
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -98,6 +111,7 @@ class StageWriter:
         self.summary: list[str] = []
         self.warnings: list[str] = []
         self.inputs: dict[str, str] = {}
+        self.made_from: dict[str, dict[str, Any]] = {"case": {}, "files": {}, "results": {}}
         self.extra_provenance: dict[str, Any] = {}
         self.result: StageResult | None = None
         self._start = time.time()
@@ -109,9 +123,24 @@ class StageWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def used(self, label: str, path: Path) -> None:
-        """Record the hash of an input (file or folder)."""
+    def used(self, label: str, path: Path, *, role: str = "") -> None:
+        """Record the hash of an input (file or folder).
+
+        role : what the input is to the case, such as "site/p1/levels", or its absolute path; with it
+            the input is a link of the chain that later stages look at again
+        """
         self.inputs[label] = sha256(path)
+        if role:
+            self.made_from["files"][role] = self.inputs[label]
+
+    def used_result(
+        self, result: StageResult, *, files: Iterable[str] = (), data: Iterable[str] = ()
+    ) -> None:
+        """Record which files and data (keys joined by "/") of an earlier result went into this one."""
+        known = result.provenance.get("files_sha256", {})
+        link = self.made_from["results"].setdefault(result.label, {"files": {}, "data": {}})
+        link["files"].update({name: known.get(name) for name in files})
+        link["data"].update({key: result.value(key) for key in data})
 
     def finish(self) -> StageResult:
         result = StageResult(
@@ -127,12 +156,23 @@ class StageWriter:
                 **provenance(),
                 "seconds": round(time.time() - self._start, 3),
                 "inputs_sha256": dict(self.inputs),
+                "made_from": {"version": __version__, **plain(self.made_from)},
+                "files_sha256": self._hashes(),
                 **self.extra_provenance,
             },
         )
         text = json.dumps(result.to_json(), indent=1, allow_nan=False)
         (self.work / f"{self.stage}.json").write_text(text + "\n", encoding="utf-8")
         return result
+
+    def _hashes(self) -> dict[str, str]:
+        """Of the files that were left; pictures feed nothing and may be opened and saved again."""
+        paths = {name: self.work / each for name, each in self.files.items()}
+        return {
+            name: sha256(path)
+            for name, path in paths.items()
+            if path.exists() and path.suffix not in _PICTURES
+        }
 
 
 def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
@@ -153,6 +193,9 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        for name in ("files", "data", "provenance"):
+            if not isinstance(content[name], dict):
+                raise ValueError(f"`{name}` is no table")
         return StageResult(
             stage=content["stage"],
             subject=content["subject"],
@@ -164,7 +207,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
             warnings=tuple(content["warnings"]),
             provenance=content["provenance"],
         )
-    except (ValueError, KeyError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise CaseError(
             f"the result of `{stage}` cannot be read ({error})",
             where=str(path),

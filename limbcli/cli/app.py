@@ -8,13 +8,14 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from limbcli import __version__
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
-from limbcli.errors import CaseError, LimbError
+from limbcli.errors import CaseError, LimbError, ToolError
+from limbcli.faults import in_words
 
 app = typer.Typer(
     name="limbcli",
@@ -68,8 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         _refuse_no_numbers(arguments)
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
-        report_error(error, as_json="--json" in arguments)
-        sys.exit(error.exit_code)
+        _leave(error, arguments)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
             print(MESSAGE, file=sys.stderr)
@@ -77,6 +77,25 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:
+        found = in_words(error)
+        if found is None:
+            raise
+        _leave(found, arguments)
+    except MemoryError:
+        _leave(NO_MEMORY, arguments)
+
+
+NO_MEMORY = ToolError(
+    "the memory does not suffice",
+    where="this computer",
+    fix="close other programs, mesh coarser (--size-mm, --far-size-mm), or use a computer with more memory",
+)
+
+
+def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
+    report_error(error, as_json="--json" in arguments)
+    sys.exit(error.exit_code)
 
 
 def _refuse_no_numbers(arguments: Sequence[str]) -> None:
@@ -91,16 +110,21 @@ def _refuse_no_numbers(arguments: Sequence[str]) -> None:
 
 def report_error(error: LimbError, *, as_json: bool) -> None:
     """The message to stderr; with --json also as an object to stdout."""
-    from limbcli.results import plain
-
     print(f"{type(error).__name__}: {error}", file=sys.stderr)
     if as_json:
-        content = {
-            "error": type(error).__name__,
-            "exit_code": error.exit_code,
-            "what": error.what,
-            "where": error.where,
-            "fix": error.fix,
-            "facts": plain(error.facts),
-        }
-        print(json.dumps(content, indent=1, default=str))
+        report_json(error)
+
+
+def report_json(error: LimbError) -> None:
+    """The error as an object to stdout."""
+    from limbcli.results import plain
+
+    content = {
+        "error": type(error).__name__,
+        "exit_code": error.exit_code,
+        "what": error.what,
+        "where": error.where,
+        "fix": error.fix,
+        "facts": plain(error.facts),
+    }
+    print(json.dumps(content, indent=1, default=str))

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limbcli.cli.options import FebioOpt, JsonOpt, OutOpt, QuietOpt, SolverOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import (
+    FebioOpt,
+    JsonOpt,
+    NoWaitOpt,
+    OutOpt,
+    QuietOpt,
+    SolverOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
 from limbcli.cli.terminal import emit_json, terminal
+from limbcli.cli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
@@ -36,6 +47,7 @@ def command(
     force: ForceOpt = False,
     defaults: DefaultsOpt = False,
     expect: ExpectOpt = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -57,15 +69,11 @@ def command(
     entries = []
     for case in cases:
         target = default_out(case) if out is None else out if len(cases) == 1 else out / case.resolve().name
-        entries.append(_one(case, target, options, progress, expect=expect, as_json=json))
+        entries.append(_one(case, target, options, progress, wait=not no_wait, expect=expect, as_json=json))
     if json:
         emit_json([each for each, _ in entries])
     if len(cases) > 1:
-        from limbcli.stages.report_index import report_index
-
-        index = report_index(out or default_out(cases[0]).parent, progress=progress)
-        if not json:
-            print(index.page)
+        _index(out or default_out(cases[0]).parent, progress, as_json=json)
     failed = [(entry["case"], code) for entry, code in entries if code]
     if failed:
         names = ", ".join(str(name) for name, _ in failed)
@@ -73,22 +81,53 @@ def command(
         raise typer.Exit(max(code for _, code in failed))
 
 
+def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
+    """The page that lists all; where no case left anything to list, that is said and is no failure more."""
+    from limbcli.cli.app import report_error
+    from limbcli.errors import LimbError
+    from limbcli.stages.report_index import report_index
+
+    try:
+        index = report_index(folder, progress=progress)
+    except LimbError as error:
+        report_error(error, as_json=False)
+        return
+    if not as_json:
+        print(index.page)
+
+
 def _one(
-    case: Path, target: Path, options: BatchOptions, progress: Progress, *, expect: bool, as_json: bool
+    case: Path,
+    target: Path,
+    options: BatchOptions,
+    progress: Progress,
+    *,
+    wait: bool,
+    expect: bool,
+    as_json: bool,
 ) -> tuple[dict[str, Any], int]:
     """One case: its JSON entry and its exit code; its error is shown, not raised."""
     from limbcli.cli.app import report_error
+    from limbcli.cli.last_net import unforeseen
     from limbcli.errors import FitError, LimbError
+    from limbcli.faults import in_words
     from limbcli.stages.batch import batch
     from limbcli.stages.expect import compare
 
     progress.event("stage", name=f"case {case}")
     try:
-        outcome = batch(case, out=target, options=options, progress=progress)
+        turn = one_writer(target, wait=wait, progress=progress) if case.is_dir() else nullcontext()
+        with turn:
+            outcome = batch(case, out=target, options=options, progress=progress)
         comparisons = compare(case, target) if expect else []
     except LimbError as error:
         report_error(error, as_json=False)
         return {"case": str(case), "out": str(target), "error": error.what}, error.exit_code
+    except Exception as error:  # one case's fault never stops the others
+        known = in_words(error, target) if isinstance(error, OSError) else None
+        told = known or unforeseen(error, target if target.is_dir() else None)
+        report_error(told, as_json=False)
+        return {"case": str(case), "out": str(target), "error": told.what}, told.exit_code
     code = max((each.error.exit_code for each in outcome.failures), default=0)
     for failure in outcome.failures:
         report_error(failure.error, as_json=False)

@@ -6,8 +6,19 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, CKpaOpt, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import (
+    CaseArg,
+    CKpaOpt,
+    JsonOpt,
+    NoWaitOpt,
+    OutOpt,
+    QuietOpt,
+    SiteOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 
 def command(
@@ -38,6 +49,7 @@ def command(
         ),
     ] = None,
     templates: TemplatesOpt = None,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -48,18 +60,17 @@ def command(
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.site_layers import parse_law
 
-    results = build_feb(
-        Case.open(case),
-        out=out or default_out(case),
-        sites=site,
-        options=TissueOptions(
-            c_kpa=c_kpa,
-            f_kappa=f_kappa,
-            m=m,
-            layers=dict(map(parse_law, layer or [])),
-            contact_penalty=contact_penalty,
-        ),
-        templates=templates,
-        progress=terminal(quiet=quiet, verbose=verbose),
+    opened, target = Case.open(case), out or default_out(case)
+    progress = terminal(quiet=quiet, verbose=verbose)
+    options = TissueOptions(
+        c_kpa=c_kpa,
+        f_kappa=f_kappa,
+        m=m,
+        layers=dict(map(parse_law, layer or [])),
+        contact_penalty=contact_penalty,
     )
+    with one_writer(target, wait=not no_wait, progress=progress):
+        results = build_feb(
+            opened, out=target, sites=site, options=options, templates=templates, progress=progress
+        )
     emit(results, as_json=json)

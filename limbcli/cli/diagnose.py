@@ -7,8 +7,18 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import (
+    CaseArg,
+    JsonOpt,
+    NoWaitOpt,
+    OutOpt,
+    QuietOpt,
+    SiteOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 
 def command(
@@ -52,6 +62,7 @@ def command(
         ),
     ] = None,
     templates: TemplatesOpt = None,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -67,12 +78,10 @@ def command(
         separate=separate, measured=_numbers(measured or []),
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
-    emit(
-        diagnose(
-            Case.open(case), out=out or default_out(case), sites=site, options=options, progress=progress
-        ),
-        as_json=json,
-    )
+    opened, target = Case.open(case), out or default_out(case)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        results = diagnose(opened, out=target, sites=site, options=options, progress=progress)
+    emit(results, as_json=json)
 
 
 def _numbers(given: list[str]) -> dict[str, float]:

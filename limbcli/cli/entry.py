@@ -16,16 +16,31 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 def main() -> None:
     """`limbcli`, as installed."""
     _answer_with(_leave)
-    from limbcli.cli.app import main as run
-
-    _answer_with(_interrupt)
     try:
+        from limbcli.cli.app import main as run
+
+        _answer_with(_interrupt)
         run()
     except KeyboardInterrupt:
         print(MESSAGE, file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except Exception as error:  # the last net: whatever is left becomes a message
+        sys.exit(_caught(error))
     finally:
         _answer_with(_leave)
+
+
+def _caught(error: Exception) -> int:
+    """Tell what nobody foresaw; returns the exit code."""
+    from limbcli.cli.last_net import output_folder, unforeseen
+
+    told = unforeseen(error, output_folder(sys.argv[1:]))
+    print(f"{type(told).__name__}: {told}", file=sys.stderr)
+    if "--json" in sys.argv:
+        from limbcli.cli.app import report_json
+
+        report_json(told)
+    return told.exit_code
 
 
 def _answer_with(handler: object) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from limbcli.cli.fit_options import (
     CDeviationOpt,
     CompareElementOpt,
@@ -21,6 +23,7 @@ from limbcli.cli.options import (
     CKpaOpt,
     FebioOpt,
     JsonOpt,
+    NoWaitOpt,
     OutOpt,
     QuietOpt,
     SiteOpt,
@@ -29,6 +32,10 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
+
+if TYPE_CHECKING:
+    from limbcli.results import StageResult
 
 
 def command(
@@ -51,6 +58,7 @@ def command(
     contact_check: ContactCheckOpt = True,
     compare_element: CompareElementOpt = False,
     templates: TemplatesOpt = None,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -72,19 +80,22 @@ def command(
     )  # fmt: skip
     opened, folder = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
-    if compare_element:
-        from limbcli.stages.fit_elements import compare_elements
+    results: StageResult | list[StageResult]
+    with one_writer(folder, wait=not no_wait, progress=progress):
+        if compare_element:
+            from limbcli.stages.fit_elements import compare_elements
 
-        found = compare_elements(opened, out=folder, sites=site, options=options, progress=progress)
-        emit(found, as_json=json)
-    elif objective == "joint":
-        from limbcli.stages.fit_joint import JointOptions, fit_joint
+            results = compare_elements(opened, out=folder, sites=site, options=options, progress=progress)
+        elif objective == "joint":
+            from limbcli.stages.fit_joint import JointOptions, fit_joint
 
-        joint = JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation)
-        one = fit_joint(opened, out=folder, sites=site, joint=joint, options=options, progress=progress)
-        emit(one, as_json=json)
-    else:
-        results = fit(
-            opened, out=folder, sites=site, solver=solver, febio=febio, options=options, progress=progress
-        )
-        emit(results, as_json=json)
+            joint = JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation)
+            results = fit_joint(
+                opened, out=folder, sites=site, joint=joint, options=options, progress=progress
+            )
+        else:
+            results = fit(
+                opened, out=folder, sites=site, solver=solver, febio=febio, options=options,
+                progress=progress,
+            )  # fmt: skip
+    emit(results, as_json=json)

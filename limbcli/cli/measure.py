@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 WriteOpt = Annotated[
     bool, typer.Option("--write", help="Also write levels.csv where case.toml names it (if absent).")
@@ -19,6 +20,7 @@ def command(
     out: OutOpt = None,
     site: SiteOpt = None,
     write: WriteOpt = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -30,4 +32,7 @@ def command(
 
     progress = terminal(quiet=quiet, verbose=verbose)
     target = out or default_out(case)
-    emit(measure(Case.open(case), out=target, sites=site, write=write, progress=progress), as_json=json)
+    opened = Case.open(case)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        results = measure(opened, out=target, sites=site, write=write, progress=progress)
+    emit(results, as_json=json)

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 SizeOpt = Annotated[
     float | None,
@@ -77,6 +78,7 @@ def command(
     fat: FatOpt = None,
     at: AtOpt = None,
     study: StudyOpt = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -87,18 +89,21 @@ def command(
     from limbcli.stages.mesh import mesh
     from limbcli.stages.site_layers import thickness_of
 
-    results = mesh(
-        Case.open(case),
-        out=out or default_out(case),
-        sites=site,
-        element=element,
-        size=size,
-        far_size=far_size,
-        margin=margin,
-        skin_layer=None if skin is None else thickness_of(skin, "--skin-mm"),
-        fat_layer=None if fat is None else thickness_of(fat, "--fat-mm"),
-        place=at,
-        study=study,
-        progress=terminal(quiet=quiet, verbose=verbose),
-    )
+    opened, target = Case.open(case), out or default_out(case)
+    progress = terminal(quiet=quiet, verbose=verbose)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        results = mesh(
+            opened,
+            out=target,
+            sites=site,
+            element=element,
+            size=size,
+            far_size=far_size,
+            margin=margin,
+            skin_layer=None if skin is None else thickness_of(skin, "--skin-mm"),
+            fat_layer=None if fat is None else thickness_of(fat, "--fat-mm"),
+            place=at,
+            study=study,
+            progress=progress,
+        )
     emit(results, as_json=json)

@@ -20,6 +20,10 @@ SiteOpt = Annotated[
     list[str] | None,
     typer.Option("--site", "-s", metavar="NAME", help="Only this site (may be repeated); default: all."),
 ]
+NoWaitOpt = Annotated[
+    bool,
+    typer.Option("--no-wait", help="Refuse at once where another limbcli writes into the output folder."),
+]
 JsonOpt = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
 QuietOpt = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; only the result.")]
 VerboseOpt = Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: all.")]

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import JsonOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import JsonOpt, NoWaitOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
 from limbcli.cli.terminal import emit, emit_json, terminal
+from limbcli.cli.writing import one_writer
 from limbcli.progress import Progress
 
 OptionalCaseArg = Annotated[
@@ -33,6 +34,7 @@ def command(
     index: IndexOpt = None,
     open_page: OpenOpt = False,
     templates: TemplatesOpt = None,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -45,19 +47,21 @@ def command(
         page = _index(index, templates, progress, as_json=json)
     else:
         assert case is not None
-        page = _report(case, out, templates, progress, as_json=json)
+        page = _report(case, out, templates, progress, wait=not no_wait, as_json=json)
     if open_page:
         typer.launch(str(page.resolve()))
 
 
 def _report(
-    case: Path, out: Path | None, templates: Path | None, progress: Progress, *, as_json: bool
+    case: Path, out: Path | None, templates: Path | None, progress: Progress, *, wait: bool, as_json: bool
 ) -> Path:
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.report import report
 
-    result = report(Case.open(case), out=out or default_out(case), templates=templates, progress=progress)
+    opened, target = Case.open(case), out or default_out(case)
+    with one_writer(target, wait=wait, progress=progress):
+        result = report(opened, out=target, templates=templates, progress=progress)
     emit(result, as_json=as_json)
     return result.path("page")
 

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import FebioOpt, JsonOpt, OutOpt, QuietOpt, SiteOpt, SolverOpt, VerboseOpt
+from limbcli.cli.options import FebioOpt, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, SolverOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 from limbcli.errors import CaseError
 
 CaseOrFileArg = Annotated[
@@ -33,6 +34,7 @@ def command(
         typer.Option("--time-limit-s", min=0, help="Of each simulation.", show_default=False),
     ] = None,
     vtu: Annotated[bool, typer.Option("--vtu", help="Also a time series for ParaView.")] = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -45,10 +47,9 @@ def command(
     file = feb or (case if case is not None and is_model_file(case) else None)
     if file is not None and (case is None or file == case):
         target = out or Path("out") / file.name.split(".")[0]
-        emit(
-            run_file(file, out=target, solver=solver, febio=febio, options=options, progress=progress),
-            as_json=json,
-        )
+        with one_writer(target, wait=not no_wait, progress=progress):
+            one = run_file(file, out=target, solver=solver, febio=febio, options=options, progress=progress)
+        emit(one, as_json=json)
         return
     if case is None or feb is not None:
         raise CaseError(
@@ -59,15 +60,11 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
 
-    results = run(
-        Case.open(case),
-        out=out or default_out(case),
-        sites=site,
-        solver=solver,
-        febio=febio,
-        options=options,
-        progress=progress,
-    )
+    opened, target = Case.open(case), out or default_out(case)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        results = run(
+            opened, out=target, sites=site, solver=solver, febio=febio, options=options, progress=progress
+        )
     emit(results, as_json=json)
 
 

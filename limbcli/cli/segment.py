@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 SeedOpt = Annotated[
     list[str] | None,
@@ -49,6 +50,7 @@ def command(
     threshold: ThresholdOpt = None,
     limb: LimbOpt = None,
     fresh: FreshOpt = False,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -64,16 +66,19 @@ def command(
     from limbcli.config import default_out
     from limbcli.stages.segment import segment
 
-    result = segment(
-        Case.open(case),
-        out=out or default_out(case),
-        seeds=seeds,
-        smooth=smooth,
-        threshold=threshold,
-        limb=limb,  # type: ignore[arg-type]
-        fresh=fresh,
-        progress=terminal(quiet=quiet, verbose=verbose),
-    )
+    opened, target = Case.open(case), out or default_out(case)
+    progress = terminal(quiet=quiet, verbose=verbose)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        result = segment(
+            opened,
+            out=target,
+            seeds=seeds,
+            smooth=smooth,
+            threshold=threshold,
+            limb=limb,  # type: ignore[arg-type]
+            fresh=fresh,
+            progress=progress,
+        )
     emit(result, as_json=json)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.synth_options import (
     ContactPenaltyOpt,
     CStiffOpt,
@@ -24,6 +24,7 @@ from limbcli.cli.synth_options import (
     SynthSizeOpt,
 )
 from limbcli.cli.terminal import emit, terminal
+from limbcli.cli.writing import one_writer
 
 OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
@@ -62,6 +63,7 @@ def command(
     margin_mm: SynthMarginOpt = None,
     same_mesh: SameMeshOpt = False,
     contact_penalty: ContactPenaltyOpt = None,
+    no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
@@ -86,13 +88,10 @@ def command(
         hidden=tuple(hide(each) for each in effect or ()),
         protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
-    result = synth(
-        Case.open(case),
-        out=out or default_out(case),
-        out_case=out_case,
-        sites=site,
-        options=options,
-        force=force,
-        progress=terminal(quiet=quiet, verbose=verbose),
-    )
+    opened, target = Case.open(case), out or default_out(case)
+    progress = terminal(quiet=quiet, verbose=verbose)
+    with one_writer(target, wait=not no_wait, progress=progress):
+        result = synth(
+            opened, out=target, out_case=out_case, sites=site, options=options, force=force, progress=progress
+        )
     emit(result, as_json=json)

@@ -167,10 +167,17 @@ def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
 
 
 def write_surface(path: Path, surface: ClosedSurface) -> None:
-    """A binary PLY, mm, patient LPS."""
-    mesh = meshio.Mesh(surface.points.astype(np.float32), [("triangle", surface.triangles.astype(np.int32))])
+    """A binary PLY, mm, patient LPS; the same surface gives the same bytes (no time stamp)."""
+    faces = np.zeros(len(surface.triangles), [("n", "u1"), ("corners", "<i4", 3)])
+    faces["n"], faces["corners"] = 3, surface.triangles
+    head = (
+        "ply\nformat binary_little_endian 1.0\ncomment limbcli: mm, patient LPS\n"
+        f"element vertex {len(surface.points)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
     with atomic_file(path) as partial:
-        meshio.write(partial, mesh, file_format="ply", binary=True)
+        content = head.encode() + surface.points.astype("<f4").tobytes() + faces.tobytes()
+        partial.write_bytes(content)
 
 
 def read_surface(path: Path) -> ClosedSurface:

@@ -43,7 +43,7 @@ def read_curves(result: StageResult, measured_depth: Array | None = None) -> tup
 
 def read_run_curve(result: StageResult) -> SimulatedCurve:
     """The simulation with start values, for a site that has not been fitted. Raises as `read_curves`."""
-    columns = _columns(result, result.files.get("force_depth", RUN_CURVE_FILE))
+    columns = _columns(result, result.files.get("force_depth", RUN_CURVE_FILE), needed=(_DEPTH, "force_n"))
     depth, force = (np.r_[0.0, columns[name]] for name in (_DEPTH, "force_n"))
     return SimulatedCurve("start", "simulation with start values", depth, force)
 
@@ -55,26 +55,21 @@ def read_predicted_speeds(result: StageResult) -> PredictedSpeeds | None:
     """
     if "swe" not in result.files:
         return None
-    columns = _columns(result, result.files["swe"])
-    try:
-        return PredictedSpeeds(columns["simulated_force_n"], columns[_DEPTH], columns["predicted_m_per_s"])
-    except KeyError as error:
-        raise CaseError(
-            f"the predicted shear-wave speeds lack the column {error}",
-            where=str(result.path("swe")),
-            fix=f"run `limbcli {result.stage}` again",
-        ) from error
+    needed = ("simulated_force_n", _DEPTH, "predicted_m_per_s")
+    columns = _columns(result, result.files["swe"], needed=needed)
+    return PredictedSpeeds(*(columns[name] for name in needed))
 
 
-def _columns(result: StageResult, name: str) -> dict[str, Array]:
+def _columns(result: StageResult, name: str, *, needed: tuple[str, ...] = (_DEPTH,)) -> dict[str, Array]:
     path = result.folder / name
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
         columns = {column: _numbers(rows, column) for column in (rows[0] if rows else {})}
-        if _DEPTH not in columns:
-            raise KeyError(_DEPTH)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        lacking = [each for each in needed if each not in columns]
+        if lacking:
+            raise ValueError(f"they lack the column {', '.join(lacking)}")
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise CaseError(
             f"the curves of “{result.stage}” cannot be read ({type(error).__name__}: {error})",
             where=str(path),

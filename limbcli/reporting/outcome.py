@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -91,18 +92,23 @@ class Outcomes:
         return [(label, text) for text, label in seen.items()]
 
 
-def read_outcomes(out: Path, sites: tuple[str, ...], *, case_name: str = "CASE") -> Outcomes:
-    """Look at every stage's folder below `out`; never raises for what is missing or broken there."""
+def read_outcomes(
+    out: Path, sites: tuple[str, ...], *, case_name: str = "CASE", subject: str = ""
+) -> Outcomes:
+    """Look at every stage's folder below `out`; never raises for what is missing or broken there.
+
+    subject : whose results they are to be; another's are shown as failures and not used
+    """
     keys: list[tuple[str, str | None]] = [(stage, None) for stage in SUBJECT_STAGES]
     keys += [(stage, site) for site in sites for stage in SITE_STAGES]
     outcomes: list[Outcome] = []
     for stage, site in keys:
-        outcome = _outcome(out, stage, site, case_name)
+        outcome = _outcome(out, stage, site, case_name, subject)
         before = (each for each in outcomes if each.site in (None, site) and each.status == "failed")
         outcomes.append(_held(outcome, next(before, None)))
     extra: list[tuple[str, str | None]] = [(stage, None) for stage in EXTRA_SUBJECT_STAGES]
     extra += [(stage, site) for site in sites for stage in EXTRA_SITE_STAGES]
-    found = [_outcome(out, stage, site, case_name) for stage, site in extra]
+    found = [_outcome(out, stage, site, case_name, subject) for stage, site in extra]
     outcomes += [each for each in found if each.status != "missing"]
     return Outcomes(tuple(outcomes))
 
@@ -114,10 +120,10 @@ def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
     return replace(outcome, status="missing", failure=None, held_by=before.label)
 
 
-def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome:
+def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: str) -> Outcome:
     folder = stage_folder(out, stage, site)
-    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=case_name)
-    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {out}"
+    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=shlex.quote(case_name))
+    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {shlex.quote(str(out))}"
     failure = _failure(folder / ERROR_FILE)
     result = None
     if (folder / f"{stage}.json").is_file():
@@ -125,6 +131,9 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome
             result = read_result(out, stage, site=site)
         except CaseError as error:
             failure = failure or Failure("CaseError", error.what, error.where, error.fix)
+        if result is not None and subject and result.subject != subject:
+            what = f"the result is of {result.subject}, the case of {subject}"
+            failure, result = Failure("CaseError", what, str(folder), command), None
     status: Status = "failed" if failure else ("done" if result else "missing")
     return Outcome(stage, site, status, command, result, failure)
 

@@ -7,6 +7,7 @@ is told `--defaults`.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -76,5 +77,8 @@ def _spoken(key: str, value: Any) -> str:
         return " ".join(f"{name} {law}" for law in laws)
     several = value if isinstance(value, list) else [value]
     return " ".join(
-        [name, *(f"{each:g}" if isinstance(each, float | int) else str(each) for each in several)]
+        [
+            name,
+            *(f"{each:g}" if isinstance(each, float | int) else shlex.quote(str(each)) for each in several),
+        ]
     )

@@ -17,8 +17,9 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.files import atomic_file, sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, plain, stage_folder
+from limbcli.results import StageResult, plain, read_result, stage_folder
 from limbcli.stages.asked import in_words, options_of
+from limbcli.stages.chain import Chain
 from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
@@ -104,7 +105,8 @@ class _Run:
     def __init__(self, case: Case, out: Path, options: BatchOptions, progress: Progress):
         self.case, self.out, self.options, self.progress = case, out, options, progress
         self.outcome = CaseOutcome(case.folder, out)
-        self.memory = Memory(out)
+        self.memory = Memory(out, case.subject)
+        self.chain = Chain(case, out)
 
     def all(self) -> CaseOutcome:
         from limbcli.stages.report import report
@@ -235,7 +237,7 @@ class _Run:
     ) -> bool:
         """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays)."""
         label = f"{stage} {site}" if site else stage
-        if not self.options.force and self.memory.is_fresh(stage, site, key):
+        if not self.options.force and self.memory.is_fresh(stage, site, key) and self._holds(stage, site):
             self.outcome.fresh.append(label)
             self.progress.event("note", text=f"{label}: nothing changed")
             return True
@@ -250,6 +252,13 @@ class _Run:
         self.memory.remember(stage, site, key)
         self.outcome.ran.append(label)
         return True
+
+    def _holds(self, stage: str, site: str | None) -> bool:
+        """Whether all that a result was made from is as it was (also what no key sees, such as a place)."""
+        try:
+            return self.chain.broken(read_result(self.out, stage, site=site)) is None
+        except CaseError:
+            return False
 
     def _pass_on(self, results: object) -> None:
         several: Sequence[object] = results if isinstance(results, Sequence) else [results]

@@ -24,9 +24,11 @@ from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.asked import asked_of, asked_of_options
+from limbcli.stages.chain import Chain
+from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.indentation_model import (
     PROBE,
     TISSUE,
@@ -80,7 +82,7 @@ def build_feb(
     Raises
     ------
     CaseError
-        If `mesh` has not been run, or a template is faulty.
+        If `mesh` has not been run since its inputs changed, or a template is faulty.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
     """
@@ -89,16 +91,16 @@ def build_feb(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = {**asked_of_options(options), **asked_of({"templates": templates})}
-            _build_site(site, out, writer, options, templates)
+            _build_site(case, site, out, writer, options, templates)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _build_site(
-    site: Site, out: Path, writer: StageWriter, options: TissueOptions, templates: Path | None
+    case: Case, site: Site, out: Path, writer: StageWriter, options: TissueOptions, templates: Path | None
 ) -> None:
-    meshed = read_result(out, "mesh", site=site.name)
+    meshed = Chain(case, out).result("mesh", site=site.name)
     path = meshed.folder / "model.npz"
     levels = read_levels(site.levels)
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
@@ -111,9 +113,11 @@ def _build_site(
         model = with_penalty(model, options.contact_penalty)
     write_feb(model, writer.file("feb", MODEL_FILE), templates)
     writer.used("mesh", path)
-    writer.used("levels", site.levels)
+    writer.used_result(meshed, files=["model"])
+    writer.used("levels", site.levels, role=f"site/{site.name}/levels")
+    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     if templates is not None:
-        writer.used("templates", templates)
+        writer.used("templates", templates, role=str(templates.resolve()))
     writer.warnings.extend(meshed.warnings)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import CASE_FILE, read_case
+from limbcli.case_files import CaseFiles
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
@@ -71,6 +72,7 @@ def _raw(folder: Path) -> Mapping[str, Any]:
 def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Reader]]:
     """Every file that case.toml names and that is there, with who can read it."""
     listed: list[tuple[object, Reader]] = []
+    files = CaseFiles.of(raw, folder)
     imaging = raw.get("imaging")
     if isinstance(imaging, dict):
         listed += [(imaging.get("mri"), _read_mri), (imaging.get("labels"), _read_labels)]
@@ -85,7 +87,7 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     return [
         (name, folder / name, reader)
         for name, reader in listed
-        if isinstance(name, str) and (folder / name).exists()
+        if isinstance(name, str) and files.may_use(name) and (folder / name).exists()
     ]
 
 

@@ -25,6 +25,7 @@ from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
+from limbcli.stages.chain import check_earlier, note_earlier
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import MATTERS, Intervention, too_doubtful
@@ -79,6 +80,7 @@ def diagnose(
     """
     effects = chosen_effects(options)
     results: list[StageResult] = []
+    check_earlier(case, out, case.selected(sites))
     for group in places(case, case.selected(sites), out=out, separate=options.separate):
         progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
         results += _Diagnosed(case, group, out, effects, options, progress).all()
@@ -183,6 +185,7 @@ class _Diagnosed:
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
+            note_earlier(self.case, self.out, mine.site, writer)
             writer.warnings.extend(mine.notes.warnings)
             if mine.book.in_part:
                 writer.warnings.append(_in_part(mine.book.in_part))

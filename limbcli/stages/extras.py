@@ -18,6 +18,7 @@ from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.asked import options_of
+from limbcli.stages.chain import Chain
 from limbcli.stages.fit import FitOptions
 
 SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
@@ -85,6 +86,8 @@ def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
 
 def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...], *, labelled: bool) -> bool:
     """Whether models and measurements are still those it was made from."""
+    if Chain(case, out).broken(found) is not None:
+        return False
     used = found.provenance.get("inputs_sha256", {})
     for name in sites:
         prefix = f"{name}/" if labelled else ""

@@ -16,17 +16,18 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.files import sha256
 from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
 from limbcli.measurement.indentation import Levels, doubts_about_levels, read_levels
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.chain import Chain
+from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fit_map import leave_map, tissue_map
@@ -70,7 +71,7 @@ def fit(
     Raises
     ------
     CaseError
-        If `build-feb` has not been run, or the measurement changed since.
+        If `build-feb` has not been run since what the model was made from changed.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
     SolveError, FitError
@@ -84,17 +85,21 @@ def fit(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.asked()
-            _fit_site(site, out, writer, engine, options, progress)
+            if options.templates is not None:
+                role = str(options.templates.resolve())
+                writer.used("templates", options.templates, role=role)
+            _fit_site(case, site, out, writer, engine, options, progress)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _fit_site(
-    site: Site, out: Path, writer: StageWriter, solver: Solver, options: FitOptions, progress: Progress
-) -> None:
+    case: Case, site: Site, out: Path, writer: StageWriter, solver: Solver, options: FitOptions,
+    progress: Progress,
+) -> None:  # fmt: skip
     clock = time.perf_counter()
-    model = built_model(site, out, writer)
+    model = built_model(case, site, out, writer)
     levels = read_levels(site.levels)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
@@ -105,7 +110,7 @@ def _fit_site(
     )  # fmt: skip
     theta = steps[-1].theta
     given = options.gain_deviation
-    error = given if given is not None else studied_error(site, out, writer)
+    error = given if given is not None else studied_error(case, site, out, writer)
     gain = gain_deviation(model, error, f_kappa=float(theta[0]))
     stiffness = replace(stiffness, gain_deviation=gain)
     intervals, why_none = None, "no interval was asked for"
@@ -143,30 +148,25 @@ def _tissue_c(
             fix="leave one of the two out",
         )
     found = tissue_map(model, site)
-    leave_map(found, model, levels, writer)
+    leave_map(found, model, levels, site, writer)
     stiffness = found.stiffness(site)
     if options.c_deviation is not None:
         stiffness = Stiffness(stiffness.c, options.c_deviation)
     return stiffness, found.words, found.c
 
 
-def built_model(site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
-    """What build-feb wrote for this site, if it was made from this measurement.
+def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
+    """What build-feb wrote for this site, if all that it was made from is as it was.
 
     label : goes before the names of the inputs recorded, where several sites are used
     """
     prefix = f"{label}/" if label else ""
-    built = read_result(out, "build-feb", site=site.name)
+    built = Chain(case, out).result("build-feb", site=site.name)
     feb = built.folder / "model.feb"
-    used = built.provenance.get("inputs_sha256", {})
-    if "levels" in used and used["levels"] != sha256(site.levels):
-        raise CaseError(
-            "the measurement changed after the model was built",
-            where=str(site.levels),
-            fix="run `limbcli build-feb` again, then `limbcli fit`",
-        )
+    writer.used_result(built, files=["feb"])
     writer.used(f"{prefix}model", feb)
-    writer.used(f"{prefix}levels", site.levels)
+    writer.used(f"{prefix}levels", site.levels, role=f"site/{site.name}/levels")
+    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "noise"])
     for text in (*built.warnings, *doubts_about_levels(site.levels)):
         if text not in writer.warnings:
             writer.warnings.append(text)

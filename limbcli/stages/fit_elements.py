@@ -79,16 +79,16 @@ def compare_elements(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            _compare_site(site, out, writer, options, progress)
+            _compare_site(case, site, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _compare_site(
-    site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
+    case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> None:
-    model = built_model(site, out, writer)
+    model = built_model(case, site, out, writer)
     levels = read_levels(site.levels)
     stiffness, source = initial_stiffness(levels, site, options)
     data = force_depth_data(levels, site)

@@ -86,7 +86,7 @@ def fit_joint(
     progress.event("stage", name=STAGE, site=None)
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
-        measured = [_measured(site, out, writer, options) for site in case.selected(sites)]
+        measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
         for each in measured:
             _check_noise(each.site, speeds=each.levels.has_swe)
         models = [(each.site.name, each.model) for each in measured]
@@ -114,11 +114,12 @@ def fit_joint(
     return writer.result
 
 
-def _measured(site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
-    model = built_model(site, out, writer, label=site.name)
+def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
+    model = built_model(case, site, out, writer, label=site.name)
     levels = read_levels(site.levels)
     stiffness, _ = initial_stiffness(levels, site, options)
-    return Measured(site, model, levels, stiffness.c, studied_error(site, out, writer, label=f"{site.name}/"))
+    error = studied_error(case, site, out, writer, label=f"{site.name}/")
+    return Measured(site, model, levels, stiffness.c, error)
 
 
 # ---------------------------------------------------------------- identification

@@ -130,10 +130,11 @@ def _without_tissue(swe: SweMap, middles: Array) -> int:
     return int((distance > spacing).sum())
 
 
-def leave_map(found: TissueMap, model: LimbModel, levels: Levels, writer: StageWriter) -> None:
+def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter) -> None:
     """What fit.json says of the map, its picture, and a warning where it does not suit the levels."""
     assert found.swe.path is not None
-    writer.used("swe_map_level_0", found.swe.path)
+    role = f"site/{site.name}/swe_maps/{found.swe.path.name}"
+    writer.used("swe_map_level_0", found.swe.path, role=role)
     values = kpa_from_mpa(found.c.values)
     writer.data["stiffness_map"] = {
         "map": found.swe.path.name, "n_pixels": len(found.swe), "n_pixels_without_tissue": found.n_outside,

@@ -43,23 +43,27 @@ def key_of(*parts: object) -> str:
     return digest.hexdigest()
 
 
-_ASKED = "asked"
+_ASKED, _SUBJECT = "asked", "subject"
 
 
 class Memory:
     """What the last batch into this output folder did: a key and an output hash per stage.
 
-    And what stages were asked for by hand before it (see `asked`).
+    And what stages were asked for by hand before it (see `asked`). What was done for another subject
+    is forgotten.
     """
 
-    def __init__(self, out: Path):
+    def __init__(self, out: Path, subject: str = ""):
         self._path = out / MEMORY
-        self._out = out
+        self._out, self._subject = out, subject
         try:
             self._done: dict[str, Any] = json.loads(self._path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             self._done = {}
+        if not isinstance(self._done, dict) or self._done.get(_SUBJECT, subject) != subject:
+            self._done = {}
         self._done.setdefault(_ASKED, {})
+        self._done[_SUBJECT] = subject
 
     def is_fresh(self, stage: str, site: str | None, key: str) -> bool:
         folder = stage_folder(self._out, stage, site)
@@ -82,7 +86,9 @@ class Memory:
         """The options a stage was last called with by hand: of a result made since, else as kept."""
         if self.made_since(stage, site):
             with contextlib.suppress(CaseError):
-                return dict(read_result(self._out, stage, site=site).data.get("asked", {}))
+                found = read_result(self._out, stage, site=site)
+                is_ours = self._subject in ("", found.subject)
+                return dict(found.data.get("asked", {})) if is_ours else {}
         return dict(self._done[_ASKED].get(_name(stage, site), {}))
 
     def keep_asked(self, stage: str, site: str | None, asked: Mapping[str, Any]) -> None:

@@ -32,6 +32,7 @@ from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.measure_images import box_of, images_of, measured_speeds, tissue_between
 
 STAGE = "measure"
@@ -68,7 +69,7 @@ def measure(
             )
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            rows = _measure_site(site, out, writer, progress)
+            rows = _measure_site(case, site, out, writer, progress)
         assert writer.result is not None
         if write:
             _write_levels(site, rows)
@@ -77,10 +78,13 @@ def measure(
     return results
 
 
-def _measure_site(site: Site, out: Path, writer: StageWriter, progress: Progress) -> str:
+def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progress: Progress) -> str:
     instruments = site.instruments
     known = read_levels(site.levels) if site.levels.is_file() else None
     columns: dict[str, Sequence[float]] = {}
+    note_case(writer, case, [], site=site, own=instruments)
+    for kind, table in instruments.items():
+        writer.used(kind, table["path"], role=f"site/{site.name}/{kind}")
     if "load_cell" in instruments:
         columns |= _force(instruments["load_cell"], writer)
         progress.event("note", text=f"{len(columns['force_n'])} holds found")
@@ -89,7 +93,7 @@ def _measure_site(site: Site, out: Path, writer: StageWriter, progress: Progress
     if "b_mode" in instruments:
         columns |= _depth(instruments["b_mode"], writer, progress)
     if "swe_images" in instruments:
-        tissue = tissue_between(site, out, columns.get("skin_bone_mm"))
+        tissue = tissue_between(case, site, out, columns.get("skin_bone_mm"), writer)
         columns |= measured_speeds(instruments["swe_images"], tissue, writer, progress)
     _check_lengths(columns, site)
     place = instruments["load_cell"]["path"] if "load_cell" in instruments else site.levels
@@ -113,7 +117,6 @@ def _force(table: Mapping[str, Any], writer: StageWriter) -> dict[str, Sequence[
     from limbcli.measurement.picture import draw_holds
 
     path: Path = table["path"]
-    writer.used("load_cell", path)
     trace = read_recording(
         path,
         RecordingFormat(
@@ -200,7 +203,6 @@ def _check_count(columns: Mapping[str, Sequence[float]], site: Site) -> None:
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
     from limbcli.measurement.picture import draw_bone_lines
 
-    writer.used("b_mode", table["path"])
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import Site
-from limbcli.errors import CaseError, MeasurementError
+from limbcli.case import Case, Site
+from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap, map_file, statistics, write_map
 from limbcli.measurement.overlay_places import find_bar, find_box
 from limbcli.measurement.swe_image import Box, DecodedMap, Overlay, decode_overlay
 from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
 from limbcli.progress import Progress
-from limbcli.results import StageWriter, read_result
+from limbcli.results import StageWriter
+from limbcli.stages.chain import Chain
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 _OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
@@ -45,13 +46,16 @@ class TissueBetween:
         return " ".join(parts)
 
 
-def tissue_between(site: Site, out: Path, skin_bone: Sequence[float] | None) -> TissueBetween:
+def tissue_between(
+    case: Case, site: Site, out: Path, skin_bone: Sequence[float] | None, writer: StageWriter
+) -> TissueBetween:
     """From what `segment` found at the site and the B-mode images of the levels."""
     bottom = tuple(each - _OFF_BONE for each in skin_bone) if skin_bone is not None else None
-    try:
-        layers = read_result(out, "segment").data.get("layers", {}).get(site.name)
-    except CaseError:
-        layers = None
+    segmented = Chain(case, out).present("segment", about=[site.name])
+    layers = None
+    if segmented is not None:
+        layers = segmented.value(f"layers/{site.name}")
+        writer.used_result(segmented, data=[f"layers/{site.name}"])
     top = None if layers is None else float(layers["skin_mm"]) + float(layers["fat_mm"])
     return TissueBetween(top, bottom)
 
@@ -72,7 +76,6 @@ def measured_speeds(
     """The columns of speeds; leaves the maps of all levels and a box plot."""
     from limbcli.measurement.picture import draw_speeds
 
-    writer.used("swe_images", table["path"])
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
     if table["image_pixels"] is None and table["mm_per_pixel"] is not None:
         writer.warnings.append(

@@ -20,9 +20,11 @@ from limbcli.meshing.surfaces import read_surface
 from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.asked import Asked, asked_of
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.asked import asked_of
+from limbcli.stages.chain import Chain
 from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
+from limbcli.stages.mesh_inputs import MeshInputs
 from limbcli.stages.mesh_study import study_site
 from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
 
@@ -55,7 +57,7 @@ def mesh(
     Raises
     ------
     CaseError
-        If a site or option cannot be used, or `segment` has not been run.
+        If a site or option cannot be used, or `segment` has not been run since its inputs changed.
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
@@ -63,10 +65,11 @@ def mesh(
     if place is not None and len(chosen) != 1:
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
     options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
-    segmented = read_result(out, "segment")
+    thickness = Layering(skin_layer, fat_layer, seen=place is None)
+    layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
+    segmented = Chain(case, out).result("segment", about=layered)
     progress.event("note", text="reading and mending the surfaces")
     limb = read_limb(segmented)
-    thickness = Layering(skin_layer, fat_layer, seen=place is None)
     if place is not None:
         point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
         chosen = (
@@ -78,14 +81,16 @@ def mesh(
             "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place,
         }
     )  # fmt: skip
+    inputs = MeshInputs(case, segmented, asked, layered)
     results = []
     for site in chosen:
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
         own = replace(options, layers=layers)
-        results.append(_mesh_site(case, site, limb, segmented, own, sources, out, progress, asked))
+        results.append(_mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
             position = site_position(site, segmented)
-            results.append(study_site(case, site, limb, position, own, out=out, progress=progress))
+            studied = study_site(case, site, limb, position, own, out=out, inputs=inputs, progress=progress)
+            results.append(studied)
     return results
 
 
@@ -108,7 +113,7 @@ def mesh_options(
 
 def read_limb(segmented: StageResult) -> Limb:
     """The surfaces that `segment` left, mended."""
-    paths = sorted(segmented.folder.glob("bone_*.ply"))
+    paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
     skin = read_surface(segmented.folder / "skin.ply")
     return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
 
@@ -136,22 +141,22 @@ def site_position(site: Site, segmented: StageResult) -> tuple[float, float, flo
 
 
 def _mesh_site(
-    case: Case,
+    inputs: MeshInputs,
     site: Site,
     limb: Limb,
-    segmented: StageResult,
     options: MeshOptions,
     layer_sources: dict[str, str],
     out: Path,
     progress: Progress,
-    asked: Asked,
 ) -> StageResult:
+    case, segmented = inputs.case, inputs.segmented
     progress.event("stage", name="mesh", site=site.name)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     position = site_position(site, segmented)
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
-        writer.data["asked"] = asked
-        for path in sorted(segmented.folder.glob("*.ply")):
+        writer.data["asked"] = inputs.asked
+        inputs.note(writer, site)
+        for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):
             writer.used(path.name, path)
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
         laws = layer_laws(site, layers_in(found.model))

@@ -22,6 +22,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.indentation_model import indentation_model, starting_depth
+from limbcli.stages.mesh_inputs import MeshInputs
 from limbcli.stages.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
@@ -63,6 +64,7 @@ def study_site(
     options: MeshOptions,
     *,
     out: Path,
+    inputs: MeshInputs | None = None,
     force_of: ForceOf | None = None,
     size_factors: tuple[float, ...] = SIZE_FACTORS,
     margin_factors: tuple[float, ...] = MARGIN_FACTORS,
@@ -79,6 +81,10 @@ def study_site(
     depth = full_depth(site)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+        if inputs is not None:
+            inputs.note(writer, site)
+        if site.levels.is_file():
+            writer.used("levels", site.levels, role=f"site/{site.name}/levels")
         tissue = studied_tissue(site, out, writer)
         solve = force_of or (lambda model, depth: reference_force(model, depth, tissue))
         found: list[Variant] = []

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import Site
+from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter, read_result, stage_folder
+from limbcli.stages.chain import Chain
 
 # What the mesh may add to the force, relative: of tet10 the change under refinement and with
 # the penalty (2 to 3 % at 2.5 mm edges); of tet4 what locking leaves at f_kappa 1 (13 %).
@@ -53,13 +54,20 @@ def edge_under_probe(model: LimbModel) -> float:
     return float(np.median(edges)) if len(edges) else _USUAL_SIZE
 
 
-def studied_error(site: Site, out: Path, writer: StageWriter, *, label: str = "") -> float | None:
+def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> float | None:
     """What the mesh study of this site found, if there is one of a mesh like today's."""
     study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
     if not study.is_file():
         return None
     writer.used(f"{label}mesh-study", study)
-    studied = read_result(out, "mesh-study", site=site.name).data
+    try:
+        result = Chain(case, out).result("mesh-study", site=site.name)
+    except CaseError as error:
+        writer.warnings.append(
+            f"the mesh study of site {site.name} is not used: {error.what}; run {error.fix}"
+        )
+        return None
+    studied = result.data
     other = _differences(studied, site, out)
     if other:
         writer.warnings.append(
@@ -67,6 +75,7 @@ def studied_error(site: Site, out: Path, writer: StageWriter, *, label: str = ""
             "`limbcli mesh --study` again"
         )
         return None
+    writer.used_result(result, data=["numerical_error_fraction"])
     found = studied.get("numerical_error_fraction")
     return float(found) if found is not None else None
 

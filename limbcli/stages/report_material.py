@@ -20,19 +20,27 @@ from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.results import StageResult
+from limbcli.stages.report_stale import stale_results
 from limbcli.stages.report_state import read_deformed, read_residuals
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
     """Read everything the page shows; what cannot be read becomes a reason on the page."""
     names = tuple(site.name for site in case.sites)
-    outcomes = read_outcomes(out, names, case_name=str(case.folder))
+    outcomes = read_outcomes(out, names, case_name=str(case.folder), subject=case.subject)
     sites = []
     for k, site in enumerate(case.sites):
         progress.event("task", name="report: reading results", done=k, total=len(names))
         sites.append(_deformed(_measured(site), outcomes))
     progress.event("task", name="report: reading results", done=len(names), total=len(names))
-    return Page(case, str(case.folder), out, outcomes, tuple(sites), tuple(_stale(outcomes, names)))
+    return Page(
+        case,
+        str(case.folder),
+        out,
+        outcomes,
+        tuple(sites),
+        (*stale_results(case, out, outcomes), *_older_results(outcomes, names)),
+    )
 
 
 def _measured(site: Site) -> SiteMaterial:
@@ -99,8 +107,8 @@ _ORDER = ("segment", "mesh", "build-feb", "run", "fit")
 _EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "diagnose"))
 
 
-def _stale(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
-    """Results that are older than what they were made from."""
+def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
+    """Results that are older than what they were made from, where they do not say what that was."""
     pairs: list[tuple[Outcome | None, Outcome | None]] = []
     for site in sites:
         chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
@@ -126,6 +134,8 @@ def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
 def _older(before: Outcome | None, after: Outcome | None) -> str:
     """The sentence for a result made before what it builds on, or nothing."""
     if before is None or after is None or before.result is None or after.result is None:
+        return ""
+    if before.label in after.result.provenance.get("made_from", {}).get("results", {}):
         return ""
     early, late = (str(r.provenance.get("finished_utc", "")) for r in (before.result, after.result))
     if not late or early <= late:

@@ -13,12 +13,13 @@ from limbcli.feb.outline import Outline, read_outline
 from limbcli.files import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
-from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
+from limbcli.results import StageResult, StageWriter, open_stage, stage_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.asked import asked_of_options
+from limbcli.stages.chain import Chain
 from limbcli.stages.run_files import leave_simulation
 from limbcli.stages.vtu import write_series
 
@@ -53,7 +54,8 @@ def run(
     Raises
     ------
     CaseError
-        If `build-feb` has not been run, or the model holds what the solver does not support.
+        If `build-feb` has not been run since its inputs changed, or the model holds what the solver does
+        not support.
     ToolError
         If FEBio is asked for and is not there.
     SolveError
@@ -63,7 +65,7 @@ def run(
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
-        results.append(_run_site(site, case.subject, out, engine, options, progress))
+        results.append(_run_site(case, site, out, engine, options, progress))
     return results
 
 
@@ -88,18 +90,19 @@ def run_file(
 
 
 def _run_site(
-    site: Site, subject: str, out: Path, engine: Solver, options: RunOptions, progress: Progress
+    case: Case, site: Site, out: Path, engine: Solver, options: RunOptions, progress: Progress
 ) -> StageResult:
-    built = read_result(out, "build-feb", site=site.name)
+    built = Chain(case, out).result("build-feb", site=site.name)
     feb = built.folder / MODEL_FILE
     if not feb.is_file():
         raise CaseError(
             f"{MODEL_FILE} is missing", where=str(built.folder), fix="run `limbcli build-feb` again"
         )
     levels = read_levels(site.levels)
-    with open_stage(out, STAGE, subject=subject, site=site.name) as writer:
+    with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
         writer.warnings.extend(built.warnings)
-        writer.used("levels", site.levels)
+        writer.used_result(built, files=["feb"])
+        writer.used("levels", site.levels, role=f"site/{site.name}/levels")
         writer.data["asked"] = asked_of_options(options)
         _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)

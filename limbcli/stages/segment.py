@@ -31,6 +31,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
+from limbcli.stages.chain_inputs import SITES, note_case
 from limbcli.stages.segment_surfaces import from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
@@ -91,8 +92,11 @@ def segment(
     progress.event("stage", name="segment")
     options = _Options(_checked(seeds, case), smooth, threshold, limb)
     edited = None if fresh else edited_labels(out)
+    if edited is not None:
+        _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
         writer.data["asked"] = options.asked()
+        note_case(writer, case, ["imaging"])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.skin is not None:
@@ -135,10 +139,27 @@ def edited_labels(out: Path) -> Path | None:
     return path if changed or before.get("source") == EDITED else None
 
 
+def _check_edited(case: Case, out: Path, path: Path) -> None:
+    """A label map edited by hand is this subject's, and of the series that the case names today."""
+    before = read_result(out, "segment")
+    drawn_on = before.provenance.get("made_from", {}).get("files", {}).get("imaging/mri")
+    what = ""
+    if before.subject != case.subject:
+        what = f"the label map that was edited by hand is of {before.subject}, the case of {case.subject}"
+    elif drawn_on and case.imaging.mri is not None and sha256(case.imaging.mri) != drawn_on:
+        what = "the label map was edited by hand on another series than the case names now"
+    if what:
+        raise CaseError(
+            what,
+            where=str(path),
+            fix="copy it to where you want to keep it, then run again with --fresh, or with another --out",
+        )
+
+
 def _from_series(
     case: Case, folder: Path, options: _Options, writer: StageWriter, progress: Progress
 ) -> None:
-    writer.used("mri", folder)
+    writer.used("mri", folder, role="imaging/mri")
     series = read_series(folder, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
     found = segment_limb(series.volume, modality=modality, wishes=options.wishes(), progress=progress)
@@ -150,7 +171,7 @@ def _from_series(
 
 def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
     """A label map replaces the automatic segmentation."""
-    writer.used("labels", path)
+    writer.used("labels", path, role="imaging/labels")
     labels = read_label_file(path)
     writer.data["source"] = "labels"
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
@@ -169,6 +190,7 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     _ignored(options, writer)
     image = labels
     if case.imaging.mri is not None:
+        writer.used("mri", case.imaging.mri, role="imaging/mri")
         series = read_series(case.imaging.mri, progress=progress).volume
         image = series if series.shape == labels.shape else labels
     _write(case, image, segmentation_from(labels), options, writer, progress)
@@ -229,6 +251,8 @@ def _tell_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: S
     """Thickness of skin and fat under each site whose place is known."""
     places = {each.number: each.position for each in found.markers}
     layers = {}
+    if found.fat is not None:
+        note_case(writer, case, [SITES, *(f"site/{site.name}/place" for site in case.sites)])
     for site in case.sites:
         position = site.position if site.marker is None else places.get(site.marker)
         if position is None or found.fat is None:

@@ -20,8 +20,8 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
     given = [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]
-    for name, path in given:
-        writer.used(name, path)
+    for number, (name, path) in enumerate(given):
+        writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
     surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in given}
     if not case.imaging.bones:
         surfaces = _bodies(surfaces["skin"], case.imaging.skin, writer)

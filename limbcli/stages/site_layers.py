@@ -88,11 +88,15 @@ class Layering:
     fat: Thickness | None
     seen: bool = True
 
+    def is_from_images(self, site: Site) -> bool:
+        """Whether a layer of this site has the thickness that the images show."""
+        return MRI in (_asked(site, "skin", self.skin), _asked(site, "fat", self.fat))
+
     def of(
         self, site: Site, segmented: StageResult, *, size: float
     ) -> tuple[tuple[Layer, ...], dict[str, str]]:
         """The layers of one site and where each thickness comes from."""
-        if not self.seen and MRI in (_asked(site, "skin", self.skin), _asked(site, "fat", self.fat)):
+        if not self.seen and self.is_from_images(site):
             raise CaseError(
                 "the images' thickness is known at the case's sites only",
                 where=f"site {site.name}, --at",

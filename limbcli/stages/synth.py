@@ -30,9 +30,11 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.stages.chain import Chain
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
 from limbcli.stages.indentation_model import with_penalty
+from limbcli.stages.site_layers import MRI
 from limbcli.stages.synth_case import case_table, copy_imaging
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
@@ -153,7 +155,8 @@ def measure_sites(
 def _segmented(case: Case, out: Path, progress: Progress) -> None:
     from limbcli.stages.segment import segment
 
-    if not (stage_folder(out, "segment") / "segment.json").is_file():
+    seen = [each.name for each in case.sites if MRI in (t.get("thickness_mm") for t in each.layers.values())]
+    if Chain(case, out).present("segment", about=seen) is None:
         segment(case, out=out, progress=progress)
 
 
@@ -161,7 +164,7 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
     from limbcli.stages.mesh import mesh
 
     place = stage_folder(folder, "mesh", site.name)
-    if not (place / "mesh.json").is_file():
+    if Chain(case, folder).present("mesh", site=site.name) is None:
         sizes: dict[str, Any] = {}
         if not options.same_mesh:
             sizes = {"size": options.size, "far_size": options.far_size, "margin": options.margin}

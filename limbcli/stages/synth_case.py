@@ -35,7 +35,7 @@ def _inside(name: str) -> Path:
 
 def case_table(case: Case, laws: Mapping[str, NoiseLaw]) -> dict[str, Any]:
     """case.toml of the sites measured, each with the noise that it was read with."""
-    table = {key: value for key, value in case.raw.items() if key != "site"}
+    table = {key: value for key, value in case.raw.items() if key not in ("site", "files")}
     imaging = dict(table["imaging"])
     for key in ("mri", "labels", "skin"):
         if key in imaging:

@@ -29,6 +29,19 @@ def test_damaged_memory_only_means_more_work(tmp_path: Path):
     assert not Memory(tmp_path).is_fresh("mesh", "p1", "key")
 
 
+def test_what_was_asked_for_another_subject_is_forgotten(tmp_path: Path):
+    with open_stage(tmp_path, "mesh", subject="S1", site="p1") as writer:
+        writer.data["asked"] = {"size": 3.0}
+    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {"size": 3.0}
+    assert Memory(tmp_path, "S2").asked("mesh", "p1") == {}
+    memory = Memory(tmp_path, "S1")
+    memory.keep_asked("mesh", "p1", {"size": 3.0})
+    memory.remember("mesh", "p1", "key")
+    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {"size": 3.0}
+    assert Memory(tmp_path, "S2").asked("mesh", "p1") == {}
+    assert not Memory(tmp_path, "S2").is_fresh("mesh", "p1", "key")
+
+
 def test_key_follows_the_content_of_files(tmp_path: Path):
     path = tmp_path / "levels.csv"
     path.write_text("1")

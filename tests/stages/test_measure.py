@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -164,7 +165,8 @@ def without(folder: Path, target: Path, *keys: str, more: str = "") -> Case:
     kept = [line for line in lines if not line.startswith(keys)]
     (target / "case.toml").write_text("\n".join(kept) + "\n" + more)
     for name in ("mri", "bmode", "swe", "cell.csv"):
-        (target / name).symlink_to(folder / name)
+        copy = shutil.copytree if (folder / name).is_dir() else shutil.copyfile
+        copy(folder / name, target / name)
     return Case.open(target)
 
 

@@ -116,7 +116,7 @@ def test_a_study_of_another_mesh_is_not_used(case, tmp_path):
 
     def error():
         with open_stage(tmp_path, "fit", subject="S1", site=site.name) as writer:
-            return studied_error(site, tmp_path, writer), writer.warnings
+            return studied_error(case, site, tmp_path, writer), writer.warnings
 
     assert error() == (None, [])
     leave("mesh-study", numerical_error_fraction=0.07, element="tet4", size_under_probe_mm=2.5)

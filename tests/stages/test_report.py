@@ -422,6 +422,21 @@ def test_unreadable_levels_and_records_become_words(tmp_path):
     assert "cannot be drawn" in page.text
 
 
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"time_s,depth_mm", b"time_s,depth_mm,force_n\n1,2", b"time_s,depth_mm\n1,2\n", b"\x00\xff\n,",
+     b"time_s,depth_mm,force_n\n1,2,3,4\n", b"time_s,depth_mm,force_n\n,,\n", b"depth_mm\n" + b"1" * 200_000],
+    ids=["empty", "header", "cut", "no force", "binary", "long row", "gaps", "long field"],
+)  # fmt: skip
+def test_a_damaged_force_depth_curve_becomes_words(tmp_path, content):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    with open_stage(out, "run", subject="S1", site="p1") as writer:
+        writer.file("force_depth", "force-depth.csv").write_text("time_s,depth_mm,force_n\n1,2,3\n")
+    (out / "run" / "p1" / "force-depth.csv").write_bytes(content)
+    found = report(case, out=out)
+    assert any("force-depth.csv" in each and "not as it was left" in each for each in found.warnings)
+
+
 def test_a_result_older_than_its_source_is_told(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")

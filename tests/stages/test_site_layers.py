@@ -14,7 +14,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.model import Block, Domain, LimbModel
 from limbcli.model_io import load_model, save_model
-from limbcli.results import StageResult
+from limbcli.results import StageResult, open_stage
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
@@ -58,7 +58,8 @@ def forces() -> np.ndarray:
 @pytest.fixture
 def case(tmp_path: Path, forces: np.ndarray) -> Case:
     case = make_case(tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=TRUTH["c"], build=False)
-    save_model(layered_block(), tmp_path / "out" / "mesh" / "p1" / "model.npz")
+    with open_stage(tmp_path / "out", "mesh", subject=case.subject, site="p1") as writer:
+        save_model(layered_block(), writer.file("model", "model.npz"))
     return case
 
 

@@ -1,0 +1,67 @@
+"""The files that case.toml names: there, of the right kind, and inside the case folder.
+
+A case folder may come from somebody else. What it names outside itself (`..`, an absolute path, a
+symbolic link) is neither looked at nor written to, unless case.toml says `[files] allow_outside = true`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from limbcli.problems import Problem
+
+
+@dataclass(frozen=True)
+class CaseFiles:
+    """Names of files and folders as paths, for one case folder."""
+
+    folder: Path
+    allow_outside: bool = False
+
+    @staticmethod
+    def of(raw: Mapping[str, Any], folder: Path) -> CaseFiles:
+        """As the table [files] of case.toml says; anything but `true` allows nothing."""
+        table = raw.get("files")
+        return CaseFiles(folder, isinstance(table, dict) and table.get("allow_outside") is True)
+
+    def may_use(self, name: str) -> bool:
+        """Whether the name stays in the case folder, and, of a folder, all that lies below it."""
+        if self.allow_outside:
+            return True
+        home = self.folder.resolve()
+        path = self.folder / name
+        try:
+            if not path.resolve().is_relative_to(home):
+                return False
+            below = path.rglob("*") if path.is_dir() else ()
+            return all(each.resolve().is_relative_to(home) for each in below if each.is_symlink())
+        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that is none
+            return False
+
+    def placed(self, name: object, label: str) -> tuple[Path | None, list[Problem]]:
+        """The path of a file that need not be there."""
+        if not isinstance(name, str):
+            return None, []
+        if self.may_use(name):
+            return self.folder / name, []
+        problem = Problem(
+            f"{label} leads out of the case folder: {name}",
+            str(self.folder / "case.toml"),
+            "copy it into the case folder, or, if you trust this case, add a table [files] with "
+            "`allow_outside = true`",
+        )
+        return None, [problem]
+
+    def existing(self, name: object, label: str, *, is_folder: bool) -> tuple[Path | None, list[Problem]]:
+        """The path of a file or folder that must be there."""
+        path, problems = self.placed(name, label)
+        if path is None or (path.is_dir() if is_folder else path.is_file()):
+            return path, problems
+        kind = "folder" if is_folder else "file"
+        if path.exists():
+            return None, [Problem(f"{label} is not a {kind}: {name}", str(path), f"name a {kind}")]
+        fix = f"put the {kind} there, or correct the name (it is relative to {self.folder})"
+        return None, [Problem(f"{label} names a {kind} that is not there: {name}", str(path), fix)]

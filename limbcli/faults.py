@@ -1,0 +1,74 @@
+"""What the file system refuses, in words: a full disk, a folder that is read-only, a file in the way."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+from collections.abc import Iterator
+from pathlib import Path
+
+from limbcli.errors import CaseError, LimbError, ToolError
+
+PARTIAL = ".partial-"  # how the name begins of what is not whole yet
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+_IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
+_BROKEN = (errno.EIO, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.ENAMETOOLONG, errno.ELOOP)
+
+
+def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
+    """The error that a person reads; None for a fault that says nothing by itself, such as a missing file.
+
+    place : what was being written, where the error does not say it
+
+    >>> print(in_words(OSError(errno.ENOSPC, "No space left on device"), Path("out/mesh")))
+    the disk is full (No space left on device)
+      where: out/mesh
+      fix:   free space there, or name another --out; the same command then goes on
+    """
+    named = str(error.filename or "")
+    where = str(place) if place is not None and (not named or PARTIAL in named) else named or "unknown"
+    why = f"({error.strerror})"
+    if error.errno in _FULL:
+        return ToolError(
+            f"the disk is full {why}",
+            where=where,
+            fix="free space there, or name another --out; the same command then goes on",
+        )
+    if error.errno in _REFUSED:
+        return CaseError(
+            f"a file or folder may not be read or written {why}",
+            where=where,
+            fix="give yourself the right to it (chmod, chown), or name another --out",
+        )
+    if error.errno in _IN_THE_WAY:
+        return CaseError(
+            f"there is a file where a folder is needed, or a folder where a file is {why}",
+            where=where,
+            fix="move it away, or name another --out",
+        )
+    if error.errno in _BROKEN:
+        return ToolError(
+            f"the system could not read or write {why}",
+            where=where,
+            fix="look at the disk or the network drive, then call the same command again",
+        )
+    return None
+
+
+@contextlib.contextmanager
+def told(place: Path) -> Iterator[None]:
+    """Faults of the file system inside the block become errors with a way out.
+
+    Raises
+    ------
+    ToolError, CaseError
+        As `in_words` says; any other fault as it is.
+    """
+    try:
+        yield
+    except OSError as error:
+        found = in_words(error, place)
+        if found is None:
+            raise
+        raise found from error
