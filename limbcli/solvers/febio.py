@@ -12,13 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from limbcli.errors import SolveError, ToolError
+from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.log import Iteration, LogReader, check_complete, quote, read_log
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.proof import check_belongs, marked
+from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
+from limbcli.solvers.law_check import can_be_checked, check_first_step
 from limbcli.solvers.tables import read_finished
 
 BINARIES = ("febio4", "febio")
@@ -94,27 +97,32 @@ class FebioSolver:
             If there is no FEBio, or it cannot be started.
         SolveError
             If the time limit passes, or FEBio's log does not say that the end of the
-            load was reached, whatever the exit status.
+            load of this very model was reached, whatever the exit status.
         """
         outline = read_outline(feb)
         log = feb.parent / LOG_FILE
         for stale in [log, *(feb.parent / record.file for record in outline.records)]:
             stale.unlink(missing_ok=True)
-        shown = feb.parent / _SCREEN_FILE
+        shown, plot = feb.parent / _SCREEN_FILE, marked(feb, _LEFTOVERS[0])
         with shown.open("w+", errors="replace") as screen:
-            process = self._start(feb, screen)
+            process = self._start(feb, plot, screen)
             try:
                 _watch(process, _LogWatcher(log, outline, progress), time_limit_s)
             finally:
                 _stop(process)
-                for ending in _LEFTOVERS:
-                    feb.with_suffix(ending).unlink(missing_ok=True)
+                for name in (*(feb.stem + ending for ending in _LEFTOVERS), plot):
+                    (feb.parent / name).unlink(missing_ok=True)
             _judge(log, outline, process.returncode, screen)
+        check_belongs(log, feb, outline, by_mark=True)
         shown.unlink()
 
     def read(self, feb: Path) -> Simulation:
-        """What a finished run left beside its model file."""
-        return read_finished(self.name, feb)
+        """What a finished run left beside its model file; its stresses must be those of the model's laws."""
+        simulation = read_finished(self.name, feb)
+        if can_be_checked(simulation.elements):
+            with contextlib.suppress(CaseError):  # a model with what limbcli does not know: FEBio's to judge
+                check_first_step(read_feb(feb), simulation.elements, feb.parent)
+        return simulation
 
     def need(self) -> Path:
         """The binary; a ToolError says where it was looked for."""
@@ -129,13 +137,13 @@ class FebioSolver:
             )
         return path
 
-    def _start(self, feb: Path, screen: TextIO) -> subprocess.Popen[bytes]:
+    def _start(self, feb: Path, plot: str, screen: TextIO) -> subprocess.Popen[bytes]:
         binary = self.need()
         threads = str(self.threads or os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1)
         environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
         try:
             return subprocess.Popen(
-                [str(binary), "-i", feb.name, "-o", LOG_FILE],
+                [str(binary), "-i", feb.name, "-o", LOG_FILE, "-p", plot],
                 cwd=feb.parent,
                 env=environment,
                 stdin=subprocess.DEVNULL,

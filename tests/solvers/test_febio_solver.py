@@ -226,3 +226,19 @@ def test_stored_results_of_febio_become_a_simulation(golden: Path, tmp_path: Pat
     shutil.copy(golden / "log-killed" / "model.log", tmp_path / "model.log")
     with pytest.raises(SolveError, match="breaks off"):
         FebioSolver().read(tmp_path / "model.feb")
+
+
+def test_a_binary_that_serves_another_run_s_log_is_not_believed(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "other run")
+    with pytest.raises(SolveError, match="of another run"):
+        FebioSolver(binary).run(feb, progress=SILENT)
+
+
+def test_results_beside_a_changed_model_file_are_not_read(binary: Path, feb: Path) -> None:
+    solver = FebioSolver(binary)
+    solver.run(feb, progress=SILENT)
+    feb.write_text(feb.read_text().replace("<c1>0.0025", "<c1>0.0050"))
+    with pytest.raises(SolveError, match="another model file"):
+        solver.read(feb)
