@@ -20,6 +20,7 @@ from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
+from limbcli.imaging.dicom_identity import one_body
 from limbcli.imaging.frames import Slice, slices_of, turned_over
 from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
@@ -67,7 +68,7 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
         parallel or of different size; the message names the tag and the way out.
     """
     datasets = _images(folder, progress)
-    remarks = _one_series(datasets, folder)
+    remarks = _one_series(datasets, folder) + one_body(datasets, folder)
     slices = [each for name, dataset in datasets for each in slices_of(dataset, name)]
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)

@@ -306,3 +306,34 @@ def test_frames_without_places_are_told(ramp, tmp_path):
     for extra in (tmp_path / "one" / "single").iterdir():
         extra.unlink()
     assert "5200,9230" in refused(tmp_path / "one").what
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "text"),
+    [("PatientID", "ID-0815", "another patient"), ("FrameOfReferenceUID", "1.2.99", "frame of reference")],
+)
+def test_a_slice_of_another_patient_or_frame_is_refused_by_name(ramp, tmp_path, keyword, value, text):
+    def one_odd(dataset, k):
+        dataset.FrameOfReferenceUID = "1.2.3"
+        if k == 3:
+            setattr(dataset, keyword, value)
+
+    write_dicom(tmp_path, ramp, change=one_odd)
+    error = refused(tmp_path)
+    assert text in error.what
+    assert "1 of 5" in error.what
+    assert "_3.dcm" in error.what
+    assert error.facts["n_odd"] == 1
+    assert not [secret for secret in ("4711", "0815", "1.2.99") if secret in str(error)]
+
+
+def test_frames_that_tell_nothing_or_lack_are_noted(ramp, tmp_path):
+    def own_frame(dataset, k):
+        dataset.FrameOfReferenceUID = f"1.2.{k}"
+        if k == 1:
+            del dataset.PatientID
+
+    write_dicom(tmp_path, ramp, change=own_frame)
+    notes = read_series(tmp_path).notes
+    assert any("0020,0052" in note for note in notes)
+    assert any("0010,0020" in note for note in notes)
