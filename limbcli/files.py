@@ -7,7 +7,9 @@ interrupted leaves the previous result, or nothing, and never a half.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hashlib
+import io
 import os
 import shutil
 import tempfile
@@ -83,6 +85,24 @@ def _is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+def gunzip(content: bytes, *, limit: int) -> bytes:
+    """Unpacked content of at most `limit` bytes: a few packed kilobytes may hold many gigabytes.
+
+    Raises
+    ------
+    OSError, EOFError, zlib.error
+        If the content is damaged, or unpacks to more.
+
+    >>> gunzip(gzip.compress(b"whole"), limit=100)
+    b'whole'
+    """
+    with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
+        unpacked = stream.read(limit + 1)
+    if len(unpacked) > limit:
+        raise OSError(f"it unpacks to more than {limit / 1e6:.0f} MB")
+    return unpacked
 
 
 def sha256(path: Path) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.xml import Tag, open_model
+from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
 _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
@@ -68,8 +68,14 @@ def _end_time(controls: list[Tag]) -> float | None:
 
 
 def _table(root: Tag, path: str) -> IntArray:
-    ids = [each.get("id") or "0" for each in root.element.iterfind(path)]
-    return Numbering.of(np.array(ids, dtype=np.int64))
+    rows = list(root.element.iterfind(path))
+    try:
+        ids = np.array([each.get("id") for each in rows], dtype=np.int64)
+    except (ValueError, TypeError, OverflowError):
+        ids = np.zeros(1, dtype=np.int64)
+    if len(ids) and not 1 <= ids.min() <= ids.max() <= LARGEST_ID:
+        ids = np.array([Tag(each, root.file).id_of() for each in rows], dtype=np.int64)
+    return Numbering.of(ids)
 
 
 def _materials(root: Tag) -> dict[int, dict[str, float]]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from limbcli.model import Array
 
+MOST_VOXELS = 300_000_000  # of one image: a whole leg at 0.4 mm; more would not be a limb's, nor fit memory
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 

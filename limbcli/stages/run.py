@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.xml import model_text
 from limbcli.files import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
@@ -119,8 +119,7 @@ def _simulate(
     site: Site | None = None,
 ) -> None:
     feb = writer.file("feb", MODEL_FILE)
-    content = source.read_bytes()
-    feb.write_bytes(gzip.decompress(content) if source.suffix == ".gz" else content)
+    feb.write_bytes(model_text(source))
     writer.used("model", source)
     progress.event("note", text=f"solver: {engine.name} {engine.version()}")
     stopped = writer.target.with_name(writer.target.name + FAILED) / RESTART_FILE
