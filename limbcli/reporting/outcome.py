@@ -118,7 +118,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome
     folder = stage_folder(out, stage, site)
     words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=case_name)
     command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {out}"
-    failure = _failure(folder / ERROR_FILE)
+    failure = _failure(folder / ERROR_FILE) or _failed_run(folder, stage)
     result = None
     if (folder / f"{stage}.json").is_file():
         try:
@@ -127,6 +127,16 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str) -> Outcome
             failure = failure or Failure("CaseError", error.what, error.where, error.fix)
     status: Status = "failed" if failure else ("done" if result else "missing")
     return Outcome(stage, site, status, command, result, failure)
+
+
+def _failed_run(folder: Path, stage: str) -> Failure | None:
+    """Why the last run ended, where it left its own account beside the place of a result; or None."""
+    path = folder.with_name(folder.name + "-failed") / f"{stage}.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
+        return Failure(*(str(content.get(name) or "–") for name in ("error", "what", "where", "fix")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def _failure(path: Path) -> Failure | None:

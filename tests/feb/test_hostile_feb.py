@@ -1,4 +1,4 @@
-"""Model files that would write elsewhere, take all memory, or name what is not there: refused, with the line."""
+"""Model files that would write elsewhere, take all memory, or name what is not there: refused, by line."""
 
 from __future__ import annotations
 

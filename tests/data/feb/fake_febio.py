@@ -44,6 +44,8 @@ def value(name: str, now: float) -> float:
 
 
 def main() -> int:
+    if "-info" in sys.argv and os.environ.get("FAKE_FEBIO") == "hang at once":
+        time.sleep(600)
     if "-info" in sys.argv:
         print((DATA / "log-normal.txt").read_text()[:400])
         return 0
