@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -11,10 +12,19 @@ from limbcli.errors import CaseError
 
 _OWN = 0.4  # more values than this share of the images: they tell nothing
 _SHOWN = 4
+_WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
 _TAGS = (
     ("PatientID", "Patient ID (0010,0020)", "patient"),
     ("FrameOfReferenceUID", "Frame of Reference UID (0020,0052)", "frame of reference"),
 )
+
+
+def public_name(path: Path, dataset: Dataset, number: int) -> str:
+    """The file's name for messages, unless it tells who the patient is."""
+    private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
+    words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
+    told = any(each in path.name.lower() for each in words)
+    return f"file {number} in order of name" if told else path.name
 
 
 def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import zlib
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
 from nibabel.filebasedimages import ImageFileError
+from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -15,7 +18,7 @@ from limbcli.files import atomic_file
 from limbcli.imaging.fields import filled_by_slice, largest
 from limbcli.imaging.markers import Marker, number_markers
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
-from limbcli.imaging.volume import RAS_FROM_LPS, Volume
+from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _ZOOM = 0.02  # voxel sizes of one header that differ by more contradict each other
@@ -51,11 +54,14 @@ def read_labels(path: Path) -> Volume:
     """
     try:
         image = nib.load(path)
+        shape = tuple(image.shape)  # type: ignore[attr-defined]
+        if math.prod(shape) > MOST_VOXELS:
+            raise ValueError(f"its shape is {shape}")
         values = np.array(image.dataobj)  # type: ignore[attr-defined]
         affine = np.array(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
-    except (ImageFileError, OSError, ValueError, EOFError) as error:
+    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
         raise CaseError(
-            "the label map cannot be read",
+            f"the label map cannot be read ({error})",
             where=str(path),
             fix="save it again from 3D Slicer as NIfTI (.nii.gz)",
         ) from error
