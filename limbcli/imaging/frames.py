@@ -172,7 +172,10 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
 def should_be_image(dataset: Dataset) -> bool:
     """Whether a file without pixels is an image cut short, by its kind; reports and the like have none."""
     meta = getattr(dataset, "file_meta", {})
-    kind = meta.get("MediaStorageSOPClassUID") or dataset.get("SOPClassUID") or ""
+    try:
+        kind = meta.get("MediaStorageSOPClassUID") or dataset.get("SOPClassUID") or ""
+    except DICOM_DAMAGED:
+        return True
     name = getattr(kind, "name", str(kind))
     return not kind or "Image Storage" in name
 

@@ -17,14 +17,26 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from limbcli.case import read_case
-from limbcli.errors import CaseError, LimbError, MeshError
+from limbcli.errors import CaseError, LimbError, MeshError, SolveError
+from limbcli.feb.log import read_log
+from limbcli.feb.records import read_records
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.measurement.indentation import check_levels
 from limbcli.meshing import surfaces
 from limbcli.model_io import load_model
-from tests.fuzz.targets import TARGETS, Target, make_dicom, make_model, make_nifti, make_surface, sound_levels
+from tests.fuzz.targets import (
+    TARGETS,
+    Target,
+    make_dicom,
+    make_log,
+    make_model,
+    make_nifti,
+    make_records,
+    make_surface,
+    sound_levels,
+)
 from tests.fuzz.trial import GOOD, judge, try_one
 
 N_EACH = 25
@@ -183,3 +195,35 @@ def test_a_dicom_file_cut_short_is_not_passed_over(tmp_path: Path, name: str, sh
     content = path.read_bytes()
     path.write_bytes(content[: max(200, int(share * len(content)))])
     refused(read_series, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("*Time  = 0.5", "*Time  = nan"), ("*Time  = 0.5", "*Time  = 0.1"), ("*Time  = 0.5", "*Time  = inf"),
+        ("*Step  = 2", "*Step  = 99999999999999999999"), ("\n5,", "\n-5,"), ("\n5,", "\n5.5,"),
+        ("\n5,", "\nnan,"),
+    ],
+)  # fmt: skip
+def test_records_with_impossible_times_or_ids_are_refused(tmp_path: Path, old: str, new: str) -> None:
+    make_records(tmp_path)
+    path = tmp_path / "nodes.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    refused(read_records, path, SolveError)
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e400", "-3"])
+def test_totals_of_a_log_that_are_no_numbers_do_not_count(tmp_path: Path, number: str) -> None:
+    make_log(tmp_path)
+    path = tmp_path / "model.log"
+    lines = path.read_text().splitlines()
+    changed = [
+        line.rpartition(":")[0] + f": {number}" if "Total number" in line or "Number of eq" in line else line
+        for line in lines
+    ]
+    assert changed != lines
+    path.write_text("\n".join(changed) + "\n")
+    log = read_log(path)
+    assert 0 <= log.n_iterations < 100
