@@ -119,7 +119,7 @@ SLIPS = (
          "force = trace.force - float(np.nanmean(trace.force[in_air]))", "force = trace.force", HOLDS),
     Slip("residual's sign against its derivative", "inference/residual.py",
          "-weight[:, None] * jacobian", "weight[:, None] * jacobian",
-         "tests/inference/test_levenberg_marquardt.py"),
+         "tests/inference/test_residual.py"),
     Slip("threshold of 90 % for 95 %", "inference/profile.py", "chi2.ppf(0.95, 1)", "chi2.ppf(0.90, 1)",
          "tests/inference/test_interval.py::test_profile_of_a_linear_model_is_its_textbook_interval"),
     Slip("a log of another material passes", "feb/proof.py",

@@ -13,6 +13,7 @@ import nibabel as nib
 import numpy as np
 import pydicom
 import pydicom.data
+from PIL import Image
 
 from limbcli.case import read_case
 from limbcli.feb.log import check_complete, read_log
@@ -24,6 +25,8 @@ from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.measurement.elastography import check_maps
 from limbcli.measurement.indentation import check_levels, check_trace
+from limbcli.measurement.recording import read_recording
+from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
 from limbcli.model_io import load_model, save_model
 from limbcli.problems import errors_of
@@ -73,6 +76,26 @@ def make_levels(folder: Path) -> None:
 def make_trace(folder: Path) -> None:
     rows = [f"{k / 60:.4f},{min(k / 20, 6):.3f},{min(k / 30, 4):.3f}" for k in range(200)]
     (folder / "trace.csv").write_text("\n".join(["time_s,force_n,depth_mm", *rows]) + "\n")
+
+
+def make_lvm(folder: Path) -> None:
+    """A LabVIEW record with its own headers and decimal commas."""
+    head = ["LabVIEW Measurement", "Separator\tTab", "Decimal_Separator\t,", "***End_of_Header***", "",
+            "Channels\t1", "***End_of_Header***", "time_s\tforce_n\tComment"]  # fmt: skip
+    rows = [f"{k / 60:.4f}\t{min(k / 20, 6):.3f}".replace(".", ",") for k in range(200)]
+    (folder / "record.lvm").write_text("\n".join([*head, *rows]) + "\n")
+
+
+def make_picture(folder: Path) -> None:
+    y, x = np.mgrid[:60, :80]
+    Image.fromarray(np.stack([x, y, x + y], axis=2).astype(np.uint8)).save(folder / "image.png")
+
+
+def copy_of(name: str, to: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        shutil.copy(DICOM / name, folder / to)
+
+    return make
 
 
 def make_maps(folder: Path) -> None:
@@ -202,6 +225,14 @@ TARGETS = (
     Target("levels.csv", "levels.csv", True, make_levels, check_levels, sound_levels),
     Target("trace.csv", "trace.csv", True, make_trace, check_trace, sound_trace),
     Target("SWE map", "level_01.csv", True, make_maps, lambda path: check_maps(path.parent), sound_maps),
+    Target("load-cell record", "trace.csv", True, make_trace, read_recording,
+           lambda found: finite(found.time) and bool((np.diff(found.time) > 0).all())),
+    Target("LabVIEW record", "record.lvm", True, make_lvm, read_recording, lambda found: finite(found.time)),
+    Target("picture", "image.png", False, make_picture, lambda path: read_image(path, mm_per_pixel=0.1)),
+    Target("ultrasound DICOM", "a.dcm", False, copy_of("SC_rgb_rle.dcm", "a.dcm"),
+           lambda path: read_image(path, mm_per_pixel=0.1)),
+    Target("ultrasound JPEG", "a.dcm", False, copy_of("SC_rgb_jpeg_dcmtk.dcm", "a.dcm"),
+           lambda path: read_image(path, mm_per_pixel=0.1)),
     *(
         Target(f"DICOM {name}", "slice2.dcm", False, make_dicom(f"{name}.dcm"),
                lambda path: read_series(path.parent), sound_volume)

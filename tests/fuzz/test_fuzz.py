@@ -17,13 +17,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from limbcli.case import read_case
-from limbcli.errors import CaseError, LimbError, MeshError, SolveError
+from limbcli.errors import CaseError, LimbError, MeasurementError, MeshError, SolveError
 from limbcli.feb.log import read_log
 from limbcli.feb.records import read_records
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.measurement.indentation import check_levels
+from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
 from limbcli.model_io import load_model
 from tests.fuzz.targets import (
@@ -33,6 +34,7 @@ from tests.fuzz.targets import (
     make_log,
     make_model,
     make_nifti,
+    make_picture,
     make_records,
     make_surface,
     sound_levels,
@@ -227,3 +229,12 @@ def test_totals_of_a_log_that_are_no_numbers_do_not_count(tmp_path: Path, number
     path.write_text("\n".join(changed) + "\n")
     log = read_log(path)
     assert 0 <= log.n_iterations < 100
+
+
+@pytest.mark.parametrize("at", [12, 35, 60])
+def test_a_picture_with_a_broken_chunk_is_refused(tmp_path: Path, at: int) -> None:
+    make_picture(tmp_path)
+    path = tmp_path / "image.png"
+    content = path.read_bytes()
+    path.write_bytes(content[:at] + b"\xff" * 6 + content[at + 6 :])
+    refused(lambda each: read_image(each, mm_per_pixel=0.1), path, MeasurementError)

@@ -79,6 +79,22 @@ def test_nothing_identifying_leaves_the_series(ramp, tmp_path):
         assert secret not in text
 
 
+def test_identity_in_nested_private_sequences_stays_behind_too(ramp, tmp_path):
+    def planted(dataset, k):
+        inner, outer = pydicom.Dataset(), pydicom.Dataset()
+        inner.private_block(0x11, "VENDOR", create=True).add_new(1, "PN", "Nested^Secret")
+        outer.private_block(0x13, "VENDOR", create=True).add_new(2, "SQ", [inner])
+        dataset.private_block(0x15, "VENDOR", create=True).add_new(3, "SQ", [outer])
+        if k == 2:
+            dataset.FrameOfReferenceUID = "1.2.3"
+
+    write_dicom(tmp_path, ramp, change=planted)
+    series = read_series(tmp_path)
+    assert "Secret" not in json.dumps([dict(series.facts), *series.notes])
+    (tmp_path / "extra.dcm").write_bytes(next(tmp_path.glob("*_1.dcm")).read_bytes()[:-40])
+    assert "Secret" not in str(refused(tmp_path))
+
+
 def refused(folder):
     with pytest.raises(CaseError) as caught:
         read_series(folder)
