@@ -162,6 +162,13 @@ def test_only_loading_depths_count_sorted_and_once(case: Case, tmp_path: Path) -
     assert [d for _, d in probe_travel(built(case, tmp_path / "out"))[1:]] == pytest.approx([0.8, 2.0])
 
 
+def test_a_depth_that_shrinks_is_simulated_in_order_of_depth(case: Case, tmp_path: Path) -> None:
+    edit_levels(case, "0,0,1.6,load\n1,2.0,,load\n2,1.4,,load\n3,3.1,,load\n")
+    assert simulated_depths(read_levels(case.sites[0].levels)).tolist() == [1.4, 2.0, 3.1]
+    result = build_feb(case, out=tmp_path / "out")[0]
+    assert any("sorted order" in each for each in result.warnings)
+
+
 def test_records_ask_for_what_pictures_and_shear_waves_need(case: Case, tmp_path: Path) -> None:
     model = built(case, tmp_path / "out")
     rigid, nodes, elements = model.records
