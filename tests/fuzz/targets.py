@@ -111,7 +111,7 @@ def make_dicom(name: str) -> Callable[[Path], None]:
         for k in range(4):
             dataset.ImagePositionPatient = [0, 0, 4 * k]
             dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
-            dataset.PixelSpacing = [1, 1]
+            dataset.PixelSpacing, dataset.Modality = [1, 1], "MR"
             dataset.SOPInstanceUID = f"1.2.3.{k}"
             dataset.save_as(folder / f"slice{k}.dcm")
 
