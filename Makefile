@@ -12,7 +12,7 @@ WORKERS ?= 2
 # Two test processes share the cores: each keeps its libraries to one thread.
 ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: help env demo test test-quick lint types cases bench hidden clean
+.PHONY: help env demo test test-quick lint types cases bench fuzz hidden clean
 .DELETE_ON_ERROR:
 
 help:            ## list what can be made
@@ -55,6 +55,9 @@ $(OUT)/%/.compared: $$(wildcard cases/%/*) $$(wildcard cases/%/*/*) $$(wildcard 
 
 bench: env       ## benchmarks, as tables
 	$(BIN)/python -m tests.benchmarks
+
+fuzz: env        ## 20,000 damaged files, as a table of how they were answered
+	$(ONE) $(BIN)/python -m tests.benchmarks.fuzz
 
 hidden: env      ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
 	$(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue

@@ -7,7 +7,9 @@ interrupted leaves the previous result, or nothing, and never a half.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hashlib
+import io
 import os
 import shutil
 import tempfile
@@ -15,9 +17,16 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from limbcli.faults import PARTIAL, told
 
 _OLD = "-old-"
+_PLY_HEAD = 20_000  # bytes that a PLY's header may have
+_SIDES = ("triangle", "quad")
+# What a library may raise on a damaged file: meshio's own ReadError, and some of its readers call sys.exit.
+_FOREIGN = (Exception, SystemExit)
 
 
 @contextlib.contextmanager
@@ -104,6 +113,54 @@ def _is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points (n, 3) and triangles (m, 3) of a surface file as they stand; quadrilaterals are halved.
+
+    m is 0 where the file holds other cells only; points may be no numbers: that is the reader's to judge.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, or names points that it does not have, however it is damaged.
+    """
+    import meshio
+
+    if path.suffix.lower() == ".ply" and b"end_header" not in path.read_bytes()[:_PLY_HEAD]:
+        raise OSError("its header does not end")  # meshio would look for the end for ever
+    try:
+        with np.errstate(all="ignore"):  # meshio guesses at a size that may not fit
+            mesh = meshio.read(path)
+        points = np.asarray(mesh.points, dtype=np.float64)
+        blocks = [np.asarray(each.data, dtype=np.int64) for each in mesh.cells if each.type in _SIDES]
+    except _FOREIGN as error:
+        raise OSError(str(error) or type(error).__name__) from error
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise OSError("its points have no three coordinates")
+    halves = [each if each.shape[1] == 3 else each[:, [[0, 1, 2], [0, 2, 3]]] for each in blocks if each.size]
+    faces = np.concatenate([np.zeros((0, 3), np.int64), *(each.reshape(-1, 3) for each in halves)])
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+        raise OSError(f"a triangle names a point that is not there (of {len(points)})")
+    return points[:, :3], faces
+
+
+def gunzip(content: bytes, *, limit: int) -> bytes:
+    """Unpacked content of at most `limit` bytes: a few packed kilobytes may hold many gigabytes.
+
+    Raises
+    ------
+    OSError, EOFError, zlib.error
+        If the content is damaged, or unpacks to more.
+
+    >>> gunzip(gzip.compress(b"whole"), limit=100)
+    b'whole'
+    """
+    with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
+        unpacked = stream.read(limit + 1)
+    if len(unpacked) > limit:
+        raise OSError(f"it unpacks to more than {limit / 1e6:.0f} MB")
+    return unpacked
 
 
 _NOT_CONTENT = (".DS_Store", "Thumbs.db", "desktop.ini")  # what looking at a folder leaves in it

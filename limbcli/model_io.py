@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import struct
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,11 @@ _TYPES = {
     if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == module.__name__
 }
 _TEXT = "model_json"
+_LARGEST = 2_000_000_000  # bytes of a model's arrays
+_DAMAGED = (
+    ValueError, LookupError, TypeError, AttributeError, OSError, EOFError, ArithmeticError, AssertionError,
+    NotImplementedError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
 
 
 def save_model(model: LimbModel, path: Path) -> None:
@@ -65,6 +72,9 @@ def load_model(path: Path) -> LimbModel:
             f"the model {path.name} is missing", where=str(path.parent), fix="run `limbcli mesh CASE` first"
         )
     try:
+        with zipfile.ZipFile(path) as packed:
+            if sum(each.file_size for each in packed.infolist()) > _LARGEST:
+                raise ValueError(f"it unpacks to more than {_LARGEST / 1e9:g} GB")
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
         described = json.loads(arrays.pop(_TEXT).tobytes().decode("utf-8"))
@@ -74,7 +84,7 @@ def load_model(path: Path) -> LimbModel:
         if not isinstance(found, LimbModel):
             raise ValueError("it holds no model")
         return found
-    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise CaseError(
             f"the stored model cannot be read ({error})",
             where=str(path),

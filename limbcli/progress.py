@@ -6,7 +6,7 @@ listener's business.
 
 Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step,
 n_steps, iteration, residual, target, depth, krylov, factorisations), "fit" (iteration, cost, parameters),
-"compile" (what), "note" (text).
+"compile" (what), "alive" (name, seconds, limit_s, time, end_time), "note" (text).
 """
 
 from __future__ import annotations

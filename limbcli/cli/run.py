@@ -31,7 +31,12 @@ def command(
     febio: FebioOpt = None,
     time_limit_s: Annotated[
         float | None,
-        typer.Option("--time-limit-s", min=0, help="Of each simulation.", show_default=False),
+        typer.Option(
+            "--time-limit-s",
+            min=0,
+            help="Of each simulation; default: by the model's size.",
+            show_default=False,
+        ),
     ] = None,
     vtu: Annotated[bool, typer.Option("--vtu", help="Also a time series for ParaView.")] = False,
     no_wait: NoWaitOpt = False,

@@ -68,6 +68,10 @@ def _describe(kind: str, facts: dict[str, Any]) -> tuple[str, bool]:
             depth = f", depth {facts['depth']:.2f} mm" if facts.get("depth") is not None else ""
             text = f"  level {facts['step']} of {facts['n_steps']}{depth}, iteration {facts['iteration']}"
             return f"{text}, residual {facts['residual']:.1e} (target {facts['target']:.0e})", True
+        case "alive":
+            end = f" of {facts['end_time']:g}" if facts.get("end_time") else ""
+            text = f"  {facts['name']} has run for {facts['seconds']:.0f} s, at time {facts['time']:.3g}{end}"
+            return f"{text} (stopped after {facts['limit_s']:.0f} s)", True
         case "fit":
             values = ", ".join(f"{name} {value:.4g}" for name, value in facts["parameters"].items())
             return f"  fit iteration {facts['iteration']}: {values}; cost {facts['cost']:.4g}", False

@@ -16,6 +16,7 @@ __all__ = ["FebioLog", "LogReader", "Records", "check_complete", "read_log", "re
 
 _LAST_LINES = 12
 _STATISTICS = "N O N L I N E A R"
+_LARGEST = 1e15  # of a total
 _TIME_TOLERANCE = 1e-6
 _VERSION = re.compile(r"^\s*version\s+(\d+(?:\.\d+)+)\s*$")
 _CONVERGED = re.compile(r"^-+ converged at time : (\S+)")
@@ -159,7 +160,9 @@ class LogReader:
             self._total(found[2], found[3])
 
     def _total(self, name: str, text: str) -> None:
-        """Totals at the end; a log of several steps gives them step by step."""
+        """Totals at the end; a log of several steps gives them step by step. No number, no total."""
+        if not 0 <= _number(text) < _LARGEST and not _SECONDS.search(text):
+            return
         if found := _SECONDS.search(text):
             self._totals["seconds"] = _number(found[1])
         elif name == "equations":

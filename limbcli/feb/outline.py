@@ -6,13 +6,14 @@ itself judges those.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.xml import Tag, open_model
+from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
 _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
@@ -25,6 +26,7 @@ class Outline:
     records : tables with a file of their own; `items` is the body's name, else None
     nodes, cells : table[id] = number from 0
     must_points : global times listed under `<dtmax>`
+    materials : by id, the parameters that are plain numbers, by name
     """
 
     end_time: float | None
@@ -32,6 +34,7 @@ class Outline:
     nodes: IntArray
     cells: IntArray
     must_points: tuple[float, ...]
+    materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
 
 def read_outline(path: Path) -> Outline:
@@ -50,6 +53,7 @@ def read_outline(path: Path) -> Outline:
         nodes=_table(root, "Mesh/Nodes/node"),
         cells=_table(root, "Mesh/Elements/elem"),
         must_points=_must_points(root, controls),
+        materials=_materials(root),
     )
 
 
@@ -64,8 +68,37 @@ def _end_time(controls: list[Tag]) -> float | None:
 
 
 def _table(root: Tag, path: str) -> IntArray:
-    ids = [each.get("id") or "0" for each in root.element.iterfind(path)]
-    return Numbering.of(np.array(ids, dtype=np.int64))
+    rows = list(root.element.iterfind(path))
+    try:
+        ids = np.array([each.get("id") for each in rows], dtype=np.int64)
+    except (ValueError, TypeError, OverflowError):
+        ids = np.zeros(1, dtype=np.int64)
+    if len(ids) and not 1 <= ids.min() <= ids.max() <= LARGEST_ID:
+        ids = np.array([Tag(each, root.file).id_of() for each in rows], dtype=np.int64)
+    return Numbering.of(ids)
+
+
+def _materials(root: Tag) -> dict[int, dict[str, float]]:
+    """Numbers without a load curve or map; those of a material's parts are left out."""
+    found: dict[int, dict[str, float]] = {}
+    for element in root.element.iterfind("Material/material"):
+        tag = Tag(element, root.file)
+        number = tag.optional("id") or ""
+        if number.strip().isdigit():
+            found[int(number)] = {
+                each.name: value
+                for each in tag
+                if not each.attributes and (value := _plain_number(each.text)) is not None
+            }
+    return found
+
+
+def _plain_number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
 
 
 def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.feb.xml import Tag
+from limbcli.feb.xml import LARGEST_ID, Tag
 from limbcli.model import NODES_PER_CELL, Array, Block, ElementMap, IntArray, Mesh, NodeMap, Surface
 
 _FACETS = ("tri3", "tri6", "quad4")
@@ -22,7 +23,7 @@ class Numbering:
 
     @staticmethod
     def of(ids: IntArray) -> IntArray:
-        """A table with table[id] = number, -1 where there is none."""
+        """A table with table[id] = number, -1 where there is none; ids from 1 to `LARGEST_ID`."""
         table = np.full(int(ids.max(initial=0)) + 1, -1, dtype=np.int64)
         table[ids] = np.arange(len(ids))
         return table
@@ -32,7 +33,9 @@ class Numbering:
         inside = (ids >= 0) & (ids < len(table))
         numbers = np.where(inside, table[np.where(inside, ids, 0)], -1)
         if (numbers < 0).any():
-            missing = int(ids[np.argmax(numbers < 0)])
+            at = int(np.argmax(numbers.ravel() < 0))
+            missing = int(ids.ravel()[at])
+            tag = _row(tag, at // ids.shape[1]) if ids.ndim == 2 and len(list(tag)) == len(ids) else tag
             raise tag.problem(
                 f"there is no {kind} {missing}", fix=f"name only {kind}s that the <Mesh> defines"
             )
@@ -99,6 +102,7 @@ def _nodes(tag: Tag) -> tuple[IntArray, Array]:
     for each in tag.all("Nodes"):
         each.allow(attributes=("name",), many=("node",))
         tables.append(each.table(("node",), 3, "id"))
+        _check_ids(tables[-1][0], each)
     if not tables:
         raise tag.problem("<Nodes> is missing inside it", fix="add <Nodes>")
     ids = np.concatenate([table[0] for table in tables])
@@ -117,7 +121,8 @@ def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray
                 f"element type {kind!r} is not supported", fix=f"use one of {list(NODES_PER_CELL)}"
             )
         cell_ids, cells = each.table(("elem",), NODES_PER_CELL[kind], "id")
-        numbers = Numbering.look_up(node_table, cells.astype(np.int64), each, "node")
+        _check_ids(cell_ids, each)
+        numbers = Numbering.look_up(node_table, _whole(cells, each), each, "node")
         blocks.append(Block(each.attribute("name"), kind, numbers))  # type: ignore[arg-type]
         ids.append(cell_ids)
     names = [block.name for block in blocks]
@@ -129,6 +134,27 @@ def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray
     if len(np.unique(all_ids)) != len(all_ids):
         raise tag.problem("element ids are repeated", fix="number the elements through all sections")
     return tuple(blocks), all_ids
+
+
+def _check_ids(ids: IntArray, tag: Tag) -> None:
+    """Ids of a section's rows: a table of all ids up to the largest is made of them."""
+    wrong = (ids < 1) | (ids > LARGEST_ID)
+    if wrong.any():
+        _row(tag, int(np.argmax(wrong))).id_of()
+
+
+def _whole(cells: Array, tag: Tag) -> IntArray:
+    """Node ids of elements: whole numbers (others would be cut to the node before)."""
+    ids = np.clip(np.rint(cells), -1, LARGEST_ID + 1).astype(np.int64)
+    if not np.array_equal(ids, cells):
+        row = int(np.argmax((ids != cells).any(axis=1)))
+        raise _row(tag, row).problem("a node id is not a whole number in range", fix="name nodes of <Nodes>")
+    return ids
+
+
+def _row(tag: Tag, number: int) -> Tag:
+    """The child tag of this number."""
+    return next(itertools.islice(tag, number, None))
 
 
 def _node_sets(tag: Tag, node_table: IntArray) -> dict[str, IntArray]:

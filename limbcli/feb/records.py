@@ -14,6 +14,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray
 
+_LARGEST = 1_000_000_000  # id or step
+
 
 @dataclass(frozen=True, eq=False)
 class Records:
@@ -70,9 +72,15 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
     if not np.isfinite(values).all():
         at = kept[int(np.argwhere(~np.isfinite(values))[0][0])].time
         raise _broken(path, f"a value at time {at:g} is not a number")
+    times = np.array([block.time for block in kept])
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise _broken(path, "its times do not grow from step to step")
+    ids = kept[0].rows[:, 0]
+    if not np.isfinite(ids).all() or (ids != np.rint(ids)).any() or ids.min() < 1 or ids.max() > _LARGEST:
+        raise _broken(path, "an id in its first column is not a whole number from 1")
     return Records(
         steps=np.array([block.step for block in kept], dtype=np.int64),
-        times=np.array([block.time for block in kept]),
+        times=times,
         ids=kept[0].rows[:, 0].astype(np.int64),
         values=values,
         truncated=truncated,
@@ -98,7 +106,7 @@ def _block(text: str, path: Path) -> _Block | None:
         values = np.array(body.replace(",", " ").split(), dtype=np.float64)
     except (ValueError, IndexError):
         return None
-    if width == 0 or values.size % width:
+    if width == 0 or values.size % width or abs(step) > _LARGEST:
         return None
     return _Block(step, time, values.reshape(-1, width))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import gzip
+import re
+import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,16 @@ import numpy as np
 from lxml import etree
 
 from limbcli.errors import CaseError
+from limbcli.files import gunzip
 from limbcli.model import Array, IntArray
 
+LARGEST_ID = 50_000_000  # of a node or an element
 _GZIP_MAGIC = b"\x1f\x8b"
+_LARGEST = 500_000_000  # bytes of a model's text
+_PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)
+_TAKEN = {"model.log", "force-depth.csv"}
+_TAKEN_ENDINGS = (".feb", ".gz", ".json", ".jsonl", ".png", ".npz", ".xplt", ".dmp", ".vtu", ".pvd")
+_MOST_IDS = 100_000_000  # in one list
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +111,17 @@ class Tag:
         value = self.element.get(name)
         return None if value is None else str(value)
 
+    def id_of(self, key: str = "id") -> int:
+        """An id, from 1 to `LARGEST_ID`."""
+        text = self.attribute(key).strip()
+        value = int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
+        if not 1 <= value <= LARGEST_ID:
+            raise self.problem(
+                f"{key}={text[:40]!r} is not an id",
+                fix=f"number from 1, without large gaps (to {LARGEST_ID})",
+            )
+        return value
+
     def choice(self, values: Collection[str]) -> str:
         """The text, which must be one of `values` (compared without case)."""
         for value in values:
@@ -142,12 +161,15 @@ class Tag:
                 return np.array(self.text.replace(",", " ").split(), dtype=np.int64)
             for word in self.text.replace(",", " ").split():
                 first, last, step = ([int(part) for part in word.split(":")] + [0, 1])[:3]
-                values.extend(range(first, last + 1, step) if ":" in word else [first])
-        except ValueError as error:
+                several = range(first, last + 1, step) if ":" in word else [first]
+                if len(values) + len(several) > _MOST_IDS:
+                    raise ValueError("too many")
+                values.extend(several)
+            return np.array(values, dtype=np.int64)
+        except (ValueError, OverflowError) as error:
             raise self.problem(
                 "this is not a list of ids", fix="give whole numbers between commas"
             ) from error
-        return np.array(values, dtype=np.int64)
 
     def table(self, names: Collection[str], width: int, key: str) -> tuple[IntArray, Array]:
         """Ids (attribute `key`) and `width` numbers of each child, fast: (n,), (n, width)."""
@@ -161,14 +183,14 @@ class Tag:
             ids = np.array([each.get(key) for each in rows], dtype=np.int64)
             text = ",".join(each.text or "" for each in rows)
             values = np.array(text.split(","), dtype=np.float64) if rows else np.zeros(0)
-            return ids, values.reshape(len(rows), width)
-        except ValueError:
+            if np.isfinite(values).all():
+                return ids, values.reshape(len(rows), width)
+        except (ValueError, OverflowError):
             pass
         for each in rows:
             tag = Tag(each, self.file)
             tag.numbers(width)
-            if not str(each.get(key)).strip().isdigit():
-                raise tag.problem(f"{key}={each.get(key)!r} is not an id", fix="give a whole number")
+            tag.id_of(key)
         raise self.problem("its rows cannot be read", fix=f"give {width} number(s) in every row")
 
 
@@ -190,13 +212,10 @@ def open_model(path: Path) -> Tag:
     """
     if not path.is_file():
         raise CaseError(f"the model file {path} does not exist", where=str(path), fix="check the path")
-    content = path.read_bytes()
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True, remove_pis=True)
     try:
-        if content.startswith(_GZIP_MAGIC):
-            content = gzip.decompress(content)
-        root = etree.fromstring(content, parser)
-    except (etree.XMLSyntaxError, OSError, EOFError) as error:
+        root = etree.fromstring(model_text(path), parser)
+    except (etree.XMLSyntaxError, OSError, EOFError, zlib.error, ValueError) as error:
         raise CaseError(
             f"this is not a readable XML file ({error})", where=str(path), fix="write or copy the file again"
         ) from error
@@ -208,4 +227,42 @@ def open_model(path: Path) -> Tag:
             f"format version {tag.optional('version')!r} is not supported",
             fix="save the model in FEBio's format 4.0",
         )
+    _check_file_names(tag)
     return tag
+
+
+def model_text(path: Path) -> bytes:
+    """The content of a `.feb` or `.feb.gz` file, unpacked.
+
+    Raises
+    ------
+    OSError, EOFError, zlib.error
+        If it cannot be read, or is larger than any model.
+    """
+    if path.stat().st_size > _LARGEST:
+        raise OSError(f"it is larger than {_LARGEST / 1e6:.0f} MB")
+    content = path.read_bytes()
+    return gunzip(content, limit=_LARGEST) if content.startswith(_GZIP_MAGIC) else content
+
+
+def _check_file_names(root: Tag) -> None:
+    """Files that a solver writes stay in the run's folder, beside its own and each of its own.
+
+    Raises
+    ------
+    CaseError
+        If a name has a folder in it, is one that the run itself needs, or stands twice.
+    """
+    seen: set[str] = set()
+    for element in cast(list[etree._Element], root.element.xpath(".//*[@file]")):
+        tag = Tag(element, root.file)
+        name = tag.attribute("file")
+        fix = 'give a plain file name of its own, such as file="nodes.csv"'
+        if not _PLAIN_NAME.fullmatch(name):
+            raise tag.problem(f"file={name!r} is no plain file name; it could be written anywhere", fix=fix)
+        low = name.lower()
+        if low in _TAKEN or low.endswith(_TAKEN_ENDINGS):
+            raise tag.problem(f"file={name!r} is a name that the run itself needs", fix=fix)
+        if low in seen:
+            raise tag.problem(f"file={name!r} is written twice", fix=fix)
+        seen.add(low)

@@ -6,7 +6,6 @@ could tell who the patient is.
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -20,7 +19,8 @@ from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
-from limbcli.imaging.frames import Slice, slices_of, turned_over
+from limbcli.imaging.dicom_identity import one_body, public_name
+from limbcli.imaging.frames import DICOM_DAMAGED, Slice, damaged, should_be_image, slices_of, turned_over
 from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
@@ -31,7 +31,6 @@ _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one s
 _OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
 _PIXEL, _STEP = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
-_WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
 
 
@@ -67,8 +66,11 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
         parallel or of different size; the message names the tag and the way out.
     """
     datasets = _images(folder, progress)
-    remarks = _one_series(datasets, folder)
-    slices = [each for name, dataset in datasets for each in slices_of(dataset, name)]
+    try:
+        remarks = _one_series(datasets, folder) + one_body(datasets, folder)
+    except DICOM_DAMAGED as error:
+        raise damaged(str(folder), error) from error
+    slices = [each for name, dataset in datasets for each in _slices(dataset, name)]
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)
     heights = np.array([each.position @ normal for each in slices])
@@ -92,17 +94,30 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             fix="set [imaging] mri in case.toml",
         )
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != "DICOMDIR")
-    found, without_pixels = [], 0
+    found, without_pixels, cut = [], 0, []
     for number, path in enumerate(paths, 1):
-        dataset = _read(path)
+        dataset = _read(path, number)
         if dataset is None:
             continue
         if any(each in dataset for each in _PIXELS):
-            found.append((_public_name(path, dataset, number), dataset))
+            try:
+                found.append((public_name(path, dataset, number), dataset))
+            except DICOM_DAMAGED as error:
+                raise damaged(f"file {number} in order of name", error) from error
         else:
             without_pixels += 1
+            cut += [number] if should_be_image(dataset) else []
         if number % 20 == 0 or number == len(paths):
             progress.event("task", name="reading DICOM", done=number, total=len(paths))
+    if found and cut:
+        listed = ", ".join(map(str, cut[:6]))
+        raise CaseError(
+            f"{len(cut)} of {len(found) + len(cut)} images end before their pixel data (7FE0,0010): "
+            f"file {listed} in order of name",
+            where=str(folder),
+            fix="the files are cut short: copy the series again",
+            n_cut=len(cut),
+        )
     if found:
         return found
     if without_pixels:
@@ -118,27 +133,31 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
     )
 
 
-def _read(path: Path) -> Dataset | None:
-    """A dataset, or None where the file is no DICOM. Files without the DICM preamble count too."""
+def _read(path: Path, number: int) -> Dataset | None:
+    """A dataset, or None where the file is no DICOM. Files without the DICM preamble count too.
+
+    One with the preamble that cannot be read is an error: left out, it might not be missed.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             return pydicom.dcmread(path)
         except InvalidDicomError:
             pass
+        except DICOM_DAMAGED as error:
+            raise damaged(f"file {number} in order of name", error) from error
         try:
             dataset = pydicom.dcmread(path, force=True)
-        except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError, NotImplementedError):
+        except DICOM_DAMAGED:
             return None
     return dataset if "SOPClassUID" in dataset and "Rows" in dataset else None
 
 
-def _public_name(path: Path, dataset: Dataset, number: int) -> str:
-    """The file's name for messages, unless it tells who the patient is."""
-    private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
-    words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
-    told = any(each in path.name.lower() for each in words)
-    return f"file {number} in order of name" if told else path.name
+def _slices(dataset: Dataset, name: str) -> list[Slice]:
+    try:
+        return slices_of(dataset, name)
+    except DICOM_DAMAGED as error:
+        raise damaged(name, error) from error
 
 
 def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:

@@ -10,9 +10,9 @@ import numpy as np
 import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
-from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
+from limbcli.imaging.frames import DICOM_DAMAGED
 from limbcli.model import Array
 
 _FIX = "export it again as DICOM SEG from 3D Slicer, or as NIfTI"
@@ -38,7 +38,7 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             dataset = pydicom.dcmread(path)
-    except (InvalidDicomError, OSError) as error:
+    except DICOM_DAMAGED as error:
         raise CaseError("the label map is no DICOM file", where=str(path), fix=_FIX) from error
     if str(dataset.get("Modality", "")) != "SEG":
         raise CaseError(
@@ -48,8 +48,10 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         )
     try:
         return _masks(dataset)
-    except (AttributeError, KeyError, ValueError, IndexError, TypeError, NotImplementedError) as error:
-        raise CaseError(f"the DICOM SEG cannot be read ({error})", where=str(path), fix=_FIX) from error
+    except DICOM_DAMAGED as error:
+        raise CaseError(
+            f"the DICOM SEG cannot be read ({type(error).__name__})", where=str(path), fix=_FIX
+        ) from error
 
 
 def _masks(dataset: Dataset) -> NamedMasks:

@@ -9,10 +9,13 @@ import numpy as np
 import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
+from pydicom.errors import BytesLengthException, InvalidDicomError
 
 from limbcli.errors import CaseError
+from limbcli.imaging.volume import DAMAGED
 from limbcli.model import Array
 
+DICOM_DAMAGED = (*DAMAGED, BytesLengthException, InvalidDicomError)
 _EXPORT = "export the series again with its geometry, or bring a label map or surfaces instead"
 _PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
 _STORAGE = ("Rows", "Columns", "BitsAllocated", "PixelRepresentation")
@@ -157,13 +160,33 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
             return np.asarray(dataset.pixel_array)
     except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
         syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
-        packed = bool(getattr(syntax, "is_compressed", True))
+        packed = bool(getattr(syntax, "is_private", True) or syntax.is_compressed)  # type: ignore[union-attr]
         raise CaseError(
             "the pixel data (7FE0,0010) cannot be decoded "
             f"(Transfer Syntax 0002,0010: {getattr(syntax, 'name', 'unknown')})",
             where=name,
             fix=_PLUGINS if packed else "the file is cut short or damaged: copy the series again",
         ) from error
+
+
+def should_be_image(dataset: Dataset) -> bool:
+    """Whether a file without pixels is an image cut short, by its kind; reports and the like have none."""
+    meta = getattr(dataset, "file_meta", {})
+    try:
+        kind = meta.get("MediaStorageSOPClassUID") or dataset.get("SOPClassUID") or ""
+    except DICOM_DAMAGED:
+        return True
+    name = getattr(kind, "name", str(kind))
+    return not kind or "Image Storage" in name
+
+
+def damaged(where: str, error: BaseException) -> CaseError:
+    """The error of a DICOM file that breaks off or contradicts itself; its values are not told."""
+    return CaseError(
+        f"the DICOM file is damaged ({type(error).__name__})",
+        where=where,
+        fix="copy the series again from the scanner or the archive",
+    )
 
 
 def _complete(dataset: Dataset, name: str) -> None:

@@ -6,7 +6,7 @@ encodings raw, gzip and ascii).
 
 from __future__ import annotations
 
-import gzip
+import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
-from limbcli.imaging.volume import RAS_FROM_LPS
+from limbcli.files import gunzip
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS
 from limbcli.model import Array
 
 _TYPES = {
@@ -92,15 +93,17 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     kind = next((code for code, names in _TYPES.items() if fields["type"].lower() in names), None)
     if kind is None:
         raise ValueError(f"type {fields['type']}")
+    count = math.prod(sizes)
+    if min(sizes, default=0) < 1 or count > MOST_VOXELS:
+        raise ValueError(f"sizes {fields['sizes']}")
     encoding = fields.get("encoding", "raw").lower()
     if encoding in ("gzip", "gz"):
-        data = gzip.decompress(data)
+        data = gunzip(data, limit=8 * count)
     elif encoding in ("ascii", "text", "txt"):
         return np.array(data.split(), dtype=float).reshape(sizes, order="F")
     elif encoding != "raw":
         raise ValueError(f"encoding {encoding}")
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
-    count = int(np.prod(sizes))
     return np.frombuffer(data, dtype=order + kind, count=count).reshape(sizes, order="F")
 
 

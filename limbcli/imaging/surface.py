@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import meshio
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -19,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from skimage import measure
 
 from limbcli.errors import CaseError, MeshError
-from limbcli.files import atomic_file
+from limbcli.files import atomic_file, read_triangles
 from limbcli.imaging.fields import box_around, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array, IntArray
@@ -188,29 +187,20 @@ def read_surface(path: Path) -> ClosedSurface:
     CaseError
         If the file is no surface or has no triangles.
     """
+    fix = "save it again as STL, PLY or OBJ with triangles"
     try:
-        with np.errstate(over="ignore"):  # meshio guesses at a size that may not fit
-            mesh = meshio.read(path)
-        points = np.asarray(mesh.points, dtype=float)
-        faces = [_triangles(block.data) for block in mesh.cells if block.data.shape[1] in (3, 4)]
-    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
-        raise CaseError(
-            "the surface cannot be read",
-            where=str(path),
-            fix="save it again as STL, PLY or OBJ with triangles",
-        ) from error
-    if not faces or not len(points) or not np.isfinite(points).all():
-        raise CaseError(
-            "the surface holds no triangles",
-            where=str(path),
-            fix="save it again as STL, PLY or OBJ with triangles",
+        points, faces = read_triangles(path)
+    except OSError as error:
+        raise CaseError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
+    if not len(faces) or not np.isfinite(points).all():
+        what = (
+            "the surface holds no triangles" if not len(faces) else "a point of the surface is not a number"
         )
-    return joined(ClosedSurface(points[:, :3], np.concatenate(faces)))
-
-
-def _triangles(cells: NDArray) -> IntArray:
-    cells = np.asarray(cells, dtype=np.int64)
-    return cells if cells.shape[1] == 3 else np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+        raise CaseError(what, where=str(path), fix=fix)
+    surface = joined(ClosedSurface(points, faces))
+    if not len(surface.triangles):
+        raise CaseError("the surface's triangles have no area", where=str(path), fix=fix)
+    return surface
 
 
 def joined(surface: ClosedSurface) -> ClosedSurface:

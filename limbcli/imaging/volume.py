@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,12 @@ from numpy.typing import NDArray
 
 from limbcli.model import Array
 
+# What the libraries that read images raise on damaged files.
+DAMAGED = (
+    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
+    RuntimeError, NotImplementedError, struct.error, MemoryError,
+)  # fmt: skip
+MOST_VOXELS = 300_000_000  # of one image: a whole leg at 0.4 mm; more would not be a limb's, nor fit memory
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 

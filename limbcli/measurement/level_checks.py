@@ -27,7 +27,6 @@ _RATIO_LOW, _RATIO_HIGH = 0.2, 10.0
 _RATIO_UNUSUAL_LOW, _RATIO_UNUSUAL_HIGH = 0.4, 6.0
 _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
-_TOLERATED_DEPTH_DROP = 1.0
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
 
@@ -111,11 +110,12 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 what = f"the force falls by {force[k - 1] - force[k]:.2g} N while the depth grows ({place})"
                 fix = "check the reading, or measure this level again"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
-            elif depth[k] < depth[k - 1] - _TOLERATED_DEPTH_DROP:
-                fix = "check the depth reading of these levels"
-                what = (
-                    f"the depth shrinks by {depth[k - 1] - depth[k]:.1f} mm while the force grows ({place})"
-                )
+            elif depth[k] < depth[k - 1]:
+                fix = "check the depth reading of these levels; they are simulated in order of depth"
+                verb = "shrinks" if sign > 0 else "grows"
+                with_force = "while the force does not" if force[k] >= force[k - 1] else "with the force"
+                what = f"the depth {verb} by {depth[k - 1] - depth[k]:.2g} mm {with_force} "
+                what += f"({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
     return problems
 
@@ -131,9 +131,10 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
     stiffness = span_force / span_depth
     expected = _expected_stiffness(levels) if speed_is_possible else np.nan
     problems += _check_stiffness(stiffness, expected, path)
-    if levels.force[0] > 2.0 or levels.depth[0] > 2.0:
-        fix = "level 0 is first touch: about 0 N and 0 mm"
-        what = f"the first level is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
+    if not levels.begins_at_zero:
+        fix = "level 0 is first touch: about 0 N and 0 mm; c is taken from the first row's speed as it stands"
+        what = f"there is no level 0: the first row is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
+        what += "" if levels.phase[0] == "load" else ", unloading"
         problems.append(problem(what, path, fix, warning=True))
     return problems
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from limbcli.model import Array
 
+TOUCH_FORCE, TOUCH_DEPTH = 1.0, 1.0  # N, mm: what a level 0 has at most, the probe's first touch
+
 
 @dataclass(frozen=True, eq=False)
 class Levels:
@@ -37,6 +39,12 @@ class Levels:
     def loading(self) -> np.ndarray:
         """(n_levels,) bool: the levels of the loading phase."""
         return np.array([each == "load" for each in self.phase])
+
+    @property
+    def begins_at_zero(self) -> bool:
+        """Whether the first level is level 0: first touch, before any load."""
+        first_touch = self.force[0] <= TOUCH_FORCE and self.depth[0] <= TOUCH_DEPTH
+        return bool(first_touch and self.phase[0] == "load")
 
     @property
     def has_swe(self) -> bool:

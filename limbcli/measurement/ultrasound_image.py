@@ -7,6 +7,8 @@ whose deltas are zero or whose unit is not cm is not calibrated and is not used.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +19,11 @@ from limbcli.errors import MeasurementError
 
 _CM = 3  # PhysicalUnitsXDirection of a length
 _TISSUE = 1  # RegionSpatialFormat: two-dimensional
+# What the libraries that read images raise on damaged files.
+_DAMAGED = (
+    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
+    RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
+)  # fmt: skip
 _DICOM_SUFFIXES = {".dcm", ".dicom", ""}
 
 
@@ -116,24 +123,31 @@ def _read_picture(path: Path) -> NDArray[np.uint8]:
     try:
         with Image.open(path) as picture:
             return np.asarray(picture.convert("RGB"), dtype=np.uint8)
-    except (UnidentifiedImageError, OSError) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *_DAMAGED) as error:
         fix = "export the frame as DICOM, PNG or BMP"
         raise MeasurementError(f"the image cannot be read ({error})", where=str(path), fix=fix) from error
 
 
 def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
-    import pydicom
-    from pydicom.errors import InvalidDicomError
-    from pydicom.pixels import apply_color_lut, convert_color_space
+    """Pixels and regions; the error of a damaged file tells no value of it, which may be the patient's."""
+    from pydicom.errors import BytesLengthException, InvalidDicomError
 
     try:
-        dataset = pydicom.dcmread(path)
-        pixels = dataset.pixel_array
-    except (InvalidDicomError, AttributeError, RuntimeError, NotImplementedError, ValueError) as error:
-        fix = "export it uncompressed, or as PNG with mm_per_pixel"
+        return _dicom_frame(path)
+    except (*_DAMAGED, BytesLengthException, InvalidDicomError) as error:
         raise MeasurementError(
-            f"the DICOM image cannot be read ({error})", where=str(path), fix=fix
+            f"the DICOM image cannot be read ({type(error).__name__})",
+            where=str(path),
+            fix="copy it again, export it uncompressed, or as PNG with mm_per_pixel",
         ) from error
+
+
+def _dicom_frame(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
+    import pydicom
+    from pydicom.pixels import apply_color_lut, convert_color_space
+
+    dataset = pydicom.dcmread(path)
+    pixels = dataset.pixel_array
     if int(dataset.get("NumberOfFrames", 1) or 1) > 1:
         pixels = pixels[0]
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
@@ -161,7 +175,11 @@ def _regions(dataset: object) -> tuple[Region, ...]:
         dx = abs(float(each.get("PhysicalDeltaX", 0) or 0)) * 10.0
         dy = abs(float(each.get("PhysicalDeltaY", 0) or 0)) * 10.0
         units = (each.get("PhysicalUnitsXDirection", 0), each.get("PhysicalUnitsYDirection", 0))
-        if dx <= 0 or dy <= 0 or units != (_CM, _CM) or each.get("RegionSpatialFormat", 1) != _TISSUE:
+        if (
+            not (0 < dx < np.inf and 0 < dy < np.inf)
+            or units != (_CM, _CM)
+            or each.get("RegionSpatialFormat", 1) != _TISSUE
+        ):
             continue
         corners = [
             int(each.get(name, 0))

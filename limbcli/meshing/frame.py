@@ -16,7 +16,7 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-_FAR = 30.0  # mm from the skin: such a site is a mistake
+FAR_FROM_SKIN = 30.0  # mm from the skin: such a site is a mistake
 _HEAD = np.array([0.0, 0.0, 1.0])  # +z of the patient frame (LPS) points to the head
 
 
@@ -62,7 +62,7 @@ def site_frame(
         If the position is more than 30 mm from the skin, or the long axis along the normal.
     """
     point, normal, distance = nearest_skin_point(limb.skin, np.asarray(position, float))
-    if distance > _FAR:
+    if distance > FAR_FROM_SKIN:
         raise CaseError(
             f"the site lies {distance:.0f} mm from the skin",
             where=where,

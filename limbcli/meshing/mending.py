@@ -92,7 +92,7 @@ def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") ->
             fix="bring the skin as a surface in mm, nearly closed; check the unit of its coordinates",
             volume_mm3=outer.volume,
         )
-    inner = _bones_in_reach(outer, inner, notes)
+    inner = _bones_in_reach(outer, inner, notes, where)
     ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer)
     for end in ends:
         notes.append(f"skin: {end.name} end taken as a cut, {_INSIDE:g} mm inside it")
@@ -161,12 +161,18 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     return Triangles(mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64))
 
 
-def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str]) -> list[Triangles]:
-    """Bones whose box meets the skin's box."""
+def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str], where: str) -> list[Triangles]:
+    """Bones whose box meets the skin's box; some must."""
     low, high = skin.points.min(0), skin.points.max(0)
     kept = [b for b in bones if (b.points.max(0) > low).all() and (b.points.min(0) < high).all()]
     if len(kept) < len(bones):
         notes.append(f"{len(bones) - len(kept)} bones lie outside the skin altogether and are left out")
+    if bones and not kept:
+        raise MeshError(
+            f"all {len(bones)} bones lie outside the skin",
+            where=where,
+            fix="give skin and bones in one frame (mm, patient LPS)",
+        )
     return kept
 
 

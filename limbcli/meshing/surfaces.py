@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from limbcli.errors import MeshError
+from limbcli.files import read_triangles
 from limbcli.model import Array, IntArray
 
 SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")
@@ -89,34 +90,22 @@ def read_surface(path: Path) -> Triangles:
     MeshError
         If the file is absent, holds no triangles, or a coordinate is not a number.
     """
-    import meshio
-
     fix = f"bring a triangle surface as one of {', '.join(SUFFIXES)}"
     if not path.is_file():
         raise MeshError("the surface file does not exist", where=str(path), fix=fix)
     try:
-        with np.errstate(over="ignore"):  # meshio guesses at a size that may not fit
-            mesh = meshio.read(path)
-    except (meshio.ReadError, OSError, ValueError, LookupError, SystemExit) as error:
+        points, faces = read_triangles(path)
+    except OSError as error:
         raise MeshError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
-    faces = [_triangles_of(block.type, block.data) for block in mesh.cells]
-    faces = [each for each in faces if len(each)]
-    if not faces:
+    if not len(faces):
         raise MeshError("the surface holds no triangles", where=str(path), fix=fix)
-    points = np.asarray(mesh.points, float)
     if not np.isfinite(points).all():
         bad = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise MeshError(f"point {bad} of the surface is not a number", where=str(path), fix=fix)
-    return merge_points(Triangles(points, np.concatenate(faces).astype(np.int64)))
-
-
-def _triangles_of(kind: str, cells: IntArray) -> IntArray:
-    """Faces of a block as triangles; quadrilaterals are halved, others ignored."""
-    if kind == "triangle":
-        return cells
-    if kind == "quad":
-        return np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
-    return np.empty((0, 3), np.int64)
+    surface = merge_points(Triangles(points, faces))
+    if not len(surface.faces):
+        raise MeshError("the surface's triangles have no area", where=str(path), fix=fix)
+    return surface
 
 
 def merge_points(surface: Triangles, *, tolerance: float = 1e-7) -> Triangles:

@@ -124,7 +124,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
     folder = stage_folder(out, stage, site)
     words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=shlex.quote(case_name))
     command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {shlex.quote(str(out))}"
-    failure = _failure(folder / ERROR_FILE)
+    failure = _failure(folder / ERROR_FILE) or _failed_run(folder, stage)
     result = None
     if (folder / f"{stage}.json").is_file():
         try:
@@ -136,6 +136,16 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
             failure, result = Failure("CaseError", what, str(folder), command), None
     status: Status = "failed" if failure else ("done" if result else "missing")
     return Outcome(stage, site, status, command, result, failure)
+
+
+def _failed_run(folder: Path, stage: str) -> Failure | None:
+    """Why the last run ended, where it left its own account beside the place of a result; or None."""
+    path = folder.with_name(folder.name + "-failed") / f"{stage}.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
+        return Failure(*(str(content.get(name) or "–") for name in ("error", "what", "where", "fix")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def _failure(path: Path) -> Failure | None:

@@ -12,20 +12,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from limbcli.errors import SolveError, ToolError
-from limbcli.feb.log import Iteration, LogReader, check_complete, quote, read_log
+from limbcli.errors import CaseError, SolveError, ToolError
+from limbcli.feb.log import LogReader, check_complete, quote, read_log
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.proof import check_belongs, marked
+from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
+from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
+from limbcli.solvers.law_check import can_be_checked, check_first_step
 from limbcli.solvers.tables import read_finished
 
 BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"
 _POLL_S = 0.1
 _GRACE_S = 3.0
-_VERSION_TIMEOUT_S = 10.0
+_VERSION_TIMEOUT_S = 5.0
 _VERSION_BYTES = 20_000
 _SCREEN_FILE = "febio-screen.txt"
 _LEFTOVERS = (".xplt", ".dmp")  # the plot and restart files: large, and not asked for
@@ -57,14 +61,24 @@ class FebioSolver:
         return self.path() is not None
 
     def version(self) -> str:
-        """As FEBio prints it ("4.11.0"); "unknown" if it prints none. A run's log tells it too."""
-        process = subprocess.Popen(
-            [str(self.need()), "-info"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log tells it too.
+
+        Raises
+        ------
+        ToolError
+            If there is no FEBio, or it cannot be started.
+        """
+        binary = self.need()
+        try:
+            process = subprocess.Popen(
+                [str(binary), "-info"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise _not_startable(binary, error) from error
         timer = time.monotonic() + _VERSION_TIMEOUT_S
         reader = LogReader()
         assert process.stdout is not None
@@ -88,33 +102,41 @@ class FebioSolver:
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
         """Run a model file in its folder; the log and the record files appear beside it.
 
+        time_limit_s : None: by the model's size (`default_limit_s`)
+
         Raises
         ------
         ToolError
             If there is no FEBio, or it cannot be started.
         SolveError
             If the time limit passes, or FEBio's log does not say that the end of the
-            load was reached, whatever the exit status.
+            load of this very model was reached, whatever the exit status.
         """
         outline = read_outline(feb)
         log = feb.parent / LOG_FILE
         for stale in [log, *(feb.parent / record.file for record in outline.records)]:
             stale.unlink(missing_ok=True)
-        shown = feb.parent / _SCREEN_FILE
+        limit = default_limit_s(outline) if time_limit_s is None else time_limit_s
+        shown, plot = feb.parent / _SCREEN_FILE, marked(feb, _LEFTOVERS[0])
         with shown.open("w+", errors="replace") as screen:
-            process = self._start(feb, screen)
+            process = self._start(feb, plot, screen)
             try:
-                _watch(process, _LogWatcher(log, outline, progress), time_limit_s)
+                _watch(process, LogWatcher(log, outline, progress), limit, given=time_limit_s is not None)
             finally:
                 _stop(process)
-                for ending in _LEFTOVERS:
-                    feb.with_suffix(ending).unlink(missing_ok=True)
+                for name in (*(feb.stem + ending for ending in _LEFTOVERS), plot):
+                    (feb.parent / name).unlink(missing_ok=True)
             _judge(log, outline, process.returncode, screen)
+        check_belongs(log, feb, outline, by_mark=True)
         shown.unlink()
 
     def read(self, feb: Path) -> Simulation:
-        """What a finished run left beside its model file."""
-        return read_finished(self.name, feb)
+        """What a finished run left beside its model file; its stresses must be those of the model's laws."""
+        simulation = read_finished(self.name, feb)
+        if can_be_checked(simulation.elements):
+            with contextlib.suppress(CaseError):  # a model with what limbcli does not know: FEBio's to judge
+                check_first_step(read_feb(feb), simulation.elements, feb.parent)
+        return simulation
 
     def need(self) -> Path:
         """The binary; a ToolError says where it was looked for."""
@@ -129,13 +151,13 @@ class FebioSolver:
             )
         return path
 
-    def _start(self, feb: Path, screen: TextIO) -> subprocess.Popen[bytes]:
+    def _start(self, feb: Path, plot: str, screen: TextIO) -> subprocess.Popen[bytes]:
         binary = self.need()
         threads = str(self.threads or os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1)
         environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
         try:
             return subprocess.Popen(
-                [str(binary), "-i", feb.name, "-o", LOG_FILE],
+                [str(binary), "-i", feb.name, "-o", LOG_FILE, "-p", plot],
                 cwd=feb.parent,
                 env=environment,
                 stdin=subprocess.DEVNULL,
@@ -144,11 +166,15 @@ class FebioSolver:
                 start_new_session=True,
             )
         except OSError as error:
-            raise ToolError(
-                f"FEBio cannot be started ({error.strerror})",
-                where=str(binary),
-                fix="check that the file is FEBio for this machine and may be executed",
-            ) from error
+            raise _not_startable(binary, error) from error
+
+
+def _not_startable(binary: Path, error: OSError) -> ToolError:
+    return ToolError(
+        f"FEBio cannot be started ({error.strerror})",
+        where=str(binary),
+        fix="check that the file is FEBio for this machine and may be executed",
+    )
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
@@ -162,15 +188,22 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
             process.wait(timeout=_GRACE_S)
 
 
-def _watch(process: subprocess.Popen[bytes], watcher: _LogWatcher, time_limit_s: float | None) -> None:
-    start = time.monotonic()
+def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float, *, given: bool) -> None:
+    """Follow the log until the process ends; a sign of life where the log is silent for long."""
+    start = told = time.monotonic()
     while process.poll() is None:
-        watcher.look()
-        if time_limit_s is not None and time.monotonic() - start > time_limit_s:
+        now = time.monotonic()
+        if watcher.look():
+            told = now
+        elif now - told > HEARTBEAT_S:
+            watcher.alive(now - start, limit_s)
+            told = now
+        if now - start > limit_s:
             _stop(process)
             watcher.look()
+            whose = "" if given else " (the limit for a model of this size)"
             raise SolveError(
-                f"FEBio was stopped after {time_limit_s:g} s, at time {watcher.reached():g} "
+                f"FEBio was stopped after {limit_s:g} s{whose}, at time {watcher.reached():g} "
                 f"and iteration {watcher.reader.result().n_iterations}",
                 where=str(watcher.log),
                 fix="give more time with --time-limit-s, or use --element tet4 or --solver reference",
@@ -178,49 +211,6 @@ def _watch(process: subprocess.Popen[bytes], watcher: _LogWatcher, time_limit_s:
             )
         time.sleep(_POLL_S)
     watcher.look()
-
-
-class _LogWatcher:
-    """Follows a growing log and tells its listeners of every iteration."""
-
-    def __init__(self, log: Path, outline: Outline, progress: Progress):
-        self.log, self.reader = log, LogReader()
-        self._progress = progress
-        self._goals = sorted({*outline.must_points, *([outline.end_time] if outline.end_time else [])})
-        self._offset = 0
-        self._rest = ""
-
-    def reached(self) -> float:
-        return self.reader.times[-1] if self.reader.times else 0.0
-
-    def look(self) -> None:
-        try:
-            with self.log.open("rb") as stream:
-                stream.seek(self._offset)
-                fresh = stream.read()
-        except FileNotFoundError:
-            return
-        self._offset += len(fresh)
-        *lines, self._rest = (self._rest + fresh.decode(errors="replace")).split("\n")
-        last = None
-        for line in lines:
-            last = self.reader.feed(line) or last
-        if last is not None:
-            self._tell(last)
-
-    def _tell(self, iteration: Iteration) -> None:
-        residual, target = iteration.worst()
-        level = next((k for k, goal in enumerate(self._goals, 1) if goal >= iteration.time - 1e-9), 1)
-        self._progress.event(
-            "newton",
-            step=level,
-            n_steps=max(len(self._goals), 1),
-            iteration=iteration.number,
-            residual=residual,
-            target=target,
-            depth=None,
-            time=iteration.time,
-        )
 
 
 def _judge(log: Path, outline: Outline, status: int | None, screen: TextIO) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import limbcli
 from limbcli.errors import SolveError
+from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
@@ -63,7 +64,7 @@ class ReferenceSolver:
             computed), if a level is not reached, or if the time limit passes.
         """
         model = read_feb(feb)
-        with RunFiles(model, feb.parent, version=self.version()) as files:
+        with RunFiles(model, feb.parent, version=self.version(), mark=marked(feb, ".feb")) as files:
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
     @property

@@ -21,7 +21,7 @@ _RULE = "=" * 75
 class RunFiles:
     """Open files of one run; leaving the block by an error writes an error termination."""
 
-    def __init__(self, model: LimbModel, folder: Path, *, version: str):
+    def __init__(self, model: LimbModel, folder: Path, *, version: str, mark: str):
         self.model, self.folder = model, folder
         self._stack = contextlib.ExitStack()
         for name in (LOG_FILE, *(record.file for record in model.records)):
@@ -31,6 +31,7 @@ class RunFiles:
         self._finished = False
         self._said_solver = False
         self._say(f"{_RULE}\n  limbcli reference solver\n  version {version}\n{_RULE}\n")
+        self._say(f" FILES USED\n{_RULE}\n\tModel file : {mark}\n")
 
     def __enter__(self) -> RunFiles:
         return self

@@ -10,6 +10,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.proof import check_belongs
 from limbcli.feb.records import Records, read_records
 from limbcli.model import Array, LogRecord
 from limbcli.solvers.base import LOG_FILE, Simulation, Table
@@ -29,12 +30,13 @@ def read_finished(solver: str, feb: Path) -> Simulation:
     Raises
     ------
     SolveError
-        If the log tells of no complete run, or a record file is not whole.
+        If the log tells of no complete run or of another model, or a record file is not whole.
     """
     outline = read_outline(feb)
     path = feb.parent / LOG_FILE
     log = read_log(path)
     check_complete(log, path, end_time=outline.end_time)
+    check_belongs(path, feb, outline)
     tables = read_tables(outline, feb.parent)
     return Simulation(
         solver=solver,

@@ -21,6 +21,7 @@ from limbcli.feb.write import write_feb
 from limbcli.files import sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.regression import speed_against_force
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
@@ -50,6 +51,7 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
 _WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
+_LINE_NEEDS = 3  # speeds, to tell c at 0 N by a line
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
@@ -119,6 +121,8 @@ def _build_site(
     if templates is not None:
         writer.used("templates", templates, role=str(templates.resolve()))
     writer.warnings.extend(meshed.warnings)
+    if options.c_kpa is None and (doubt := no_level_0(levels, site)):
+        writer.warnings.append(doubt)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)
     _tell_layers(writer, laws)
@@ -126,6 +130,8 @@ def _build_site(
 
 def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) -> tuple[float, str]:
     """c (MPa) = 2 mu = 2 rho v^2 of the mean shear-wave speed at level 0, and where it comes from.
+
+    Without a level 0 it is that of the first row, and is said to be.
 
     Raises
     ------
@@ -146,7 +152,31 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
             fix="fill swe_mean_m_per_s in the first row, or give the stiffness: --c-kpa VALUE",
         )
     modulus = shear_modulus_from_wave_speed(np.array([speed]), density_kg_per_m3=site.density_kg_per_m3)
-    return 2 * float(modulus[0]), f"2 mu from SWE at level 0 ({speed:.3f} m/s)"
+    level = "level 0" if levels.begins_at_zero else f"{_first_level(levels)}, for want of a level 0"
+    return 2 * float(modulus[0]), f"2 mu from SWE at {level} ({speed:.3f} m/s)"
+
+
+def _first_level(levels: Levels) -> str:
+    return f"the first row's {levels.force[0]:g} N and {levels.depth[0]:g} mm"
+
+
+def no_level_0(levels: Levels, site: Site) -> str | None:
+    """A warning where c comes from loaded tissue, with c at 0 N by the line through the speeds of loading."""
+    if levels.begins_at_zero:
+        return None
+    told = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue under load already"
+    rows = levels.loading
+    try:
+        line = speed_against_force(levels.force[rows], levels.swe_mean_m_per_s[rows])
+    except MeasurementError:
+        return told + "; measure one, or give c with --c-kpa"
+    if line.n < _LINE_NEEDS or line.intercept <= 0:
+        return told + "; measure one, or give c with --c-kpa"
+    modulus = shear_modulus_from_wave_speed(
+        np.array([line.intercept]), density_kg_per_m3=site.density_kg_per_m3
+    )
+    c_kpa = kpa_from_mpa(2 * float(modulus[0]))
+    return told + f"; the line through {line.n} speeds gives {c_kpa:.3g} kPa at 0 N (--c-kpa {c_kpa:.3g})"
 
 
 def simulated_depths(levels: Levels) -> Array:

@@ -17,6 +17,7 @@ from limbcli.case_files import CaseFiles
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
+from limbcli.stages.check_geometry import geometry_problems
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
         problems += reader(path)
     if case is not None:
         problems += _contradictions(case)
+        problems += geometry_problems(case, problems)
     return CheckResult(folder, tuple(looked_at), tuple(problems))
 
 

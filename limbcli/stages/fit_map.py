@@ -163,5 +163,10 @@ def _doubts(found: TissueMap, levels: Levels) -> list[str]:
             f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map lie where the model has no "
             "tissue: check lateral_mm, depth_mm and the site's place"
         )
+    if not levels.begins_at_zero:
+        doubts.append(
+            f"there is no level 0: the stiffness map is that of {levels.force[0]:g} N and "
+            f"{levels.depth[0]:g} mm, of tissue under load already"
+        )
     odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
     return doubts + [f"{map_file(Path(), 0).name}: {each.what} ({each.fix})" for each in odd]

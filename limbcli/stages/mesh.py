@@ -7,6 +7,7 @@ from pathlib import Path
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
+from limbcli.meshing.anatomy import MOVED_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.layers import Layer
@@ -27,8 +28,6 @@ from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
 from limbcli.stages.mesh_inputs import MeshInputs
 from limbcli.stages.mesh_study import study_site
 from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
-
-_OFF_SKIN = 3.0  # mm: a site further from the skin than this was moved, and that is said
 
 
 def mesh(
@@ -245,5 +244,5 @@ def _report(
             checks, measured=writer.data["measured_skin_bone_mm"], margin=options.margin, site=site.name
         )
     )
-    if frame.moved > _OFF_SKIN:
+    if frame.moved > MOVED_MM:
         writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")

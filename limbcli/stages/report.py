@@ -10,7 +10,7 @@ from limbcli.case import Case
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.outcome import Outcome
-from limbcli.reporting.page import Page
+from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
@@ -46,6 +46,7 @@ def report(
         writer.summary += [f"{site.name}: {site.sentence}" for site in glance.sites]
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
+        writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]
     assert writer.result is not None
     return writer.result
 
@@ -69,6 +70,12 @@ def _write_page(
     html = render("report.html.j2", facts, templates=templates)
     writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")
     progress.event("task", name="report: drawing", done=1, total=1)
+
+
+def _not_drawn(page: Page) -> list[SiteMaterial]:
+    """Sites with a simulation whose model or records cannot be read (cut, damaged)."""
+    never_run = SiteMaterial.why_not_deformed
+    return [each for each in page.sites if each.deformed is None and each.why_not_deformed != never_run]
 
 
 def _probe(case: Case) -> str:

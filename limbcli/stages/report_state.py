@@ -35,7 +35,9 @@ def read_deformed(result: StageResult) -> DeformedState | None:
     feb = next((path for name in _MODEL_FILES if (path := result.folder / name).is_file()), None)
     if feb is None:
         return None
-    model, tables = read_feb(feb), read_tables(read_outline(feb), feb.parent)
+    outline = read_outline(feb)
+    model, tables = read_feb(feb), read_tables(outline, feb.parent)
+    _check_end(tables.times, outline.end_time, feb)
     kind, cells, numbers = _tissue(model)
     probe = model.bodies[0].name if model.bodies else "probe"
     rigid = tables.rigid[probe]
@@ -54,6 +56,17 @@ def read_deformed(result: StageResult) -> DeformedState | None:
         stretch=_shortest(tables.elements, numbers),
         cut=_facets(model, "cut"),
     )
+
+
+def _check_end(times: Array, end_time: float | None, feb: Path) -> None:
+    """Records that end before the load does are cut, even at the end of a step."""
+    if end_time is not None and (not len(times) or times[-1] < end_time * (1 - 1e-6)):
+        reached = f"{times[-1]:g}" if len(times) else "no step"
+        raise SolveError(
+            f"the record files end at time {reached}, the load at {end_time:g}",
+            where=str(feb.parent),
+            fix="run the simulation again",
+        )
 
 
 def _tissue(model: LimbModel) -> tuple[str, IntArray, IntArray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,11 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.xml import model_text
 from limbcli.files import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels, read_levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
-from limbcli.results import StageResult, StageWriter, open_stage, stage_folder
+from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
@@ -48,8 +48,8 @@ def run(
     """Run each site's model.
 
     Leaves model.feb, model.log, the record files, force-depth.csv and force-depth.png.
-    A run that fails or is stopped leaves its model and log in `<site>-failed`; the reference solver goes
-    on from there when the same model is run again.
+    A run that fails or is stopped leaves its model, its log and a run.json that says why in `<site>-failed`;
+    the reference solver goes on from there when the same model is run again.
 
     Raises
     ------
@@ -122,10 +122,9 @@ def _simulate(
     site: Site | None = None,
 ) -> None:
     feb = writer.file("feb", MODEL_FILE)
-    content = source.read_bytes()
-    feb.write_bytes(gzip.decompress(content) if source.suffix == ".gz" else content)
+    feb.write_bytes(model_text(source))
     writer.used("model", source)
-    progress.event("note", text=f"solver: {engine.name} {engine.version()}")
+    progress.event("note", text=f"solver: {engine.name} {_version(engine)}")
     stopped = writer.target.with_name(writer.target.name + FAILED) / RESTART_FILE
     if engine.name == REFERENCE and stopped.is_file():
         shutil.copy2(stopped, writer.work / RESTART_FILE)
@@ -135,11 +134,12 @@ def _simulate(
             engine.run(feb, progress=heard, time_limit_s=options.time_limit_s)
             simulation = engine.read(feb)
         except SolveError as error:
-            raise _kept(error, writer) from error
+            raise _kept(error, writer, engine) from error
         except LimbError as error:
             raise _of_source(error, feb, source) from error
         except KeyboardInterrupt:
-            _keep(writer)
+            stopped_by_hand = SolveError("the run was interrupted", where=str(feb), fix="run it again")
+            _keep(writer, stopped_by_hand, engine)
             raise
     writer.files["log"] = LOG_FILE
     for record in outline.records:
@@ -150,9 +150,19 @@ def _simulate(
     writer.data["model_sha256"] = sha256(feb)
 
 
-def _keep(writer: StageWriter) -> Path:
-    """Copy what a stopped run left into the folder for that; returns the folder."""
+def _version(engine: Solver) -> str:
+    version = engine.version()
+    return version if version != "unknown" else "of unknown version (asked, it told none; its log will)"
+
+
+def _keep(writer: StageWriter, error: LimbError, engine: Solver) -> Path:
+    """Copy what a stopped run left, and a run.json that says why, into the folder for that; its path."""
     folder = writer.target.with_name(writer.target.name + FAILED)
+    failure = {"error": type(error).__name__, "what": error.what, "where": error.where, "fix": error.fix}
+    writer.data.update(solver=engine.name, failed=True, failure={**failure, "facts": plain(error.facts)})
+    writer.warnings.append(f"the run failed: {error.what.splitlines()[0]}")
+    writer.files = {name: file for name, file in writer.files.items() if (writer.work / file).is_file()}
+    writer.finish()
     with atomic_folder(folder) as kept:
         for path in writer.work.iterdir():
             if path.is_file():
@@ -160,9 +170,9 @@ def _keep(writer: StageWriter) -> Path:
     return folder
 
 
-def _kept(error: LimbError, writer: StageWriter) -> LimbError:
+def _kept(error: LimbError, writer: StageWriter, engine: Solver) -> LimbError:
     """The same error, with model and log kept where it says."""
-    folder = _keep(writer)
+    folder = _keep(writer, error, engine)
     where = f"{writer.site or writer.subject}: {folder / LOG_FILE}"
     place = error.where.replace(str(writer.work), str(folder))
     if place != str(folder / LOG_FILE):

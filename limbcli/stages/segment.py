@@ -19,6 +19,7 @@ from limbcli.files import sha256
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.label_frame import compare_frames
 from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layers import layers_at
 from limbcli.imaging.limbs import Side
@@ -28,11 +29,12 @@ from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
+from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
 from limbcli.stages.chain_inputs import SITES, note_case
-from limbcli.stages.segment_surfaces import from_surfaces, write_surfaces
+from limbcli.stages.segment_surfaces import check_limb, from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
 LABELS = "labels.nii.gz"
@@ -176,7 +178,28 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.data["source"] = "labels"
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
     _ignored(options, writer)
-    _write(case, labels, segmentation_from(labels), options, writer, progress)
+    image = _image_of(case, labels, path, writer, progress)
+    _write(case, image, segmentation_from(labels), options, writer, progress)
+
+
+def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
+    """The series that a label map belongs to, where it has the same grid, else the label map itself.
+
+    Raises
+    ------
+    CaseError
+        If the label map does not lie where the series does.
+    """
+    if case.imaging.mri is None:
+        return labels
+    writer.used("mri", case.imaging.mri, role="imaging/mri")
+    series = read_series(case.imaging.mri, progress=progress).volume
+    agreement = compare_frames(labels, series, where=str(path))
+    raise_errors(agreement.problems, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
+    if agreement.own_grid:
+        writer.summary.append("the label map has a grid of its own; it is taken by its place in the patient")
+    return series if series.shape == labels.shape and not agreement.own_grid else labels
 
 
 def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
@@ -188,11 +211,7 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.summary.append(text)
     writer.warnings.append(text)
     _ignored(options, writer)
-    image = labels
-    if case.imaging.mri is not None:
-        writer.used("mri", case.imaging.mri, role="imaging/mri")
-        series = read_series(case.imaging.mri, progress=progress).volume
-        image = series if series.shape == labels.shape else labels
+    image = _image_of(case, labels, path, writer, progress)
     _write(case, image, segmentation_from(labels), options, writer, progress)
 
 
@@ -227,6 +246,7 @@ def _write(
     for number, (name, bone) in enumerate(zip(names, found.bones, strict=True), 2):
         surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth)
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
+    check_limb(surfaces, case, writer, where=f"{case.subject}, segment ({writer.data['source']})")
     write_surfaces(surfaces, writer)
     _tell_markers(found, lowered, writer)
     _tell_layers(case, found, surfaces["skin"], writer)

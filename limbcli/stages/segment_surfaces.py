@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.meshing.anatomy import limb_problems
 from limbcli.meshing.mending import skin_and_bones
 from limbcli.meshing.surfaces import Triangles
+from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 
 
@@ -19,21 +22,56 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
     assert case.imaging.skin is not None
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
-    given = [("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)]
-    for number, (name, path) in enumerate(given):
+    surfaces, paths = read_surfaces(case)
+    for number, (name, path) in enumerate(paths.items()):
         writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
-    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in given}
     if not case.imaging.bones:
-        surfaces = _bodies(surfaces["skin"], case.imaging.skin, writer)
-    paths = dict(given)
+        writer.summary.append(
+            f"{case.imaging.skin.name} holds {len(surfaces)} bodies: the largest is the skin, "
+            "the others bones"
+        )
     surfaces = {
         name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
         for name, each in surfaces.items()
     }
+    check_limb(surfaces, case, writer, where=str(case.imaging.skin))
     write_surfaces(surfaces, writer)
 
 
-def _bodies(surface: ClosedSurface, path: Path, writer: StageWriter) -> dict[str, ClosedSurface]:
+def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:
+    """Skin and bones against what a limb can be; what is unusual is a warning.
+
+    Raises
+    ------
+    CaseError
+        With everything that cannot be: a bone outside the skin, sizes of another unit.
+    """
+    found = limb_problems(triangles_of(surfaces), limb=case.limb, where=where)
+    raise_errors(found, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in found)
+
+
+def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
+    return {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
+
+
+def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
+    """Skin and bones by name as they were brought, and the files that the case names.
+
+    Raises
+    ------
+    CaseError
+        If one cannot be read, is of another size than a body's in mm, or there is no bone.
+    """
+    assert case.imaging.skin is not None
+    paths = dict([("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)])
+    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
+    if not case.imaging.bones:
+        surfaces = _bodies(surfaces["skin"], case.imaging.skin)
+    return surfaces, paths
+
+
+def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
     """Skin and bones out of one file that holds them all."""
     skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
     if not bones:
@@ -42,9 +80,6 @@ def _bodies(surface: ClosedSurface, path: Path, writer: StageWriter) -> dict[str
             where=str(path),
             fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
         )
-    writer.summary.append(
-        f"{path.name} holds {1 + len(bones)} bodies: the largest is the skin, the others bones"
-    )
     named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
     return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
 

@@ -19,8 +19,8 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.heldout import fell
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.effects import EFFECTS, effect
-from limbcli.effects.reading import Reading
 from limbcli.effects.places import layer_share
+from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis_bench import SiteBench

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import product
+from math import factorial
+
 import numpy as np
 import pytest
 from small_models import block
@@ -27,14 +30,23 @@ def test_gradients_are_derivatives_of_shape_functions(kind: str) -> None:
     ("name", "degree"), [("tet4", 1), ("TET10G4", 2), ("tet10", 3), ("tri3", 2), ("tri6", 5)]
 )
 def test_rule_integrates_polynomials_of_its_degree(name: str, degree: int) -> None:
-    from math import factorial
-
+    """All monomials: a point at a wrong place may leave the powers of one coordinate right."""
     points, weights = rule(name)
     d = points.shape[1]
-    for power in range(degree + 1):
-        exact = factorial(power) / factorial(power + d)  # integral of x^power over the simplex
-        # the ten digits of the rules limit what can be reached
-        assert (weights * points[:, 0] ** power).sum() == pytest.approx(exact, rel=1e-7)
+    for powers in product(range(degree + 1), repeat=d):
+        if sum(powers) <= degree:
+            # integral of x^a y^b z^c over the simplex: a! b! c! / (a + b + c + d)!
+            exact = np.prod([factorial(each) for each in powers]) / factorial(sum(powers) + d)
+            # the ten digits of the rules limit what can be reached
+            assert (weights * np.prod(points**powers, axis=1)).sum() == pytest.approx(exact, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", ["quad4", "hex8"])
+def test_gauss_rule_of_a_square_and_a_cube_is_exact_to_cubics(name: str) -> None:
+    points, weights = rule(name)
+    for powers in product(range(4), repeat=points.shape[1]):
+        exact = np.prod([0.0 if each % 2 else 2.0 / (each + 1) for each in powers])
+        assert (weights * np.prod(points**powers, axis=1)).sum() == pytest.approx(exact, abs=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "penta6"])

@@ -79,6 +79,22 @@ def test_nothing_identifying_leaves_the_series(ramp, tmp_path):
         assert secret not in text
 
 
+def test_identity_in_nested_private_sequences_stays_behind_too(ramp, tmp_path):
+    def planted(dataset, k):
+        inner, outer = pydicom.Dataset(), pydicom.Dataset()
+        inner.private_block(0x11, "VENDOR", create=True).add_new(1, "PN", "Nested^Secret")
+        outer.private_block(0x13, "VENDOR", create=True).add_new(2, "SQ", [inner])
+        dataset.private_block(0x15, "VENDOR", create=True).add_new(3, "SQ", [outer])
+        if k == 2:
+            dataset.FrameOfReferenceUID = "1.2.3"
+
+    write_dicom(tmp_path, ramp, change=planted)
+    series = read_series(tmp_path)
+    assert "Secret" not in json.dumps([dict(series.facts), *series.notes])
+    (tmp_path / "extra.dcm").write_bytes(next(tmp_path.glob("*_1.dcm")).read_bytes()[:-40])
+    assert "Secret" not in str(refused(tmp_path))
+
+
 def refused(folder):
     with pytest.raises(CaseError) as caught:
         read_series(folder)
@@ -306,3 +322,34 @@ def test_frames_without_places_are_told(ramp, tmp_path):
     for extra in (tmp_path / "one" / "single").iterdir():
         extra.unlink()
     assert "5200,9230" in refused(tmp_path / "one").what
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "text"),
+    [("PatientID", "ID-0815", "another patient"), ("FrameOfReferenceUID", "1.2.99", "frame of reference")],
+)
+def test_a_slice_of_another_patient_or_frame_is_refused_by_name(ramp, tmp_path, keyword, value, text):
+    def one_odd(dataset, k):
+        dataset.FrameOfReferenceUID = "1.2.3"
+        if k == 3:
+            setattr(dataset, keyword, value)
+
+    write_dicom(tmp_path, ramp, change=one_odd)
+    error = refused(tmp_path)
+    assert text in error.what
+    assert "1 of 5" in error.what
+    assert "_3.dcm" in error.what
+    assert error.facts["n_odd"] == 1
+    assert not [secret for secret in ("4711", "0815", "1.2.99") if secret in str(error)]
+
+
+def test_frames_that_tell_nothing_or_lack_are_noted(ramp, tmp_path):
+    def own_frame(dataset, k):
+        dataset.FrameOfReferenceUID = f"1.2.{k}"
+        if k == 1:
+            del dataset.PatientID
+
+    write_dicom(tmp_path, ramp, change=own_frame)
+    notes = read_series(tmp_path).notes
+    assert any("0020,0052" in note for note in notes)
+    assert any("0010,0020" in note for note in notes)

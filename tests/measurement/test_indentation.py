@@ -163,3 +163,24 @@ def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: 
 
     assert "falls by 0.5 N" in doubts("1.5")[0]
     assert not doubts("1.9"), "within the noise of a reading"
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (["0,0,load", "2,2,load", "4,1.8,load", "6,4,load"], "the depth shrinks by 0.2 mm"),
+        (["0,0,load", "2,2,load", "1.8,1.5,load", "6,4,load"], "the depth shrinks by 0.5 mm with the force"),
+        (["0,0,load", "2,2,load", "6,4,load", "4,4.3,unload", "2,4.5,unload"], "the depth grows by 0.2 mm"),
+    ],
+)
+def test_depths_that_do_not_grow_are_told(tmp_path: Path, rows: list[str], expected: str):
+    levels, problems = check_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
+    assert levels is not None
+    assert any(expected in each.what and each.severity == "warning" for each in problems)
+
+
+@pytest.mark.parametrize("first", ["2,1.6,1.7,0.2,90", "0.4,1.4,1.7,0.2,90"])
+def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
+    doubts = doubts_about_levels(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
+    assert any("there is no level 0" in each for each in doubts)
+    assert not any("level 0" in each for each in doubts_about_levels(write(tmp_path)))

@@ -62,3 +62,15 @@ def test_stages_behind_a_failed_one_are_held_up_not_failed(tmp_path):
     assert [each.label for each in outcomes.failed] == ["mesh p1"]
     assert outcomes.of("fit", "p1").held_by == "mesh p1"
     assert outcomes.of("fit", "p2").held_by == ""
+
+
+def test_a_run_that_failed_tells_why_from_its_own_account(tmp_path):
+    failure = {"error": "SolveError", "what": "stopped", "where": "model.log", "fix": "more time"}
+    with open_stage(tmp_path, "run", subject="S1", site="p1-failed") as writer:
+        writer.data.update(failed=True, failure=failure)
+    outcome = read_outcomes(tmp_path, ("p1",)).of("run", "p1")
+    assert outcome.status == "failed"
+    assert outcome.failure is not None
+    assert outcome.failure.what == "stopped"
+    (tmp_path / "run" / "p1-failed" / "run.json").write_text("[]")
+    assert read_outcomes(tmp_path, ("p1",)).of("run", "p1").status == "missing"

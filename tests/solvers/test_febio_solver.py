@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError, SolveError, ToolError
+from limbcli.feb.outline import Outline
 from limbcli.feb.read import read_feb
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose
 from limbcli.solvers.febio import FebioSolver
+from limbcli.solvers.febio_watch import default_limit_s
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 
@@ -226,3 +228,53 @@ def test_stored_results_of_febio_become_a_simulation(golden: Path, tmp_path: Pat
     shutil.copy(golden / "log-killed" / "model.log", tmp_path / "model.log")
     with pytest.raises(SolveError, match="breaks off"):
         FebioSolver().read(tmp_path / "model.feb")
+
+
+def test_a_binary_that_serves_another_run_s_log_is_not_believed(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "other run")
+    with pytest.raises(SolveError, match="of another run"):
+        FebioSolver(binary).run(feb, progress=SILENT)
+
+
+def test_results_beside_a_changed_model_file_are_not_read(binary: Path, feb: Path) -> None:
+    solver = FebioSolver(binary)
+    solver.run(feb, progress=SILENT)
+    feb.write_text(feb.read_text().replace("<c1>0.0025", "<c1>0.0050"))
+    with pytest.raises(SolveError, match="another model file"):
+        solver.read(feb)
+
+
+def test_a_version_probe_that_hangs_ends_soon(binary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "hang at once")
+    monkeypatch.setattr("limbcli.solvers.febio._VERSION_TIMEOUT_S", 0.3)
+    start = time.monotonic()
+    assert FebioSolver(binary).version() == "unknown"
+    assert time.monotonic() - start < 5
+
+
+def test_a_silent_run_gives_signs_of_life_and_ends_by_the_limit_of_its_size(
+    binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_FEBIO", "hang")
+    monkeypatch.setattr("limbcli.solvers.febio.HEARTBEAT_S", 0.2)
+    monkeypatch.setattr("limbcli.solvers.febio_watch._LEAST_LIMIT_S", 2.0)
+    monkeypatch.setattr("limbcli.solvers.febio_watch._LIMIT_S_PER_NODE_AND_LEVEL", 0.0)
+    seen: list[tuple[str, dict]] = []
+    with pytest.raises(SolveError, match="the limit for a model of this size"):
+        FebioSolver(binary).run(feb, progress=Progress(lambda kind, facts: seen.append((kind, facts))))
+    alive = [facts for kind, facts in seen if kind == "alive"]
+    assert len(alive) >= 2
+    assert alive[-1]["seconds"] > alive[0]["seconds"]
+    assert (alive[-1]["limit_s"], alive[-1]["end_time"]) == (2.0, 1.0)
+
+
+def test_a_model_s_own_limit_grows_with_nodes_and_levels() -> None:
+    def limit(n_nodes: int, n_levels: int) -> float:
+        times = tuple(float(each) for each in range(1, n_levels + 1))
+        return default_limit_s(Outline(1.0, (), np.arange(n_nodes), np.zeros(0, np.int64), times))
+
+    assert limit(100, 5) == limit(200, 5)
+    assert limit(60_000, 20) == pytest.approx(4 * limit(30_000, 10))
+    assert limit(30_000, 10) > 3600

@@ -162,6 +162,13 @@ def test_only_loading_depths_count_sorted_and_once(case: Case, tmp_path: Path) -
     assert [d for _, d in probe_travel(built(case, tmp_path / "out"))[1:]] == pytest.approx([0.8, 2.0])
 
 
+def test_a_depth_that_shrinks_is_simulated_in_order_of_depth(case: Case, tmp_path: Path) -> None:
+    edit_levels(case, "0,0,1.6,load\n1,2.0,,load\n2,1.4,,load\n3,3.1,,load\n")
+    assert simulated_depths(read_levels(case.sites[0].levels)).tolist() == [1.4, 2.0, 3.1]
+    result = build_feb(case, out=tmp_path / "out")[0]
+    assert any("sorted order" in each for each in result.warnings)
+
+
 def test_records_ask_for_what_pictures_and_shear_waves_need(case: Case, tmp_path: Path) -> None:
     model = built(case, tmp_path / "out")
     rigid, nodes, elements = model.records
@@ -220,3 +227,14 @@ def test_depths_that_do_not_grow_are_refused() -> None:
     for depths in ([], [1.0, 1.0], [2.0, 1.0], [0.01, 1.0]):
         with pytest.raises(CaseError, match="do not grow"):
             schedule(depths)
+
+
+def test_c_without_a_level_0_is_named_for_what_it_is(case: Case, tmp_path: Path) -> None:
+    edit_levels(case, "2,1.5,2.0,load\n4,2.4,2.2,load\n6,3.2,2.4,load\n")
+    result = build_feb(case, out=tmp_path / "out")[0]
+    assert "SWE at level 0" not in result.data["c_source"]
+    assert "2 N and 1.5 mm" in result.data["c_source"]
+    (doubt,) = [each for each in result.warnings if "no level 0" in each]
+    assert "6.48 kPa at 0 N" in doubt, "2 rho (1.8 m/s)^2"
+    given = build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=6.48))[0]
+    assert not [each for each in given.warnings if "no level 0" in each]

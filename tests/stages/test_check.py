@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from limbcli.case import Case
+from limbcli.errors import CaseError
 from limbcli.stages.check import check
+from limbcli.stages.segment import segment
+
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 CASE = """
 format = 1
@@ -62,3 +70,42 @@ def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: P
     warning = Problem("a", "b", "c", severity="warning")
     assert CheckResult(folder, (), (wrong,)).exit_code == 3
     assert CheckResult(folder, (), (warning,)).exit_code == 0
+
+
+def test_a_bone_elsewhere_and_sites_off_the_skin_are_told(tmp_path: Path):
+    from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+
+    shutil.copytree(REPOSITORY / "cases" / "paper-parameters", tmp_path / "case")
+    folder = tmp_path / "case"
+    assert not [each.what for each in check(folder).problems if each.severity == "error"]
+    tibia = read_surface(folder / "surfaces" / "tibia.ply")
+    moved = ClosedSurface(tibia.points + np.array([200.0, 0, 0]), tibia.triangles)
+    write_surface(folder / "surfaces" / "tibia.ply", moved)
+    text = (folder / "case.toml").read_text()
+    (folder / "case.toml").write_text(text.replace("[3.0, 36.0, 0.0]", "[3.0, 136.0, 0.0]", 1))
+    errors = [each.what for each in check(folder).problems if each.severity == "error"]
+    assert len(errors) == 2
+    assert "bone_tibia lies outside the skin" in errors[0]
+    assert "mm from the skin" in errors[1]
+    with pytest.raises(CaseError, match="outside the skin"):
+        segment(Case.open(folder), out=tmp_path / "out")
+
+
+def test_a_label_map_of_other_geometry_than_its_series_is_told(tmp_path: Path):
+    from limbcli.imaging.dicom import read_series
+    from limbcli.imaging.labels import write_labels
+    from limbcli.imaging.segmentation import segment_limb
+
+    shutil.copytree(REPOSITORY / "cases" / "phantom", tmp_path / "case")
+    folder = tmp_path / "case"
+    text = (folder / "case.toml").read_text()
+    (folder / "case.toml").write_text(text.replace('mri = "mri"', 'mri = "mri"\nlabels = "labels.nii.gz"'))
+    series = read_series(folder / "mri").volume
+    labels = segment_limb(series, modality="MR").labels
+    write_labels(folder / "labels.nii.gz", labels)
+    assert not [each.what for each in check(folder).problems if each.severity == "error"]
+    half = replace(labels, affine=labels.affine @ np.diag([1.0, 1.0, 0.5, 1.0]))
+    write_labels(folder / "labels.nii.gz", half)
+    assert any("lies elsewhere" in each.what for each in check(folder).problems)
+    with pytest.raises(CaseError, match="lies elsewhere"):
+        segment(Case.open(folder), out=tmp_path / "out")

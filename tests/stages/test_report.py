@@ -417,9 +417,11 @@ def test_unreadable_levels_and_records_become_words(tmp_path):
     write_run_of(out, "p1")
     (out / "run" / "p1" / "nodes.csv").write_text("*Step = 1\n")
     case.sites[0].levels.write_text("force_n,depth_mm\n1,2\n")
-    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    result = report(case, out=out)
+    page = Page(result.path("page").read_text(encoding="utf-8"))
     assert "p1.csv cannot be used" in page.text
     assert "cannot be drawn" in page.text
+    assert "nodes.csv cannot be used" in result.warnings[-1]
 
 
 @pytest.mark.parametrize(

@@ -154,3 +154,13 @@ def test_residuals_come_from_the_log_or_from_recorded_events(tmp_path, golden):
     found = read_residuals(StageResult("run", "S1", tmp_path, "p1"))
     assert found is not None
     np.testing.assert_allclose(found.ratio, [5.0])
+
+
+@pytest.mark.parametrize("name", ["nodes.csv", "all"])
+def test_records_that_end_too_early_are_told_even_at_the_end_of_a_step(tmp_path, name):
+    result = write_run(tmp_path, box_model())
+    for path in tmp_path.glob("*.csv" if name == "all" else name):
+        text = path.read_text()
+        path.write_text(text[: text.index("*Step  = 2")])
+    with pytest.raises(SolveError, match="end at time 0.5" if name == "all" else "its times are not"):
+        read_deformed(result)

@@ -16,6 +16,8 @@ TIMES = (0.0, 0.25, 0.5, 1.0)
 
 def replay(log: Path, source: str, *, pause: float = 0.0) -> None:
     with log.open("w") as stream:
+        if "-p" in sys.argv and os.environ.get("FAKE_FEBIO") != "other run":
+            stream.write(f"\tPlot file  : {sys.argv[sys.argv.index('-p') + 1]}\n")
         for line in (DATA / source).read_text().splitlines(keepends=True):
             stream.write(line)
             stream.flush()
@@ -42,6 +44,8 @@ def value(name: str, now: float) -> float:
 
 
 def main() -> int:
+    if "-info" in sys.argv and os.environ.get("FAKE_FEBIO") == "hang at once":
+        time.sleep(600)
     if "-info" in sys.argv:
         print((DATA / "log-normal.txt").read_text()[:400])
         return 0
@@ -53,7 +57,7 @@ def main() -> int:
     if mode == "no log":
         print("error while loading shared libraries: libmkl_rt.so")
         return 127
-    if mode in ("complete", "lies bad"):
+    if mode in ("complete", "lies bad", "other run"):
         replay(log, "log-normal.txt", pause=0.02)
         records(model, n_times=4)
         return 1 if mode == "lies bad" else 0

@@ -1,0 +1,134 @@
+"""Proof that a log tells of the model file beside it, and of no other.
+
+A run is given a mark, made from the model file's content, as the name of its plot file; the log's list of
+files repeats it. A log without a mark is judged by what FEBio repeats of its input: the number of nodes and
+the parameters of every material.
+
+Source: FEBio 4, FEBioModel::echo_input (FEBioLib/input.cpp); numbers are printed with six digits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.feb.outline import Outline
+
+_HEAD_LINES = 20_000  # of a log, in which its input is repeated
+_DIGITS = 2e-5  # relative: six digits printed
+_MARK = re.compile(r"^\s*(?:Plot|Model) file\s*: \S*?limbcli-([0-9a-f]{16})\.")
+_NODES = re.compile(r"^\s*Number of nodes \.+ ?: (\d+)\s*$")
+_MATERIAL = re.compile(r"^  (\d+) - (.*) \(type: (.*)\)$")
+_VALUE = re.compile(r"^\t(\w+) \.* ?: (\S+)\s*$")
+_SECTION = re.compile(r"^ [A-Z][A-Z ]+$")
+
+
+def mark_of(feb: Path) -> str:
+    """What a run of this file is known by: 16 hexadecimal digits of its content's SHA-256."""
+    return hashlib.sha256(feb.read_bytes()).hexdigest()[:16]
+
+
+def marked(feb: Path, ending: str) -> str:
+    """The marked file name that goes into the log's list of files."""
+    return f"limbcli-{mark_of(feb)}{ending}"
+
+
+@dataclass
+class Echo:
+    """What a log repeats of its input; materials: by id, the numbers of their parameters by name."""
+
+    mark: str = ""
+    n_nodes: int | None = None
+    materials: dict[int, dict[str, float]] = field(default_factory=dict)
+
+
+def read_echo(lines: Iterable[str]) -> Echo:
+    """The head of a log.
+
+    >>> read_echo(["\\tPlot file  : limbcli-0123456789abcdef.xplt"]).mark
+    '0123456789abcdef'
+    """
+    echo = Echo()
+    values: dict[str, float] | None = None
+    inside = False
+    for line in lines:
+        if _SECTION.match(line):
+            inside, values = line.strip() == "MATERIAL DATA", None
+        elif found := _MARK.match(line):
+            echo.mark = echo.mark or found[1]
+        elif found := _NODES.match(line):
+            echo.n_nodes = int(found[1])
+        elif inside and (found := _MATERIAL.match(line)):
+            values = echo.materials.setdefault(int(found[1]), {})
+        elif values is not None and (found := _VALUE.match(line)):
+            number = _finite(found[2])
+            if number is not None:
+                values[found[1]] = number
+    return echo
+
+
+def _finite(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if np.isfinite(number) else None
+
+
+def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = False) -> None:
+    """Pass only a log of this very model file.
+
+    by_mark : only the mark counts, as in a run that was given one
+
+    Raises
+    ------
+    SolveError
+        If the log is of another model, or does not tell.
+    """
+    with log.open(encoding="utf-8", errors="replace") as stream:
+        echo = read_echo(line.rstrip("\r\n") for line in itertools.islice(stream, _HEAD_LINES))
+    if echo.mark and echo.mark != mark_of(feb):
+        _refuse(log, f"the log tells of another model file than {feb.name} beside it (mark {echo.mark})")
+    if echo.mark:
+        return
+    if by_mark:
+        _refuse(log, "the log does not repeat the mark that the run was given: it is of another run")
+    if echo.n_nodes is None or not echo.materials:
+        _refuse(log, f"the log does not tell which model it is of, so it is not taken for {feb.name}")
+    _compare(echo, outline, log)
+
+
+def _compare(echo: Echo, outline: Outline, log: Path) -> None:
+    n_nodes = int(np.count_nonzero(outline.nodes >= 0))
+    if echo.n_nodes != n_nodes:
+        _refuse(log, f"the log tells of {echo.n_nodes} nodes, the model file has {n_nodes}")
+    for number, parameters in outline.materials.items():
+        told = echo.materials.get(number)
+        if told is None:
+            _refuse(log, f"the log does not tell of material {number} of the model file")
+        if found := _first_difference(parameters, told):
+            name, ours = found
+            _refuse(log, f"the log tells of another material: {name} is {told[name]:g}, not {ours:g}")
+
+
+def _first_difference(ours: Mapping[str, float], told: Mapping[str, float]) -> tuple[str, float] | None:
+    for name, value in ours.items():
+        if name in told and abs(told[name] - value) > _DIGITS * max(abs(value), 1e-12):
+            return name, value
+    return None
+
+
+def _refuse(log: Path, what: str) -> NoReturn:
+    raise SolveError(
+        what,
+        where=str(log),
+        fix="run the simulation again, in a folder of its own (`limbcli run`); check what --febio names",
+    )

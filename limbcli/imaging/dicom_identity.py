@@ -1,0 +1,63 @@
+"""Slices of one patient in one frame of reference: another's may fit in place and size all the same."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+from pydicom.dataset import Dataset
+
+from limbcli.errors import CaseError
+
+_OWN = 0.4  # more values than this share of the images: they tell nothing
+_SHOWN = 4
+_WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
+_TAGS = (
+    ("PatientID", "Patient ID (0010,0020)", "patient"),
+    ("FrameOfReferenceUID", "Frame of Reference UID (0020,0052)", "frame of reference"),
+)
+
+
+def public_name(path: Path, dataset: Dataset, number: int) -> str:
+    """The file's name for messages, unless it tells who the patient is."""
+    private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
+    words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
+    told = any(each in path.name.lower() for each in words)
+    return f"file {number} in order of name" if told else path.name
+
+
+def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
+    """Notes on tags that tell nothing.
+
+    datasets : (name fit for messages, header) of every image; no value of a tag is ever told
+
+    Raises
+    ------
+    CaseError
+        If some images are of another patient, or of another frame of reference, than the most.
+    """
+    notes = []
+    for keyword, tag, noun in _TAGS:
+        values = [str(dataset.get(keyword, "") or "").strip() for _, dataset in datasets]
+        counts = Counter(each for each in values if each)
+        if len(counts) < 2:
+            if counts and "" in values:
+                notes.append(f"{values.count('')} of {len(values)} images lack the {tag}")
+            continue
+        if keyword != "PatientID" and len(counts) > _OWN * len(datasets):
+            notes.append(f"every image has a {tag} of its own; it was not looked at")
+            continue
+        usual = counts.most_common(1)[0][0]
+        odd = [name for (name, _), value in zip(datasets, values, strict=True) if value not in ("", usual)]
+        more = f" and {len(odd) - _SHOWN} more" if len(odd) > _SHOWN else ""
+        raise CaseError(
+            f"{len(odd)} of {len(datasets)} images are of another {noun}, by {tag}: "
+            f"{', '.join(odd[:_SHOWN])}{more}",
+            where=str(folder),
+            fix="remove them, and copy the patient's own series again; if it is the same patient and scan, "
+            "give all images the same tag",
+            n_odd=len(odd),
+            tag=keyword,
+        )
+    return tuple(notes)

@@ -1,0 +1,126 @@
+"""Whether a label map lies where the image lies that it was drawn on.
+
+A label map carries its own place. Exported without it, or with that of another image, it still makes a limb,
+of another size and elsewhere; only the image can tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from limbcli.imaging.fields import filled_by_slice
+from limbcli.imaging.limbs import upright
+from limbcli.imaging.outline import background_threshold
+from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE
+from limbcli.imaging.volume import Volume
+from limbcli.model import Array
+from limbcli.problems import Problem
+
+_SAME = 0.5  # of a voxel: corners this near are the same grid
+_AGREE = (0.9, 0.75)  # Dice overlap of limb and bright image, slice by slice: unusual, impossible
+_BEYOND = 0.05  # of the limb's voxels may lie beyond the image
+_MOST_VOXELS = 4e6  # that are compared
+_HU_AIR = -300.0  # CT: below all tissue
+_FIX = "export the label map again with the MRI series as its reference volume, or remove [imaging] mri"
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """own_grid : the label map's grid is another than the image's; overlap : Dice, None if unknown."""
+
+    own_grid: bool
+    overlap: float | None
+    problems: tuple[Problem, ...]
+
+
+def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
+    """Place and size of a label map against its image's.
+
+    On the image's own grid nothing is asked. A grid of equal matrix at another place or of other voxels is
+    an error. Any other grid is taken by its place in the patient, and must cover what is bright in the image.
+    """
+    if _same_grid(labels, image):
+        return Agreement(False, None, ())
+    if sorted(labels.shape) == sorted(image.shape):
+        off = np.linalg.norm(_middle(labels) - _middle(image))
+        what = (
+            f"the label map has the MRI's matrix but lies elsewhere: voxels {_size(labels.spacing)} mm, "
+            f"not {_size(image.spacing)} mm; middle {off:.1f} mm off"
+        )
+        return Agreement(True, None, (Problem(what, where, _FIX),))
+    limb = np.isin(labels.values, (SOFT_TISSUE, BONE, FAT))
+    beyond = _share_beyond(labels, limb, image)
+    if beyond > _BEYOND:
+        what = f"{beyond:.0%} of the label map's limb lies beyond the MRI series"
+        return Agreement(True, None, (Problem(what, where, _FIX),))
+    overlap = _overlap(labels, limb, image)
+    if overlap >= _AGREE[0]:
+        return Agreement(True, overlap, ())
+    what = f"the label map's limb and the limb in the MRI overlap by {overlap:.0%} only (Dice)"
+    severity = "error" if overlap < _AGREE[1] else "warning"
+    return Agreement(True, overlap, (Problem(what, where, _FIX, severity=severity),))  # type: ignore[arg-type]
+
+
+def _size(spacing: Array) -> str:
+    return " x ".join(f"{each:.3g}" for each in spacing)
+
+
+def _corners(volume: Volume) -> Array:
+    """(8, 3) patient LPS of the outer voxels' centres, sorted: whatever the order of the axes."""
+    ends = np.stack(np.meshgrid(*([0, n - 1] for n in volume.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    return volume.to_patient(ends)
+
+
+def _middle(volume: Volume) -> Array:
+    return np.asarray(_corners(volume).mean(axis=0), dtype=np.float64)
+
+
+def _same_grid(labels: Volume, image: Volume) -> bool:
+    """Same voxels, in any order of the axes: each corner has one of the other's within half a voxel."""
+    if sorted(labels.shape) != sorted(image.shape):
+        return False
+    apart = np.linalg.norm(_corners(labels)[:, None] - _corners(image)[None], axis=2)
+    nearest = apart.argmin(axis=1)
+    return bool(apart.min(axis=1).max() < _SAME * image.spacing.min() and len(set(nearest)) == len(nearest))
+
+
+def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
+    """Share of the limb's voxels (some of them) that are outside the image by more than a voxel."""
+    index = np.argwhere(limb)
+    index = index[:: max(1, len(index) // 100_000)]
+    at = image.to_voxel(labels.to_patient(index.astype(float)))
+    outside = (at < -1.5).any(axis=1) | (at > np.array(image.shape) + 0.5).any(axis=1)
+    return float(outside.mean())
+
+
+def _overlap(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
+    """Dice of the label map's limb and the bright part of the image that it meets, in the label map's slices.
+
+    The image is sampled at the label map's voxels, every few of them where there are many.
+    """
+    turned, order, flipped = labels.along_limb()
+    limb = np.transpose(limb, order)
+    limb = limb[:, :, ::-1] if flipped else limb
+    every = max(1, int(np.ceil((limb.size / _MOST_VOXELS) ** (1 / 3))))
+    mask = limb[::every, ::every, ::every]
+    index = np.argwhere(np.ones(mask.shape, bool)) * every
+    at = image.to_voxel(turned.to_patient(index.astype(float))).T
+    image = image if image.values.min() < _HU_AIR else upright(image)[0]
+    level = _HU_AIR if image.values.min() < _HU_AIR else background_threshold(image.values)
+    sampled = ndimage.map_coordinates(
+        image.values.astype(np.float32), at, order=1, mode="constant", cval=float(image.values.min())
+    )
+    bright = filled_by_slice(sampled.reshape(mask.shape) > level)
+    parts, n_parts = ndimage.label(bright)
+    if n_parts == 0:
+        return 0.0
+    met = np.bincount(parts[mask], minlength=n_parts + 1)
+    met[0] = 0
+    ours = bright & (met > 0.02 * mask.sum())[parts]
+    filled = mask.any(axis=(0, 1))
+    both = (mask & ours)[:, :, filled].sum()
+    return float(2 * both / max(mask.sum() + ours[:, :, filled].sum(), 1))

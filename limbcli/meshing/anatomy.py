@@ -1,0 +1,170 @@
+"""Skin and bones that can belong to one limb: sizes, bones inside the skin and apart, the limb's side.
+
+Surfaces come from anywhere and in any frame; a bone elsewhere, a skin in another unit or a mirrored limb
+gives numbers that look like any others. What cannot be is an error, what is unusual a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.meshing.distance import Field, grid_over, signed_distance
+from limbcli.meshing.frame import FAR_FROM_SKIN, nearest_skin_point
+from limbcli.meshing.mending import Plane, mend
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+from limbcli.problems import Problem
+
+SKIN = "skin"
+MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
+_SKIN_CM3 = (100.0, 2.5e4)  # a child's stump, cut short; a whole thigh and leg
+_LEAST_BONE_CM3 = 0.15  # as the label maps' (imaging.labels)
+_BONE_SHARE = (0.5, 0.8)  # of the limb's volume: unusual, impossible
+_OUT_MM = 2.0  # a bone's point this far out is out; less is the surfaces' roughness
+_OUT_SHARE = (0.01, 0.2)  # of the bone's points: unusual, impossible
+_OUT_FAR_MM = 15.0
+_TWICE = 0.5  # of a bone's points inside another: the same bone twice
+_ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
+_POINTS = 500  # of a bone that are looked at
+_CELLS = 90  # of the grid along a body's longest side
+
+
+def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> list[Problem]:
+    """What is wrong with the skin and the bones of one limb.
+
+    surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
+    limb : "left" or "right"; the fibula tells it where two bones are so named
+
+    Raises
+    ------
+    MeshError
+        If the skin is no body at all.
+    """
+    skin = surfaces[SKIN]
+    bones = {name: each for name, each in surfaces.items() if name != SKIN}
+    mended = mend(skin, [], where=where)
+    found = _sizes(mended.skin.volume, bones, where)
+    distance = _distance_of(mended.skin)
+    found += [
+        problem
+        for name, bone in bones.items()
+        for problem in _outside(name, bone, mended.skin, distance, mended.ends, where)
+    ]
+    return found + _twice(bones, where) + _side(bones, limb, where)
+
+
+def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
+    """Volumes in cm3 against what limbs have."""
+    found = []
+    low, high = _SKIN_CM3
+    if not low <= volume / 1e3 <= high:
+        what = f"the skin encloses {volume / 1e3:.3g} cm3; a limb in view has {low:g} to {high:g} cm3"
+        severe = volume / 1e3 > 2 * high
+        found.append(_problem(what, where, "save the surfaces in mm (patient LPS)", error=severe))
+    volumes = {name: abs(each.volume) for name, each in bones.items()}
+    for name, each in volumes.items():
+        if each / 1e3 < _LEAST_BONE_CM3:
+            what = f"{name} encloses {each / 1e3:.2g} cm3 only"
+            found.append(_problem(what, where, "leave it out, or bring the whole bone"))
+    share = sum(volumes.values()) / max(volume, 1e-9)
+    if share > _BONE_SHARE[0]:
+        what = f"the bones fill {share:.0%} of the skin's volume"
+        fix = "check which file is the skin and which a bone, and that all are in mm"
+        found.append(_problem(what, where, fix, error=share > _BONE_SHARE[1]))
+    return found
+
+
+def _distance_of(body: Triangles) -> Field:
+    """Signed distance round a body, on a coarse grid a little larger than it."""
+    low, high = body.points.min(0), body.points.max(0)
+    spacing = float(max((high - low).max() / _CELLS, 0.5))
+    return signed_distance(body, grid_over(low - 2.5 * spacing, high + 2.5 * spacing, spacing))
+
+
+def _outside(
+    name: str, bone: Triangles, skin: Triangles, distance: Field, ends: tuple[Plane, ...], where: str
+) -> list[Problem]:
+    """A bone outside the skin; what stands out beyond the limb's cut ends does not count."""
+    points = _some(bone.points)
+    depth = _heights(points, skin, distance)
+    abreast = np.all([each.height(points) <= 0 for each in ends], axis=0) if ends else np.ones(len(points))
+    counted = depth[abreast.astype(bool)]
+    fix = "give skin and bones in one frame (mm, patient LPS), of the same limb and the same image"
+    if not len(counted):
+        what = f"{name} lies beyond the end of the skin, {depth.min():.0f} mm from it at its nearest"
+        return [_problem(what, where, fix, error=True)]
+    out = counted > _OUT_MM
+    share, far = float(out.mean()), float(counted.max())
+    if share <= _OUT_SHARE[0]:
+        return []
+    what = f"{share:.0%} of {name} lies outside the skin, by up to {far:.0f} mm"
+    return [_problem(what, where, fix, error=share > _OUT_SHARE[1] or far > _OUT_FAR_MM)]
+
+
+def _heights(points: Array, skin: Triangles, distance: Field) -> Array:
+    """Height (mm) of points above a surface, negative inside; far from the grid by the nearest corner."""
+    low, high = distance.grid.box
+    near = ((points > low) & (points < high)).all(axis=1)
+    far, _ = cKDTree(skin.points).query(points)
+    return np.where(near, distance.at(points), far)
+
+
+def _twice(bones: Mapping[str, Triangles], where: str) -> list[Problem]:
+    """Two bones at one place."""
+    found = []
+    names = sorted(bones, key=lambda each: -abs(bones[each].volume))
+    for k, name in enumerate(names[:-1]):
+        distance = _distance_of(bones[name])
+        for other in names[k + 1 :]:
+            points = _some(bones[other].points)
+            share = float((_heights(points, bones[name], distance) < 0.5).mean())
+            if share > _TWICE:
+                what = f"{other} lies within {name} ({share:.0%} of it): the same bone twice?"
+                fix = "name each bone once, each with a file of its own"
+                found.append(_problem(what, where, fix, error=True))
+    return found
+
+
+def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem]:
+    """The fibula lies lateral of the tibia: of a left leg towards +x (LPS), the patient's left."""
+    tibia = next((each for name, each in bones.items() if "tibia" in name), None)
+    fibula = next((each for name, each in bones.items() if "fibula" in name), None)
+    if tibia is None or fibula is None:
+        return []
+    x, y, _ = fibula.centroids.mean(axis=0) - tibia.centroids.mean(axis=0)
+    lateral = x if limb == "left" else -x
+    if lateral > -_ASIDE_MM or lateral > -_ASIDE * np.hypot(x, y):
+        return []
+    other = "right" if limb == "left" else "left"
+    what = (
+        f"the fibula lies {-lateral:.0f} mm medial of the tibia: that is a {other} leg, the case says {limb}"
+    )
+    fix = "correct [subject] limb, or the frame of the images or surfaces (LPS: +x is the patient's left)"
+    return [_problem(what, where, fix)]
+
+
+def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) -> list[Problem]:
+    """Sites that do not lie on the skin: too far to be meant so, or moved on to it.
+
+    places : (3,) mm, patient LPS, by the site's name
+    """
+    found = []
+    for name, place in places.items():
+        far = nearest_skin_point(skin, np.asarray(place, float))[2]
+        if far > MOVED_MM:
+            what = f"site {name} lies {far:.0f} mm from the skin"
+            fix = "give position_mm on the skin, in mm, in the frame of the surfaces (patient LPS)"
+            found.append(_problem(what, where, fix, error=far > FAR_FROM_SKIN))
+    return found
+
+
+def _some(points: Array) -> Array:
+    """At most `_POINTS` of them, evenly by number."""
+    return points[:: max(1, len(points) // _POINTS)]
+
+
+def _problem(what: str, where: str, fix: str, *, error: bool = False) -> Problem:
+    return Problem(what, where, fix, severity="error" if error else "warning")

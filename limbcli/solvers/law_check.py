@@ -1,0 +1,109 @@
+"""Tabulated stresses against the law of the model: record files of another material do not pass.
+
+The first loaded step is taken, where a mean over a cell is still the law's stress at the mean deformation;
+only the deviatoric part, because the pressure of nearly incompressible tissue swings within a quadratic cell.
+Only plain elastic laws of one number per parameter are judged, without element maps, mixtures and rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.materials.stress import cauchy_stress
+from limbcli.model import Array, LimbModel, Material
+from limbcli.solvers.base import Table
+
+_GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
+_STRESS = ("sx", "sy", "sz", "sxy", "syz", "sxz")
+_PLAIN = ("ogden", "neo_hooke", "holmes_mow")
+_CELLS = 200  # with the largest stresses
+_TOLERANCE = 0.03  # of the stress: tet10's mean over a cell leaves 0.7 % even where it is pressed deep
+_LOADED = 0.05  # of the largest stress: less is round-off where a cell is at rest
+_SHEARED = 1e-3  # of the whole stress: under pressure alone there is nothing to compare
+_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells tell less
+
+
+def can_be_checked(elements: Mapping[str, Table]) -> bool:
+    """Whether any table holds deformation and stress."""
+    return any(_tells(each) for each in elements.values())
+
+
+def _tells(table: Table) -> bool:
+    return {*_GRADIENT, *_STRESS} <= set(table.fields)
+
+
+def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Path) -> None:
+    """The tables that hold deformation and stress, each against its cells' laws.
+
+    Raises
+    ------
+    SolveError
+        If the median cell's stress is not that of its law.
+    """
+    laws = _laws_by_cell(model)
+    for name, table in elements.items():
+        off = _deviation(table, laws) if _tells(table) else None
+        if off is not None and off > _TOLERANCE:
+            raise SolveError(
+                f"the stresses in {name} are not those of the model's material: "
+                f"{100 * off:.0f} % off its law in the first step",
+                where=str(folder / name),
+                fix="run the simulation again, in a folder of its own (`limbcli run`); "
+                "check what --febio names",
+                deviation=off,
+            )
+
+
+def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
+    """The plain laws of the solid cells, by the cell's number over all blocks."""
+    of_block = {each.block: each for each in model.domains}
+    found: dict[int, Material] = {}
+    start = 0
+    for block in model.mesh.blocks:
+        domain = of_block.get(block.name)
+        law = model.materials[domain.material] if domain is not None else None
+        if law is not None and domain is not None and domain.rule is None and _is_plain(law):
+            found.update(dict.fromkeys(range(start, start + len(block.cells)), law))
+        start += len(block.cells)
+    return found
+
+
+def _is_plain(law: Material) -> bool:
+    numbers = all(isinstance(each, int | float) for each in law.parameters.values())
+    return law.law in _PLAIN and not law.parts and numbers
+
+
+def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
+    """Median relative difference of the deviatoric stress where it is large; None where none is borne."""
+    known = np.array([int(each) in laws for each in table.items])
+    loaded = np.flatnonzero(table.times > 0)
+    if not known.any() or not len(loaded):
+        return None
+    values = table.values[loaded[0]][known]
+    items = table.items[known]
+    F = values[:, [table.fields.index(each) for each in _GRADIENT]].reshape(-1, 3, 3)
+    whole = values[:, [table.fields.index(each) for each in _STRESS]]
+    told = _deviator(whole)
+    size = np.linalg.norm(told, axis=1)
+    size = np.where(size > _SHEARED * np.linalg.norm(whole, axis=1), size, 0.0)
+    small = (np.abs(F - np.eye(3)).max(axis=(1, 2)) < _STRAIN) & (np.linalg.det(F) > 0.2)
+    most = [k for k in np.argsort(-size) if small[k] and size[k] > _LOADED * size.max() > 0][:_CELLS]
+    if not most:
+        return None
+    stress = np.array([_voigt(cauchy_stress(laws[int(items[k])], F[k][None])[0]) for k in most])
+    expected = _deviator(stress)
+    scale = np.maximum(size[most], np.linalg.norm(expected, axis=1))
+    return float(np.median(np.linalg.norm(told[most] - expected, axis=1) / scale))
+
+
+def _deviator(stress: Array) -> Array:
+    """(n, 6) without the mean of the first three."""
+    return np.concatenate([stress[:, :3] - stress[:, :3].mean(axis=1, keepdims=True), stress[:, 3:]], axis=1)
+
+
+def _voigt(stress: Array) -> Array:
+    return stress[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]

@@ -1,0 +1,191 @@
+"""Wrong physics on purpose: each slip of this table must turn a named test red.
+
+    python -m tests.benchmarks.mutations [--only WORD] [--limit-s 300]
+
+Every slip is made in a copy of the package (kernels compiled anew where one is touched) and the test named
+beside it is run there. Before, all these tests must pass without a slip.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Slip:
+    """what : in words; old, new : text of `file`; test : that must fail; kernel : compiled code is touched"""
+
+    what: str
+    file: str
+    old: str
+    new: str
+    test: str
+    kernel: bool = False
+
+
+LAWS, FRAME = "tests/materials/test_laws.py", "tests/meshing/test_frame.py"
+BUILD, DICOM = "tests/stages/test_build_feb.py", "tests/imaging/test_dicom.py"
+HOLDS, LABELS = "tests/measurement/test_holds.py", "tests/imaging/test_labels.py"
+SPEED, FEBIO = "tests/measurement/test_elastography.py", "tests/solvers/test_febio_solver.py"
+SLIPS = (
+    Slip("sign of a stress term (squares)", "materials/ogden.py",
+         "S[q] += inner * D[q] - 0.5 * minus * G[q]", "S[q] += inner * D[q] + 0.5 * minus * G[q]",
+         f"{LAWS}::test_stress_is_derivative_of_energy", kernel=True),
+    Slip("sign of a stress term (any exponent)", "materials/ogden.py",
+         "tau[1] += c / m * e1", "tau[1] -= c / m * e1",
+         f"{LAWS}::test_stress_is_derivative_of_energy", kernel=True),
+    Slip("c/m for c/m^2 in the stress", "materials/ogden.py", "tau[0] += c / m * e0", "tau[0] += c * e0",
+         f"{LAWS}::test_uniaxial_ogden_agrees_with_its_closed_form", kernel=True),
+    Slip("tangent of the volume term", "materials/ogden.py",
+         "slope = par[off] * (2.0 * J - 1.0) * J\n    for p", "slope = par[off] * (J - 1.0) * J\n    for p",
+         f"{LAWS}::test_tangent_is_derivative_of_stress", kernel=True),
+    Slip("factor 2 in c: c/2 for c in both terms", "materials/ogden.py",
+         '"c1": c / 2, "m1": m, "c2": c / 2', '"c1": c, "m1": m, "c2": c',
+         "limbcli/materials/stress.py"),
+    Slip("f_kappa for kappa'", "materials/ogden.py", '"kappa": f_kappa * c', '"kappa": f_kappa',
+         "limbcli/materials/ogden.py"),
+    Slip("factor 2 in c from the wave speed", "stages/build_feb.py",
+         "return 2 * float(modulus[0]), f", "return float(modulus[0]), f", BUILD),
+    Slip("level off by one: c from level 1", "stages/build_feb.py",
+         "speed = float(levels.swe_mean_m_per_s[0])", "speed = float(levels.swe_mean_m_per_s[1])",
+         f"{BUILD}::test_c_comes_from_shear_waves_at_level_0"),
+    Slip("depths in the order measured, not sorted", "stages/build_feb.py",
+         "depths = np.unique(levels.depth[levels.loading])", "depths = levels.depth[levels.loading]",
+         f"{BUILD}::test_a_depth_that_shrinks_is_simulated_in_order_of_depth"),
+    Slip("unloading levels simulated too", "stages/build_feb.py",
+         "depths = np.unique(levels.depth[levels.loading])", "depths = np.unique(levels.depth)", BUILD),
+    Slip("unit of rho: g/cm3 for kg/m3", "measurement/elastography.py",
+         "density_kg_per_m3 * speed**2", "1e-3 * density_kg_per_m3 * speed**2", SPEED),
+    Slip("speed not squared", "measurement/elastography.py",
+         "density_kg_per_m3 * speed**2", "density_kg_per_m3 * speed", SPEED),
+    Slip("kPa for MPa", "units.py", "cast(Number, value_kpa / 1e3)", "cast(Number, value_kpa / 1e6)",
+         "limbcli/units.py"),
+    Slip("Pa for MPa", "units.py", "cast(Number, value_pa / 1e6)", "cast(Number, value_pa / 1e3)", SPEED),
+    Slip("contact dropped on a facet", "fem/contact_kernels.py",
+         "def force(facets, N, weights, state, center, out, body):\n",
+         "def force(facets, N, weights, state, center, out, body):\n    facets = facets[1:]\n",
+         "tests/fem/test_contact.py::test_tangent_agrees_with_differences", kernel=True),
+    Slip("contact's normal not turned in the tangent", "fem/contact_kernels.py",
+         "df[i] = weights[k] * (dt * n[i] + t * dn[i])", "df[i] = weights[k] * (dt * n[i])",
+         "tests/fem/test_contact.py::test_tangent_agrees_with_differences", kernel=True),
+    Slip("tet4's rule for tet10", "fem/quadrature.py", '"tet10": _tet8', '"tet10": _tet1',
+         "tests/fem/test_element.py::test_rule_integrates_polynomials_of_its_degree"),
+    Slip("weights of tet10 swapped", "fem/quadrature.py",
+         "[0.138527967 / 6.0, 0.111472033 / 6.0]", "[0.111472033 / 6.0, 0.138527967 / 6.0]",
+         "tests/fem/test_element.py::test_rule_integrates_polynomials_of_its_degree"),
+    Slip("points of tri3 doubled", "fem/quadrature.py",
+         "[(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)]), np.full(3, 1.0 / 6.0)",
+         "[(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 1 / 6)]), np.full(3, 1.0 / 6.0)",
+         "tests/fem/test_element.py::test_rule_integrates_polynomials_of_its_degree"),
+    Slip("depth's sign", "solvers/base.py",
+         'return -self.rigid[body].column("z")[:, 0]', 'return self.rigid[body].column("z")[:, 0]', FEBIO),
+    Slip("force's sign", "solvers/base.py",
+         'return -self.rigid[body].column("Fz")[:, 0]', 'return self.rigid[body].column("Fz")[:, 0]', FEBIO),
+    Slip("items of a record counted from 1", "solvers/tables.py",
+         "items = numbers[records.ids]", "items = numbers[records.ids] + 1", FEBIO),
+    Slip("E, v read as mu, lambda with 1 + v for 2 (1 + v)", "feb/laws.py",
+         "return young / (2 * (1 + poisson)), young", "return young / (1 + poisson), young",
+         "limbcli/feb/laws.py"),
+    Slip("LPS taken for RAS in label maps", "imaging/volume.py",
+         "np.diag([-1.0, -1.0, 1.0, 1.0])", "np.diag([1.0, 1.0, 1.0, 1.0])", LABELS),
+    Slip("image turned over along the limb", "imaging/volume.py",
+         "flipped = bool(affine[2, 2] < 0)", "flipped = bool(affine[2, 2] > 0)", LABELS),
+    Slip("rows and columns of pixels swapped", "imaging/stacking.py",
+         "pixel = np.array([first.pixel_spacing[1], first.pixel_spacing[0]])",
+         "pixel = np.array([first.pixel_spacing[0], first.pixel_spacing[1]])", DICOM),
+    Slip("slices in reverse", "imaging/dicom.py",
+         'order = np.argsort(heights, kind="stable")', 'order = np.argsort(-heights, kind="stable")', DICOM),
+    Slip("rescale intercept forgotten", "imaging/frames.py",
+         "* np.float32(values[0]) + np.float32(values[1])", "* np.float32(values[0])", DICOM),
+    Slip("markers numbered from proximal", "imaging/markers.py",
+         "order = np.argsort(heights)", "order = np.argsort(-heights)", "tests/imaging/test_markers.py"),
+    Slip("transverse axis the other way", "meshing/frame.py",
+         "else np.cross(proximal, normal)", "else np.cross(normal, proximal)", FRAME),
+    Slip("frame left-handed", "meshing/frame.py",
+         "np.stack([x, np.cross(normal, x), normal])", "np.stack([x, np.cross(x, normal), normal])", FRAME),
+    Slip("first touch not taken off", "meshing/frame.py",
+         "to_model[2, 3] -= first_touch(limb.skin.moved(to_model), probe)", "pass", FRAME),
+    Slip("bone outside the skin not counted", "meshing/anatomy.py",
+         "out = counted > _OUT_MM", "out = counted > 1e9", "tests/meshing/test_anatomy.py"),
+    Slip("probe's weight added, not taken off", "measurement/holds.py",
+         "force = force - probe_mass_kg", "force = force + probe_mass_kg", HOLDS),
+    Slip("tare not taken off", "measurement/holds.py",
+         "force = trace.force - float(np.nanmean(trace.force[in_air]))", "force = trace.force", HOLDS),
+    Slip("residual's sign against its derivative", "inference/residual.py",
+         "-weight[:, None] * jacobian", "weight[:, None] * jacobian",
+         "tests/inference/test_residual.py"),
+    Slip("threshold of 90 % for 95 %", "inference/profile.py", "chi2.ppf(0.95, 1)", "chi2.ppf(0.90, 1)",
+         "tests/inference/test_interval.py::test_profile_of_a_linear_model_is_its_textbook_interval"),
+    Slip("a log of another material passes", "feb/proof.py",
+         "_compare(echo, outline, log)\n\n", "pass\n\n", "tests/feb/test_proof.py"),
+)  # fmt: skip
+
+
+def copy(folder: Path) -> None:
+    """The package, its tests and templates; links where nothing is changed."""
+    for name in ("limbcli", "templates", "tests"):
+        shutil.copytree(REPOSITORY / name, folder / name)
+    for name in ("cases", "pyproject.toml"):
+        (folder / name).symlink_to(REPOSITORY / name)
+
+
+def passes(folder: Path, tests: list[str], limit_s: float) -> tuple[bool, str]:
+    """Whether the tests pass there, and pytest's last line."""
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    try:
+        ran = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=limit_s
+        )
+    except subprocess.TimeoutExpired:
+        return True, f"over {limit_s:g} s"  # a test that does not end has caught nothing
+    if ran.returncode not in (0, 1):
+        raise RuntimeError(ran.stdout[-2000:] + ran.stderr[-2000:])
+    failed = [line for line in ran.stdout.splitlines() if line.startswith("FAILED")]
+    return ran.returncode == 0, (failed or ran.stdout.splitlines() or [""])[-1]
+
+
+def caught(slip: Slip, limit_s: float) -> tuple[bool, str]:
+    """Whether the named test turns red, and which of them did."""
+    with tempfile.TemporaryDirectory(prefix="slip-") as name:
+        folder = Path(name)
+        copy(folder)
+        path = folder / "limbcli" / slip.file
+        text = path.read_text(encoding="utf-8")
+        if text.count(slip.old) != 1:
+            raise RuntimeError(f"{slip.what}: the text stands {text.count(slip.old)} times in {slip.file}")
+        path.write_text(text.replace(slip.old, slip.new), encoding="utf-8")
+        if slip.kernel:  # a caller's kernel keeps what it called
+            for each in (*folder.rglob("*.nbi"), *folder.rglob("*.nbc")):
+                each.unlink()
+        green, line = passes(folder, [slip.test], limit_s)
+        return not green, line.removeprefix("FAILED ").split(" - ")[0]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="slips with this word")
+    parser.add_argument("--limit-s", type=float, default=300.0)
+    options = parser.parse_args()
+    chosen = [each for each in SLIPS if options.only in each.what]
+    green, line = passes(REPOSITORY, sorted({each.test for each in chosen}), 10 * options.limit_s)
+    print(f"without a slip: {line}\n\n| slip | file | red |\n|---|---|---|", flush=True)
+    missed = 0 if green else 1
+    for slip in chosen:
+        red, test = caught(slip, options.limit_s)
+        missed += not red
+        print(f"| {slip.what} | {slip.file} | {test if red else '**none**'} |", flush=True)
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()

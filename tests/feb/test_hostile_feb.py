@@ -1,0 +1,80 @@
+"""Model files that would write elsewhere, take all memory, or name what is not there: refused, by line."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.feb.outline import read_outline
+from limbcli.feb.read import read_feb
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
+TEXT = (DATA / "punch.feb").read_text()
+
+
+def refused(folder: Path, old: str, new: str, read=read_feb) -> CaseError:
+    assert old in TEXT
+    path = folder / "model.feb"
+    path.write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(CaseError) as caught:
+        read(path)
+    assert caught.value.fix
+    return caught.value
+
+
+@pytest.mark.parametrize("read", [read_feb, read_outline])
+@pytest.mark.parametrize(
+    "name",
+    ["../../x.csv", "/tmp/x.csv", "a/b.csv", "..", "C:x.csv", "a\\b.csv", ".hidden", "", "n" * 200],
+)
+def test_records_stay_in_the_run_s_folder(tmp_path: Path, name: str, read) -> None:
+    error = refused(tmp_path, 'file="nodes.csv"', f'file="{name}"', read)
+    assert "plain file name" in error.what
+    assert error.facts["line"] == 377
+
+
+@pytest.mark.parametrize("name", ["model.feb", "MODEL.log", "run.json", "rigid_body.csv", "force-depth.csv"])
+def test_records_do_not_take_the_run_s_own_names(tmp_path: Path, name: str) -> None:
+    error = refused(tmp_path, 'file="nodes.csv"', f'file="{name}"', read_outline)
+    assert name in error.what
+
+
+def test_the_log_and_plot_file_may_not_be_led_elsewhere(tmp_path: Path) -> None:
+    error = refused(tmp_path, "<logfile>", '<logfile file="../../x.csv">', read_outline)
+    assert "anywhere" in error.what
+
+
+@pytest.mark.parametrize("read", [read_feb, read_outline])
+@pytest.mark.parametrize("number", ["99999999999", "99999999999999999999999", "-4", "0", "1e3", "seven"])
+@pytest.mark.parametrize("tag", ["node", "elem"])
+def test_an_id_out_of_range_is_told_with_its_line(tmp_path: Path, tag: str, number: str, read) -> None:
+    error = refused(tmp_path, f'<{tag} id="5"', f'<{tag} id="{number}"', read)
+    assert "is not an id" in error.what
+    assert (
+        f'<{tag} id="{number}"' in (tmp_path / "model.feb").read_text().splitlines()[error.facts["line"] - 1]
+    )
+
+
+@pytest.mark.parametrize("node", ["90000", "99999999999", "3.5", "nan"])
+def test_an_element_of_an_absent_node_is_told_with_its_line(tmp_path: Path, node: str) -> None:
+    start = TEXT.index('<elem id="3">') + len('<elem id="3">')
+    old = TEXT[start - len('<elem id="3">') : TEXT.index("</elem>", start)]
+    nodes = old.split(">")[1].split(",")
+    error = refused(tmp_path, old, f'<elem id="3">{",".join([*nodes[:2], node, *nodes[3:]])}')
+    assert '<elem id="3">' in (tmp_path / "model.feb").read_text().splitlines()[error.facts["line"] - 1]
+
+
+def test_a_list_of_ids_that_unfolds_without_end_is_refused(tmp_path: Path) -> None:
+    ids = TEXT[TEXT.index(">51,52") + 1 : TEXT.index("</NodeSet>", TEXT.index(">51,52"))]
+    assert "list of ids" in refused(tmp_path, ids, "1:99999999999999").what
+
+
+def test_a_packed_file_that_unfolds_without_end_is_refused(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("limbcli.feb.xml._LARGEST", 1_000_000)
+    path = tmp_path / "model.feb.gz"
+    path.write_bytes(gzip.compress(b"<febio_spec>" + b" " * 5_000_000))
+    with pytest.raises(CaseError, match="unpacks to more than 1 MB"):
+        read_feb(path)

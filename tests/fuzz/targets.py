@@ -1,0 +1,262 @@
+"""What reads a user's files: a good file each, who reads it, and what must hold of whatever was read."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import nibabel as nib
+import numpy as np
+import pydicom
+import pydicom.data
+from PIL import Image
+
+from limbcli.case import read_case
+from limbcli.feb.log import check_complete, read_log
+from limbcli.feb.outline import read_outline
+from limbcli.feb.read import read_feb
+from limbcli.feb.records import read_records
+from limbcli.imaging.dicom import read_series
+from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.surface import read_surface
+from limbcli.measurement.elastography import check_maps
+from limbcli.measurement.indentation import check_levels, check_trace
+from limbcli.measurement.recording import read_recording
+from limbcli.measurement.ultrasound_image import read_image
+from limbcli.meshing import surfaces
+from limbcli.model_io import load_model, save_model
+from limbcli.problems import errors_of
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
+DICOM = Path(pydicom.data.__file__).parent / "test_files"
+CASES = Path(__file__).resolve().parents[2] / "cases"
+
+
+@dataclass(frozen=True)
+class Target:
+    """name : of the kind of input; file : the one that is damaged, in the folder that `make` fills
+
+    sound : of what `read` gave: whether nothing impossible came through
+    """
+
+    name: str
+    file: str
+    text: bool
+    make: Callable[[Path], None]
+    read: Callable[[Path], Any]
+    sound: Callable[[Any], bool] = lambda found: True
+
+
+def finite(values: Any) -> bool:
+    return bool(np.isfinite(np.asarray(values, dtype=float)).all())
+
+
+# ---------------------------------------------------------------- the good files
+
+
+def make_case(folder: Path) -> None:
+    (folder / "p1").mkdir(parents=True, exist_ok=True)
+    shutil.copy(CASES / "phantom" / "case.toml", folder / "case.toml")
+    (folder / "mri").mkdir(exist_ok=True)
+    for name in ("levels.csv", "trace.csv"):
+        (folder / "p1" / name).write_text("a\n")
+    (folder / "p1" / "swe").mkdir(exist_ok=True)
+
+
+def make_levels(folder: Path) -> None:
+    rows = [f"{2 * k},{2.5 * k**0.8:.3f},{1.6 + 0.2 * k:.2f},0.2,90,load,5,{30 - 2 * k}" for k in range(8)]
+    header = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels,phase,hold_s,skin_bone_mm"
+    (folder / "levels.csv").write_text("\n".join([header, *rows]) + "\n")
+
+
+def make_trace(folder: Path) -> None:
+    rows = [f"{k / 60:.4f},{min(k / 20, 6):.3f},{min(k / 30, 4):.3f}" for k in range(200)]
+    (folder / "trace.csv").write_text("\n".join(["time_s,force_n,depth_mm", *rows]) + "\n")
+
+
+def make_lvm(folder: Path) -> None:
+    """A LabVIEW record with its own headers and decimal commas."""
+    head = ["LabVIEW Measurement", "Separator\tTab", "Decimal_Separator\t,", "***End_of_Header***", "",
+            "Channels\t1", "***End_of_Header***", "time_s\tforce_n\tComment"]  # fmt: skip
+    rows = [f"{k / 60:.4f}\t{min(k / 20, 6):.3f}".replace(".", ",") for k in range(200)]
+    (folder / "record.lvm").write_text("\n".join([*head, *rows]) + "\n")
+
+
+def make_picture(folder: Path) -> None:
+    y, x = np.mgrid[:60, :80]
+    Image.fromarray(np.stack([x, y, x + y], axis=2).astype(np.uint8)).save(folder / "image.png")
+
+
+def copy_of(name: str, to: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        shutil.copy(DICOM / name, folder / to)
+
+    return make
+
+
+def make_maps(folder: Path) -> None:
+    rows = [f"{x},{y},{1.6 + 0.02 * y}" for x in range(-8, 9, 2) for y in range(4, 20, 2)]
+    for level in range(2):
+        text = "\n".join(["lateral_mm,depth_mm,speed_m_per_s", *rows]) + "\n"
+        (folder / f"level_{level:02d}.csv").write_text(text)
+
+
+def make_dicom(name: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        dataset = pydicom.dcmread(DICOM / name)
+        for k in range(4):
+            dataset.ImagePositionPatient = [0, 0, 4 * k]
+            dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
+            dataset.PixelSpacing, dataset.Modality = [1, 1], "MR"
+            dataset.SOPInstanceUID = f"1.2.3.{k}"
+            dataset.save_as(folder / f"slice{k}.dcm")
+
+    return make
+
+
+def make_surface(name: str, **options: Any) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        phi, z = np.meshgrid(np.linspace(0, 2 * np.pi, 13)[:-1], np.linspace(0, 60, 5))
+        points = np.c_[30 * np.cos(phi).ravel(), 30 * np.sin(phi).ravel(), z.ravel()]
+        k = np.arange(48)
+        right = 12 * (k // 12) + (k + 1) % 12
+        faces = np.vstack([np.c_[k, right, right + 12], np.c_[k, right + 12, k + 12]])
+        meshio.write(folder / name, meshio.Mesh(points, [("triangle", faces)]), **options)
+
+    return make
+
+
+def _labels() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(24), np.arange(20), indexing="ij")
+    radius = np.hypot(x - 12, y - 10)
+    section = np.where(radius < 3, 2, np.where(radius < 9, 1, 0)).astype(np.uint8)
+    return np.repeat(section[:, :, None], 10, axis=2)
+
+
+def make_nifti(name: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        image = nib.Nifti1Image(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0]))
+        image.header.set_xyzt_units("mm")
+        nib.save(image, folder / name)
+
+    return make
+
+
+def make_nrrd(folder: Path) -> None:
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\nsizes: 24 20 10\n"
+        "space directions: (2,0,0) (0,2,0) (0,0,4)\nendian: little\nencoding: raw\nspace origin: (0,0,0)\n\n"
+    )
+    (folder / "labels.nrrd").write_bytes(header.encode() + _labels().tobytes(order="F"))
+
+
+def make_feb(folder: Path) -> None:
+    shutil.copy(DATA / "punch.feb", folder / "model.feb")
+
+
+def make_log(folder: Path) -> None:
+    shutil.copy(DATA / "log-normal.txt", folder / "model.log")
+
+
+def make_records(folder: Path) -> None:
+    lines = []
+    for step in range(4):
+        lines += [f"*Step  = {step}", f"*Time  = {0.25 * step:g}", "*Data  = ux;uy;uz"]
+        lines += [f"{k},{0.1 * k * step:.6g},0,{-0.2 * step:.6g}" for k in range(1, 12)]
+    (folder / "nodes.csv").write_text("\n".join(lines) + "\n")
+
+
+def make_model(folder: Path) -> None:
+    save_model(read_feb(DATA / "punch.feb"), folder / "model.npz")
+
+
+# ---------------------------------------------------------------- what must hold of what was read
+
+
+def sound_levels(found: Any) -> bool:
+    levels, problems = found
+    if levels is None or errors_of(problems):
+        return True
+    possible = (np.abs(levels.force) <= 150).all() and (np.abs(levels.depth) <= 60).all()
+    return finite(levels.force) and finite(levels.depth) and bool(possible)
+
+
+def sound_trace(found: Any) -> bool:
+    trace, problems = found
+    return trace is None or bool(errors_of(problems)) or (finite(trace.time) and finite(trace.force))
+
+
+def sound_maps(found: Any) -> bool:
+    maps, problems = found
+    speeds = [each.speed_m_per_s for each in maps]
+    return bool(errors_of(problems)) or all(finite(each) and (each > 0).all() for each in speeds)
+
+
+def sound_volume(found: Any) -> bool:
+    return finite(found.volume.affine) and finite(found.volume.values)
+
+
+def sound_labels(found: Any) -> bool:
+    return finite(found.affine) and set(np.unique(found.values)) <= {0, 1, 2, 3, 4}
+
+
+def sound_faces(points: Any, faces: Any) -> bool:
+    return finite(points) and len(faces) > 0 and bool((faces >= 0).all() and (faces < len(points)).all())
+
+
+def sound_feb(model: Any) -> bool:
+    cells = [block.cells for block in model.mesh.blocks]
+    inside = all((each >= 0).all() and (each < len(model.mesh.points)).all() for each in cells)
+    return finite(model.mesh.points) and inside
+
+
+def read_whole_log(path: Path) -> Any:
+    log = read_log(path)
+    check_complete(log, path, end_time=1.0)
+    return log
+
+
+TARGETS = (
+    Target("case.toml", "case.toml", True, make_case, lambda path: read_case(path.parent)),
+    Target("levels.csv", "levels.csv", True, make_levels, check_levels, sound_levels),
+    Target("trace.csv", "trace.csv", True, make_trace, check_trace, sound_trace),
+    Target("SWE map", "level_01.csv", True, make_maps, lambda path: check_maps(path.parent), sound_maps),
+    Target("load-cell record", "trace.csv", True, make_trace, read_recording,
+           lambda found: finite(found.time) and bool((np.diff(found.time) > 0).all())),
+    Target("LabVIEW record", "record.lvm", True, make_lvm, read_recording, lambda found: finite(found.time)),
+    Target("picture", "image.png", False, make_picture, lambda path: read_image(path, mm_per_pixel=0.1)),
+    Target("ultrasound DICOM", "a.dcm", False, copy_of("SC_rgb_rle.dcm", "a.dcm"),
+           lambda path: read_image(path, mm_per_pixel=0.1)),
+    Target("ultrasound JPEG", "a.dcm", False, copy_of("SC_rgb_jpeg_dcmtk.dcm", "a.dcm"),
+           lambda path: read_image(path, mm_per_pixel=0.1)),
+    *(
+        Target(f"DICOM {name}", "slice2.dcm", False, make_dicom(f"{name}.dcm"),
+               lambda path: read_series(path.parent), sound_volume)
+        for name in ("MR_small", "CT_small", "MR_small_RLE", "MR_small_jp2klossless", "JPEG2000",
+                     "MR_small_implicit", "MR_small_bigendian", "JPGExtended", "MR_small_jpeg_ls_lossless")
+    ),
+    *(
+        Target(f"surface {name}", name, text, make_surface(name, **options), read_surface,
+               lambda found: sound_faces(found.points, found.triangles))
+        for name, text, options in (
+            ("a.stl", False, {"binary": True}), ("ascii.stl", True, {"binary": False}),
+            ("a.ply", False, {"binary": True}), ("ascii.ply", True, {"binary": False}), ("a.obj", True, {}),
+        )
+    ),
+    Target("meshed surface", "b.ply", False, make_surface("b.ply", binary=True), surfaces.read_surface,
+           lambda found: sound_faces(found.points, found.faces)),
+    Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),
+    Target("NIfTI, packed", "labels.nii.gz", False, make_nifti("labels.nii.gz"), read_label_file,
+           sound_labels),
+    Target("NRRD", "labels.nrrd", True, make_nrrd, read_label_file, sound_labels),
+    Target(".feb", "model.feb", True, make_feb, read_feb, sound_feb),
+    Target(".feb, outline", "model.feb", True, make_feb, read_outline),
+    Target("FEBio log", "model.log", True, make_log, read_whole_log),
+    Target("records", "nodes.csv", True, make_records, lambda path: read_records(path, n_columns=3),
+           lambda found: finite(found.values) and finite(found.times)),
+    Target("model.npz", "model.npz", False, make_model, load_model, sound_feb),
+)  # fmt: skip
