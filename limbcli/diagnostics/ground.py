@@ -21,7 +21,7 @@ from limbcli.progress import SILENT, Progress
 ALPHA = 0.05
 _ROUGH_P = 0.01
 _FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
-# The same in an image, where edges lie a little elsewhere: how wide it is (mm), how alike from level to level.
+# The same in an image, where edges lie elsewhere: how wide it is (mm), how alike from level to level.
 _IMAGE_ERROR, _IMAGE_WIDE, _IMAGE_ALIKE = 0.15, 4.0, 0.97
 
 
@@ -93,7 +93,7 @@ class Ground:
         change = _FORM_ERROR * np.abs(fitted.prediction - fitted.without)
         imaged = np.zeros(len(data), dtype=bool)
         if data.place is not None:
-            imaged = np.isfinite(data.place).all(axis=1)
+            imaged = np.asarray(np.isfinite(data.place).all(axis=1))
         for mask in data.channels().values():
             if np.all(imaged[mask]):
                 total += self._in_image(np.where(mask, change / _FORM_ERROR * _IMAGE_ERROR, 0.0))

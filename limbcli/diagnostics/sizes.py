@@ -20,8 +20,8 @@ _WITHIN = 1.96
 def sizes_95(
     state: LinearFit, family: Family, names: Mapping[str, object]
 ) -> dict[str, dict[str, tuple[float, float]]]:
-    """Of every candidate in the family that `names` holds: by parameter, the interval of its distance from the
-    null value; infinite where the data do not tell it."""
+    """Of every candidate in the family that `names` holds: by parameter, the interval of its distance from
+    the null value; infinite where the data do not tell it."""
     return {each.name: _sizes(state, each) for each in family.tests if each.name in names}
 
 

@@ -40,7 +40,7 @@ class Parameter:
 
     @property
     def step(self) -> float:
-        """By how much it moves when its influence is looked at: to where a fit begins, or a part of its room."""
+        """By how much it moves when its influence is looked at: to a fit's start, or a part of its room."""
         if self.shape:
             return 0.1 * (self.high - self.low)
         return max(abs(self.start - self.null), 1e-6)

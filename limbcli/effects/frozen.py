@@ -49,8 +49,8 @@ class Region(Protocol):
 class Seen:
     """What the scanner's region shows at one depth.
 
-    averages : from cells to pixels; places (n_pixels, q, 3) : of the unloaded tissue that each pixel averages,
-    with weights (q,)
+    averages : from cells to pixels; places (n_pixels, q, 3) : of the unloaded tissue that each pixel
+    averages, with weights (q,)
     """
 
     averages: Averages

@@ -79,4 +79,8 @@ def stiffened(model: LimbModel, stiffness: Stiffness) -> LimbModel:
 
 def layer_share(model: LimbModel, low: float, high: float) -> Array:
     """Part of each tissue cell (n_cells,) that lies between two depths below the skin (mm)."""
-    return cell_means(model, lambda places: (places.below_skin >= low) & (places.below_skin < high))
+
+    def inside(places: Places) -> Array:
+        return ((places.below_skin >= low) & (places.below_skin < high)).astype(float)
+
+    return cell_means(model, inside)

@@ -2,7 +2,7 @@
 
 What tissue and load do to a map changes evenly from level to level, noise does not. So half of every level's
 neighbours is taken off it (second differences), and off that its mean: what is left is noise. Its
-autocovariance, over the pairs of pixels at a distance, is that of white noise that was smoothed by a Gaussian,
+autocovariance, over the pairs of pixels at a distance, is that of white noise that a Gaussian smoothed,
 besides a share that was not: r(d) = share exp(-d^2 / (4 s^2)) at d > 0.
 """
 
@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
@@ -39,7 +41,7 @@ class PixelNoise:
 
 
 def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
-    """Estimated from the maps of a site's levels; `usual` deviation, and independent, where there are too few.
+    """Estimated from the maps of a site's levels; the `usual` deviation, independent, where they are few.
 
     >>> rng = np.random.default_rng(7)
     >>> x, z = (each.ravel() for each in np.meshgrid(np.arange(40.0), np.arange(20.0)))
@@ -97,7 +99,7 @@ def _together(maps: Sequence[SweMap]) -> tuple[Array, float, float]:
     return table, pitch[0], pitch[1]
 
 
-def _shifted(table: Array, i: int, j: int) -> tuple[Array, Array]:
+def _shifted(table: NDArray[Any], i: int, j: int) -> tuple[NDArray[Any], NDArray[Any]]:
     n, m = table.shape[1:]
     return table[:, : n - i, : m - j], table[:, i:, j:]
 

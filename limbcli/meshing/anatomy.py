@@ -7,6 +7,7 @@ gives numbers that look like any others. What cannot be is an error, what is unu
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -26,6 +27,7 @@ _BONE_SHARE = (0.5, 0.8)  # of the limb's volume: unusual, impossible
 _OUT_MM = 2.0  # a bone's point this far out is out; less is the surfaces' roughness
 _OUT_SHARE = (0.01, 0.2)  # of the bone's points: unusual, impossible
 _OUT_FAR_MM = 15.0
+_MINOR = 0.25  # of all bones' volume: without such a one (a fibula, a patella) the limb can still be modelled
 _TWICE = 0.5  # of a bone's points inside another: the same bone twice
 _ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
 _POINTS = 500  # of a bone that are looked at
@@ -48,11 +50,11 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
     mended = mend(skin, [], where=where)
     found = _sizes(mended.skin.volume, bones, where)
     distance = _distance_of(mended.skin)
-    found += [
-        problem
-        for name, bone in bones.items()
-        for problem in _outside(name, bone, mended.skin, distance, mended.ends, where)
-    ]
+    whole = sum(abs(each.volume) for each in bones.values())
+    for name, bone in bones.items():
+        outside = _outside(name, bone, mended.skin, distance, mended.ends, where)
+        minor = abs(bone.volume) < _MINOR * whole
+        found += [_left_out(each) if minor else each for each in outside]
     return found + _twice(bones, where) + _side(bones, limb, where)
 
 
@@ -82,6 +84,14 @@ def _distance_of(body: Triangles) -> Field:
     low, high = body.points.min(0), body.points.max(0)
     spacing = float(max((high - low).max() / _CELLS, 0.5))
     return signed_distance(body, grid_over(low - 2.5 * spacing, high + 2.5 * spacing, spacing))
+
+
+def _left_out(problem: Problem) -> Problem:
+    """What is wrong with a small bone: the others still make a limb, which is said."""
+    if problem.severity == "warning":
+        return problem
+    what = f"{problem.what}: the model is made without what lies outside, and too soft where it belongs"
+    return replace(problem, what=what, severity="warning")
 
 
 def _outside(

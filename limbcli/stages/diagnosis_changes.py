@@ -55,8 +55,8 @@ class Change:
 class FieldChange:
     """The same of an effect that is a factor on all stiffnesses, at any of its parameters.
 
-    missed : (n, 1 + n_parts) by which a simulation at `start` differs from the kept deformation, in proportion
-    to the effect's first parameter; None where none was made
+    missed : (n, 1 + n_parts) by which a simulation at `start` differs from the kept deformation, in
+    proportion to the effect's first parameter; None where none was made
     """
 
     def __init__(self, book: Book, effect: Effect, point: Theta, m: float):

@@ -58,9 +58,9 @@ class CurveBook:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. Where the solver stops short of
-        it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the model without
-        effects: `in_part` tells which do
+    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. Where the solver
+        stops short of it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the
+        model without effects: `in_part` tells which do
     c : MPa, the reference stiffness; keep : folder of curves already solved
     penalty : of the contact; None: four times that of the usual model
     beside : of the same depths on another mesh, whose curves lead where this one's solver stops
@@ -298,7 +298,7 @@ class CurveBook:
 
 
 def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
-    """Those of the effects that are a factor on all stiffnesses; `waves`: as the scanner's window meets them."""
+    """Of effects that are a factor on all stiffnesses; `waves`: as the scanner's window meets them."""
     return tuple(
         partial(_stiffness_of, effect, theta) for effect, theta in ingredients
         if effect.stiffness is not None and not (waves and effect.waves is not None)

@@ -165,7 +165,7 @@ def site_data(
     slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes)
     parts = noise_parts(
         protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error,
-        None if maps is None else map_noise(windows, maps, noise, SmoothDepth.through(protocol).at(protocol.force) / thickness),
+        None if maps is None else map_noise(windows, maps, noise, _depth(protocol) / thickness),
         map_share, map_slopes,
     )  # fmt: skip
     channel = tuple(row.channel for row in rows)
@@ -191,6 +191,11 @@ def site_data(
         slope,
         noise.depth,
     )
+
+
+def _depth(protocol: Protocol) -> Array:
+    """mm (n_levels,) of a smooth curve through the readings."""
+    return SmoothDepth.through(protocol).at(protocol.force)
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
@@ -219,9 +224,9 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     if any(protocol.unloading):
         back = np.array([row.channel == "force" and protocol.unloading[row.level] for row in rows])
         groups["force, unloading"] = back
-    names = windows.names()
-    for label in dict.fromkeys(names[1:]):
-        mask = np.array([row.channel == "map" and names[row.part] == label for row in rows])
+    regions = windows.names()
+    for label in dict.fromkeys(regions[1:]):
+        mask = np.array([row.channel == "map" and regions[row.part] == label for row in rows])
         if mask.any():
             groups[f"speed maps, {label}"] = mask
     return groups

@@ -52,8 +52,8 @@ class ModelError:
 class MapNoise:
     """What maps err by: the pixels' noise, and the model's own error.
 
-    middles (n_parts, 2) mm, lateral and below the face, and the size (mm, mm) of the parts; pitch : mm, (lateral,
-    depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
+    middles (n_parts, 2) mm, lateral and below the face, and the size (mm, mm) of the parts; pitch : mm,
+    (lateral, depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
     """
 
     middles: Array

@@ -250,7 +250,8 @@ class _Preparation:
         return site_data(
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
             model_error=numerics.noise(tie, interventions), held=held, extras=extras,
-            usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share, map_slopes=numerics.map_slopes(),
+            usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share,
+            map_slopes=numerics.map_slopes(),
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

@@ -1,9 +1,9 @@
 """From the diagnosis' coarse working mesh to what the limb would give: finer elements, and no cut.
 
 The law with the tissue's likely m is solved on the site's own mesh, at a few depths: the mesh's difference
-hardly depends on the law. The cut is held in the model, and in the limb it is not: with it held the force is too
-high, with it free too low, and half-way between them is what ever larger models tend to (held at 40, 57 and
-75 mm beyond the probe: a third, a half and more of the way, on three limbs).
+hardly depends on the law. The cut is held in the model, and in the limb it is not: with it held the force
+is too high, with it free too low, and half-way between them is what ever larger models tend to (held at
+40, 57 and 75 mm beyond the probe: a third, a half and more of the way, on three limbs).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 class Tie:
     """What is added to the working mesh's curves: ln force (n,), ln speeds (n, n_parts); thickness ratio.
 
-    mesh_error, speed_error : one deviation of ln force (n_levels,) and ln mean speed (n_levels,) at the levels
+    mesh_error, speed_error : one deviation of ln force and of ln mean speed (n_levels,) at the levels
     that the mesh still leaves; map_share : of the usual error of a model's maps
     """
 

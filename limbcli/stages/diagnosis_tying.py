@@ -50,7 +50,7 @@ class Tying:
         self.size, self.m, self.notes, self.progress = size, m, notes, progress
 
     def tie(self, *, solves: bool = True, freed: Curves | None = None) -> Tie:
-        """To the site's own mesh, solved there for the tissue's likely m (`solves`); without it, a usual error.
+        """To the site's own mesh, solved there for the likely m (`solves`); without it, a usual error.
 
         freed : the working mesh's curves with the cut free, at that m
         """

@@ -112,7 +112,7 @@ class Windows:
         averages = pixel_averages(places, self.pixels, face_height=-depth, window=window)
         at, F = averages(rest), averages(gradient.reshape(-1, 9)).reshape(-1, 3, 3)
         offsets, weight = self._blur()
-        F = np.where(np.isfinite(F).all(axis=(1, 2))[:, None, None], F, np.eye(3))
+        F = np.where(np.asarray(np.isfinite(F).all(axis=(1, 2)))[:, None, None], F, np.eye(3))
         back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
         blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
         return Seen(averages, Places(blurred, model), weight, self)
