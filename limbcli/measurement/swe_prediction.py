@@ -107,7 +107,9 @@ def pixel_averages(
     pixels : lateral and depth (n_pixels,) mm
     """
     lateral, depth = pixels
-    nothing = PixelAverages(np.zeros(len(lateral), dtype=np.bool_), np.zeros((0, 1), np.int64), np.zeros((0, 1)))
+    nothing = PixelAverages(
+        np.zeros(len(lateral), dtype=np.bool_), np.zeros((0, 1), np.int64), np.zeros((0, 1))
+    )
     near = np.flatnonzero(np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
     targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
     if len(near) < _FEWEST:
@@ -135,7 +137,9 @@ def _no_pixel(face_height: float) -> MeasurementError:
     )
 
 
-def _surrounded(points: Array, targets: Array, distance: Array, index: Array, *, reach: Array) -> NDArray[np.bool_]:
+def _surrounded(
+    points: Array, targets: Array, distance: Array, index: Array, *, reach: Array
+) -> NDArray[np.bool_]:
     """(n_targets,) bool: an element is near, and the nearest eight are not a cluster far off."""
     offset = points[index[:, :8]] - targets[:, None, :]
     center = np.linalg.norm(offset.mean(axis=1), axis=1)

@@ -36,10 +36,7 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
     fixed = stuck(x, slots)
     for k, (value, slot) in enumerate(zip(x[2:], slots, strict=True)):
         p = slot.parameter
-        if not fixed[k]:
-            continue
-        if p.shape:
-            found.append(f"{slot.name} ended on its bound {value:g}")
+        if not fixed[k] or p.shape:  # a shape says nothing of whether the effect is there
             continue
         if any(
             not fixed[n] and not other.parameter.shape and _same_effect(slot, other, effects)
