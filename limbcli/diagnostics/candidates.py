@@ -95,7 +95,7 @@ class Candidates:
 
     def extended(self, refit: Refit, *, below: float) -> list[Explanation]:
         """The same with one more effect, where what it leaves is significant: those it leaves most for."""
-        if refit.family.smallest >= below:
+        if refit.left_p >= below:
             return []
         left = [t for t in refit.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
         left.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))

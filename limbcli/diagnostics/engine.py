@@ -136,7 +136,7 @@ class _Run:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:
                 continue
-            if smaller.family.smallest >= level:
+            if smaller.left_p >= level:
                 return False
         return True
 
@@ -165,7 +165,7 @@ class _Run:
         if not Closing(self.ground, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
-        if best.family.smallest < LEFT:
+        if best.left_p < LEFT:
             why = "one explanation fits, but it leaves something; it may not be all"
             return self._finish("ambiguous", why, best, (best,))
         failed = [name for name in promising if name in self.not_evaluated]

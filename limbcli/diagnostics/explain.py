@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from limbcli.model import Array
 
 LEVEL = 0.01  # of the test against the best of the set
 ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
+_OF_FORM = 0.02  # of the deviance that an explanation takes: what its form may leave
 _BARELY = 0.25  # of that level: what misses it by no more is told where it fits as well as what does not
 _AS_WELL = 4.0  # deviance
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
@@ -30,6 +31,7 @@ class Refit:
 
     chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
     the largest gap that chance allows it (None before the comparison)
+    explained : deviance, of what the fit without effects leaves
     """
 
     fitted: Fitted
@@ -37,6 +39,18 @@ class Refit:
     family: Family
     gap: float | None = None
     gap_allowed: float | None = None
+    explained: float = 0.0
+
+    @property
+    def left_p(self) -> float:
+        """Smallest adjusted p of what it leaves beyond its form: no model of fat or of a scar is just that of
+        the limb, and of a large effect a small share stands out."""
+        beyond = [
+            each.p_adjusted
+            for each in self.family.tests
+            if each.score.statistic > _OF_FORM * max(self.explained, 0.0)
+        ]
+        return min([*beyond, *([self.family.overall.p_adjusted] if self.family.overall else [])], default=1.0)
 
     @property
     def explanation(self) -> Explanation:
@@ -44,7 +58,7 @@ class Refit:
 
     @property
     def is_adequate(self) -> bool:
-        return self.family.smallest >= ADEQUATE
+        return self.left_p >= ADEQUATE
 
     @property
     def in_set(self) -> bool:
@@ -58,7 +72,7 @@ class Refit:
     def is_close_to(self, members: Sequence[Refit]) -> bool:
         """Just not adequate, but as good a fit as a member: both leave the same scatter, and its level is no
         evidence for one of them."""
-        if self.fitted.at_bound or self.is_adequate or self.family.smallest < _BARELY * ADEQUATE:
+        if self.fitted.at_bound or self.is_adequate or self.left_p < _BARELY * ADEQUATE:
             return False
         return not self._is_beaten and any(self.state.chi2 < m.state.chi2 + _AS_WELL for m in members)
 
@@ -88,7 +102,7 @@ def compare(
     done = []
     for each in refits:
         allowed = _allowed(each, eligible, base, state, trials, whiten, form_error(each.fitted), rng, scale)
-        done.append(Refit(each.fitted, each.state, each.family, each.state.chi2 - best, allowed))
+        done.append(replace(each, gap=each.state.chi2 - best, gap_allowed=allowed))
     return done
 
 

@@ -130,7 +130,9 @@ class Refits:
             self.left_out[label] = "; ".join(fitted.at_bound)
         if fitted is not draft:
             left = self._left_by(fitted)
-        self.known[explanation] = Refit(fitted, self.ground.linearised(fitted), left)
+        state = self.ground.linearised(fitted)
+        explained = self.ground.state.chi2 - state.chi2
+        self.known[explanation] = Refit(fitted, state, left, explained=explained)
 
     def _left_by(self, fitted: Fitted) -> Family:
         """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
