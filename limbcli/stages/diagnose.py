@@ -30,7 +30,7 @@ from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_menu import known
 from limbcli.stages.diagnosis_numerics import MATTERS, Intervention, too_doubtful
 from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
-from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_tie import F_KAPPA
 from limbcli.stages.diagnosis_written import write_diagnosed
@@ -204,6 +204,7 @@ class _Diagnosed:
             writer.summary.extend(content["sentences"][:10])
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
+            sizes_picture(found, bench.effects, writer.file("sizes", "sizes.png"))
             write_diagnosed(
                 found, bench, mine, writer, out=self.out, number=k, templates=self.options.templates
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.score import Direction
 from limbcli.diagnostics.verdict import Diagnosis, Shrink
+from limbcli.effects.base import Effect
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_joint import slices
@@ -98,6 +99,7 @@ def _refit(refit: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+_WIDEST = 4.0  # plausible sizes
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
           "hold": "fall of the force in holds"}  # fmt: skip
 
@@ -153,6 +155,28 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     right.barh(names, sizes, color="#56b4e9")
     right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
     right.set_xlabel("size seen with 80 % power\n(in plausible sizes; right of dashed: blind)")
+    figure.savefig(path, dpi=150)
+
+
+def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -> None:
+    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it."""
+    rows = [
+        (f"{name}: {p.name}", [x / (p.typical - p.null) for x in found.sizes[name][p.name]])
+        for name, effect in effects.items() if name in found.sizes
+        for p in effect.sizes if p.name in found.sizes[name]
+    ]  # fmt: skip
+    figure = Figure(figsize=(8.4, 0.26 * max(len(rows), 4) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    for k, (_, ends) in enumerate(rows):
+        low, high = np.clip(np.sort(ends), -_WIDEST, _WIDEST)
+        without = low <= 0.0 <= high
+        axes.barh(k, high - low, left=low, height=0.6, color="#9aa5b1" if without else "#d55e00")
+    axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=8)
+    axes.axvline(0.0, color="#22303c", lw=0.8)
+    axes.axvline(1.0, color="#22303c", lw=0.8, ls="--")
+    axes.set_xlim(-_WIDEST, _WIDEST)
+    axes.invert_yaxis()
+    axes.set_xlabel("size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside)")
     figure.savefig(path, dpi=150)
 
 

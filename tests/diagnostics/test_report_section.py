@@ -14,7 +14,12 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.sentences import sentences
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
-from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.stages.diagnosis_report import (
+    candidates_picture,
+    diagnosis_json,
+    gap_picture,
+    sizes_picture,
+)
 
 
 def _reduced():
@@ -35,12 +40,17 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
         writer.data.update({**diagnosis_json(found, bench.site, bench), "sentences": sentences(found)})
         gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
+        sizes_picture(found, bench.effects, writer.file("sizes", "sizes.png"))
     shown = diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
     assert shown.notes[0].startswith("ADEQUATE")
     names = {row[0].text for row in shown.tables[0].rows}
     assert {"force-zero", "poroelasticity"} <= names
     assert shown.more[1].rows
+    sizes = {(row[0].text, row[1].text): row[2].text for row in shown.more[2].rows}
+    assert float(sizes["force-zero", "f0_n"]) < 0.0
+    assert "open" in sizes.values()
+    assert len(shown.pictures) == 3
 
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):

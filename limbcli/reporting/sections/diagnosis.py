@@ -29,7 +29,7 @@ def diagnosis(page: Page, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
-        more=(_shrunk(data), _blind(data)),
+        more=(_shrunk(data), _blind(data), *_sizes(data)),
         look_for="differences of the base model (grey) that swing beyond the band of two deviations, and "
         "that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a gap that stays, or a candidate right of the dashed "
@@ -45,6 +45,11 @@ def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
                 source=result.path("gap")),
         Picture(f"diagnosis-candidates-{name}", "Adjusted p and detectable size of every candidate",
                 source=result.path("candidates")),
+        *(
+            Picture(f"diagnosis-{key}-{name}", words, source=result.path(key))
+            for key, words in (("sizes", "How large each effect could be, in plausible sizes (95 %)"),)
+            if key in result.files
+        ),
     )  # fmt: skip
 
 
@@ -101,6 +106,17 @@ def _blind(data: Mapping[str, Any]) -> Table:
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "visible share", "size seen (plausible sizes)", "bias if unseen (deviations)")
     return Table("What these data can see", (titles,), tuple(rows))
+
+
+def _sizes(data: Mapping[str, Any]) -> tuple[Table, ...]:
+    """How large each effect could be when it alone is added; nothing where an older result does not say."""
+    rows = []
+    for effect, sizes in data.get("sizes_95", {}).items():
+        for name, (low, high) in sizes.items():
+            texts = (effect, name, *("open" if end is None else f"{end:.3g}" for end in (low, high)))
+            rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
+    titles = head("effect", "size", "from", "to (95 %)")
+    return (Table("How large each effect could be, it alone added", (titles,), tuple(rows)),) if rows else ()
 
 
 def _number(value: float | None) -> str:

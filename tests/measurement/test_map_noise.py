@@ -1,0 +1,39 @@
+"""The correlation of a map's noise, found in maps whose noise is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.map_noise import PixelNoise, pixel_noise
+
+
+def maps(rng: np.random.Generator, smoothing: float, *, n: int = 10) -> list[SweMap]:
+    """A tissue that stiffens evenly, a factor a level, and noise of 10 % smoothed over so many mm."""
+    x, z = np.meshgrid(np.arange(-20.0, 21.0), np.arange(2.0, 26.0), indexing="ij")
+    found = []
+    for k in range(n):
+        noise = rng.standard_normal(x.shape)
+        if smoothing:
+            noise = gaussian_filter(noise, smoothing, mode="wrap")
+        even = 0.6 + 0.02 * k + 0.002 * k * z + 0.3 * np.exp(-((x + 7) ** 2 + (z - 12) ** 2) / 40)
+        speed = np.exp(even + 0.1 * noise / noise.std() + 0.05 * rng.standard_normal())
+        found.append(SweMap(x.ravel(), z.ravel(), speed.ravel()))
+    return found
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.27, 2.0])
+def test_noise_is_found_whatever_the_tissue(rng, smoothing):
+    found = pixel_noise(maps(rng, smoothing), usual=0.3)
+    assert found.deviation == pytest.approx(0.1, rel=0.06)
+    if smoothing:
+        assert found.smoothing == pytest.approx(smoothing, rel=0.15)
+        assert found.share > 0.9
+    else:
+        assert found.share < 0.05
+
+
+def test_too_few_maps_tell_nothing(rng):
+    assert pixel_noise(maps(rng, 1.3, n=2), usual=0.3) == PixelNoise(0.3)
