@@ -81,3 +81,12 @@ def test_a_session_that_starts_like_another_leaves_that_ones_guesses_alone():
     after = work(leads=False)
     assert before[0] == after[0]
     assert before[1] < after[1]
+
+
+def test_levels_after_the_last_that_is_asked_for_are_not_tried():
+    session = ReferenceSession(punch(levels=3), threads=1)
+    every = session.solve().must_points
+    some = session.solve(last=2).must_points
+    session.close()
+    assert len(every.depths) == 3
+    assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)

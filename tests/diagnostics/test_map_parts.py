@@ -1,0 +1,102 @@
+"""Maps at their own resolution: what a model shows in them, and what they err by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics import calibrate
+from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.score import Direction, Score
+from limbcli.effects import effect
+from limbcli.effects.places import Places
+from limbcli.measurement.map_noise import PixelNoise
+from limbcli.stages.diagnosis_noise import MapNoise
+from limbcli.stages.diagnosis_rows import Row
+from limbcli.stages.diagnosis_windows import Windows
+from tests.stages.block_case import block_model
+
+SMALL = Windows(-8.0, 8.0, 2.0, 10.0, 4, 2, whole_is_known=True)
+
+
+def cells(rng: np.random.Generator, n: int = 6000) -> np.ndarray:
+    """Middles of cells that fill the region's surroundings, at rest."""
+    return rng.uniform([-20.0, -8.0, -24.0], [20.0, 8.0, 0.0], (n, 3))
+
+
+def seen(rest: np.ndarray, stretch: float, *, depth: float):
+    F = np.broadcast_to(np.diag([stretch**-0.5, stretch**-0.5, stretch]), (len(rest), 3, 3))
+    return SMALL.seen(block_model(), rest @ F[0].T - [0, 0, depth], rest, F, depth=depth)
+
+
+def test_what_is_even_in_space_is_shown_exactly(rng):
+    rest = cells(rng)
+    shown = seen(rest, 0.8, depth=3.0)
+    at = shown.averages(rest)
+    x, z = SMALL.pixels
+    assert at[:, 0] == pytest.approx(x * 0.8**0.5, abs=1e-6)
+    assert at[:, 2] == pytest.approx(-z / 0.8, abs=1e-6)
+    places = shown.places.at
+    assert np.einsum("q,pqd->pd", shown.weight, places) == pytest.approx(at, abs=1e-6)
+    assert shown.weight.sum() == pytest.approx(1.0)
+
+
+def test_an_inclusion_shows_where_its_tissue_is_and_as_strongly_as_it_is(rng):
+    """At rest and squeezed: the parts over it are faster by the root of its ratio, others are not."""
+    theta = {"log_inclusion_ratio": np.log(4.0), "inclusion_x_mm": 0.0, "inclusion_depth_mm": 8.0,
+             "inclusion_radius_mm": 5.0}  # fmt: skip
+
+    def field(places: Places) -> np.ndarray:
+        return effect("inclusion").stiffness(places, theta)
+
+    rest = cells(rng)
+    for stretch, below in ((1.0, 8.0), (0.7, 5.6)):
+        shown = seen(rest, stretch, depth=0.0)
+        rise = shown.log_means(np.full(len(rest), 2.0), [field])[1:] - np.log(2.0)
+        x, z = SMALL.middles.T
+        away = np.hypot(x * stretch**0.5, (z - below) / stretch)
+        assert rise[away < 2.5] == pytest.approx(np.log(2.0), abs=0.12)
+        assert np.abs(rise[away > 8.5]).max(initial=0.0) < 0.03
+
+
+def test_the_covariance_of_parts_is_that_of_smoothed_pixels(rng):
+    """Against 4000 drawn maps of noise."""
+    n, smoothing = 4000, 1.3
+    pitch = np.arange(-19.5, 20.0), np.arange(2.5, 26.0)
+    from scipy.ndimage import gaussian_filter
+
+    noise = gaussian_filter(rng.standard_normal((n, 40, 24)), (0, smoothing, smoothing), mode="wrap")
+    noise *= 0.1 / noise.std()
+    parts = noise.reshape(n, 10, 4, 6, 4).mean(axis=(2, 4))
+    middles = np.array(
+        [(a, b) for b in pitch[1].reshape(6, 4).mean(1) for a in pitch[0].reshape(10, 4).mean(1)]
+    )
+    own = MapNoise(middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1, smoothing, 1.0), np.zeros(2))
+    rows = [Row("map", level, part + 1) for level in (0, 1) for part in (12, 13, 22)]
+    found = own.of_pixels(rows, np.full(6, 0.1 / 4.0))
+    drawn = [parts[:, 2, 1], parts[:, 3, 1], parts[:, 2, 2]]
+    expected = np.cov(np.array(drawn))
+    assert found[:3, :3] == pytest.approx(expected, rel=0.12, abs=4e-4)
+    assert not found[:3, 3:].any()  # levels are read one after the other
+    independent = MapNoise(middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.zeros(2))
+    assert independent.of_pixels(rows, np.full(6, 0.025)) == pytest.approx(np.eye(6) * 0.025**2)
+
+
+def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
+    model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.0, 0.2, 0.3]))
+    rows = [Row("map", level, part + 1) for level in range(3) for part in (0, 1, 7)]
+    found = np.sqrt(np.diag(model.of_model(rows, 1.0))).reshape(3, 3)
+    assert found[0] == pytest.approx([0.005] * 3)
+    assert np.all(found[2] > 1.4 * found[1])
+    assert found[1, 0] > found[1, 2]  # more just below the face
+    assert np.linalg.eigvalsh(model.of_model(rows, 1.0)).min() > 0
+
+
+@pytest.mark.parametrize(("statistic", "adequate"), [(15.0, True), (40.0, False)])
+def test_what_the_form_of_a_large_effect_leaves_is_no_second_effect(statistic, adequate):
+    left = calibrate.Tested(
+        "tilt", Score(statistic, Direction(np.ones((3, 1)), (0,)), np.ones(1)), 1e-4, 0.002, 9.0
+    )
+    refit = Refit(None, None, calibrate.Family((left,), None, 0.05), explained=1000.0)
+    assert refit.is_adequate is adequate
+    assert not Refit(None, None, calibrate.Family((left,), None, 0.05), explained=20.0).is_adequate
