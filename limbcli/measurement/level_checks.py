@@ -18,7 +18,7 @@ from limbcli.units import mpa_from_pa
 
 # What a probe pressed on a calf by hand can give. Indentation of residual limbs: stiffness
 # 0.3 to 8 N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).
-MAX_FORCE = 150.0
+MIN_FORCE, MAX_FORCE = -3.0, 150.0  # N: a load cell that was not tared, and more than a limb bears
 _MAX_DEPTH = 60.0
 _STIFFNESS_LOW, _STIFFNESS_HIGH = 0.04, 40.0
 _STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.2, 8.0
@@ -52,7 +52,7 @@ def check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 # What no level can have: column, least, most, what it is and the usual slip.
 _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
-    ("force_n", -0.5, MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
+    ("force_n", MIN_FORCE, MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
      "or a tare missing?"),
     ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
     ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
