@@ -52,7 +52,8 @@ def check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 # What no level can have: column, least, most, what it is and the usual slip.
 _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
-    ("force_n", MIN_FORCE, MAX_FORCE, "N, compression positive; is it in grams (divide by 102), the sign turned, "
+    ("force_n", MIN_FORCE, MAX_FORCE,
+     "N, compression positive; is it in grams (divide by 102), the sign turned, "
      "or a tare missing?"),
     ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
     ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
