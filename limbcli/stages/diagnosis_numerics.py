@@ -44,7 +44,7 @@ _IN_MEAN = 0.07  # of ln mean speed, a unit of strain: as FEBio's and our meshes
 _THICKNESS_LEFT = 0.8  # of what 5 % more tissue change: surfaces and posture leave 4 %
 _CUT_LEFT = 0.2  # of what freeing the cut changes: half of it is put right
 _STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
-_MAP_STRAIN = 0.04  # the same of a map's pattern alone: how fast it grows differs between meshes
+_MAP_STRAIN = 0.08  # the same of a map's pattern alone: how fast it grows differs between meshes
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # times the reference c
 _STIFFER = 4.0  # times f_kappa: towards the incompressible limit
 
