@@ -23,6 +23,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.stages.diagnosis_cells import volumes
+from limbcli.stages.diagnosis_curves import fields
 from limbcli.stages.diagnosis_windows import Windows
 
 HEIGHT = 25.0
@@ -80,6 +81,8 @@ class ReducedBook:
     spread: float = 1.0
     spent: bool = False
     windows: Windows = field(default_factory=Windows)
+    _deformed: dict = field(default_factory=dict)
+    _laws: dict = field(default_factory=dict)
 
     def _with(self, m: float, ingredients, *, waves: bool = False) -> LimbModel:
         model = self.model.with_material("tissue", ogden_type(c=self.c, f_kappa=100.0, m=m))
@@ -89,13 +92,31 @@ class ReducedBook:
         for effect, _ in ingredients:
             if effect.name in ("tilt", "friction", "poroelasticity"):
                 raise SolveError("the reduced model cannot move its probe", where="reduced model", fix="none")
-        model = self._with(m, ingredients)
-        deformed = kinematics(model, self.depth, self.windows, spread=self.spread)
-        force = frozen_force(model, deformed)
+        laws = tuple(each for each in ingredients if getattr(each[0], "stiffness", None) is None)
+        model, in_window = self._plain(m), self._plain(m)
+        if laws:
+            model, in_window = self._with(m, laws), self._with(m, laws, waves=True)
+        deformed = self._deformation(model)
+        known = tuple(each for each in ingredients if each not in laws)
+        force = frozen_force(model, deformed, fields(known))
         force = np.maximum(force - force[0], 0.0)
-        speed = frozen_speed(self._with(m, ingredients, waves=True), deformed, density_kg_per_m3=1000.0)
+        speed = frozen_speed(in_window, deformed, fields(known, waves=True), density_kg_per_m3=1000.0)
+        if laws:
+            deformed.forget(model, in_window)
         height = float(-model.mesh.points[:, 2].min())
         return Curves(self.depth, force, speed, self.windows.depths, height)
+
+    def _plain(self, m: float) -> LimbModel:
+        if m not in self._laws:
+            self._laws[m] = self._with(m, ())
+        return self._laws[m]
+
+    def _deformation(self, model: LimbModel) -> Kinematics:
+        """Of one mesh, kept: it is prescribed."""
+        if id(model.mesh) not in self._deformed:
+            found = kinematics(model, self.depth, self.windows, spread=self.spread)
+            self._deformed[id(model.mesh)] = (model.mesh, found)
+        return self._deformed[id(model.mesh)][1]
 
     def curves(self, m: float, ingredients=()) -> Curves:
         return self._raw(m, ingredients)
