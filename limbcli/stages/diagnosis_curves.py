@@ -184,12 +184,11 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        hoped = (
-            self._required
-            if all(e.kind == "numerical" for e, _ in ingredients) and ingredients
-            else self._hoped
-        )
-        self.work.begin(candidate=bool(ingredients), rubs=rubs, fitted=_has_fitted_size(ingredients))
+        numerical = bool(ingredients) and all(e.kind == "numerical" for e, _ in ingredients)
+        hoped = self._required if numerical else self._hoped
+        # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
+        limited = bool(ingredients) and not numerical
+        self.work.begin(candidate=limited, rubs=rubs, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             session = self._shared() if same_mesh else self._fresh(model)
