@@ -201,7 +201,7 @@ class CurveBook:
                     required=self._required,
                     hoped=hoped,
                     leads=not ingredients,
-                    patient=not ingredients,
+                    patient=not limited,
                     last=None if m == USUAL_M and not ingredients else hoped,
                 )
             finally:
