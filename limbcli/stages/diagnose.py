@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +145,12 @@ class _Diagnosed:
     ):  # fmt: skip
         self.case, self.sites, self.out = case, sites, out
         self.options, self.progress = options, progress
-        self.effects = {each.name: each for each in effects if each.kind != "numerical"}
+        asked = bool(options.effects)  # by name: then none is too dear
+        self.effects = {
+            each.name: replace(each, dear=each.dear and not asked)
+            for each in effects
+            if each.kind != "numerical"
+        }
 
     def all(self) -> list[StageResult]:
         prepared: list[Prepared] = []

@@ -31,7 +31,6 @@ from limbcli.stages.diagnosis_tie import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
-_FEW = 6  # effects: these were asked for by name
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
@@ -70,7 +69,7 @@ class SiteBench(Fits):
                     s.name: s.parameter.typical - s.parameter.null
                     for s in self.slots((e.name,)) if not s.parameter.shape
                 },
-                e.dear and len(self.effects) > _FEW,
+                e.dear,
             )
             for e in self.effects.values()
         ]  # fmt: skip

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.effects.base import Effect, Theta, applied
-from limbcli.effects.contact import EFFECT as CONTACT
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
 from limbcli.effects.places import Places, Stiffness
 from limbcli.effects.reading import Curves, continued
@@ -124,7 +123,9 @@ class CurveBook:
         of the first level.
         """
         kinematics = self.kinematics(m)
-        plain = self._plain.setdefault(m, self.model_with(m, ()))
+        if m not in self._plain:
+            self._plain[m] = self.model_with(m, ())
+        plain = self._plain[m]
         laws = tuple(each for each in ingredients if each[0].stiffness is None)
         changed = self.model_with(m, laws) if laws else plain
         in_window = self.model_with(m, laws, waves=True) if laws else plain
@@ -163,11 +164,6 @@ class CurveBook:
         """The simulations so far took all the work that a diagnosis may take."""
         return self.work.spent
 
-    def with_contact(self, penalty: float) -> Ingredients:
-        """What makes of this book's contact one with another penalty."""
-        factor = penalty / self.model.contacts[0].penalty
-        return () if abs(factor - 1.0) < 1e-9 else ((CONTACT, {"penalty_factor": factor}),)
-
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
@@ -184,7 +180,7 @@ class CurveBook:
         rubs = any(contact.friction for contact in model.contacts)
         if rubs:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        numerical = bool(ingredients) and all(e.kind == "numerical" for e, _ in ingredients)
+        numerical = _is_numerical(ingredients)
         hoped = self._required if numerical else self._hoped
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
@@ -234,7 +230,6 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(work)
             self._kinematics[key] = kinematics
-        if all(effect.kind == "numerical" for effect, _ in ingredients):
             self.kept.keep_cells(key, values)
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
@@ -291,9 +286,14 @@ class CurveBook:
         self.work.total += found.work
         if not ingredients:
             self.work.usual.append(found.work)
-        if not all(effect.kind == "numerical" for effect, _ in ingredients) or not ingredients:
+        if not _is_numerical(ingredients):
             self._tell(m, ingredients, found.n_reached)
         return found.curves
+
+
+def _is_numerical(ingredients: Ingredients) -> bool:
+    """Whether there is something changed, and nothing but mesh, cut or contact."""
+    return bool(ingredients) and all(effect.kind == "numerical" for effect, _ in ingredients)
 
 
 def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:

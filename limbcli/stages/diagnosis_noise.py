@@ -25,7 +25,7 @@ COMMON_GAIN = 0.02  # of all speeds alike: calibration of the scanner (assumed; 
 # The model's error in a map: of ln speed, a unit of strain (depth over thickness), as a mesh of 5 mm edges
 # differs from FEBio's over seven limbs: in the parts, more just below the face, and of the map's mean.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.06, 0.08, 3.0, 4.0
-_IN_WIDE, _WIDE_MM, _IN_MEAN, _ALIKE = 0.055, 14.0, 0.07, 0.95  # over the image; from level to level
+_IN_WIDE, _WIDE_MM, IN_MEAN, _ALIKE = 0.055, 14.0, 0.07, 0.95  # over the image; from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
@@ -88,7 +88,7 @@ class MapNoise:
         alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
         near, wide = (np.exp(-0.5 * (apart / each) ** 2) for each in (_NEAR_MM, _WIDE_MM))
         # What is wide or common is of one size everywhere: else the contrast between places would tell it.
-        over = (share * _IN_WIDE) ** 2 * wide + _IN_MEAN**2
+        over = (share * _IN_WIDE) ** 2 * wide + IN_MEAN**2
         found = alike * (near * np.outer(deviation, deviation) + over * np.outer(strain, strain))
         return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 

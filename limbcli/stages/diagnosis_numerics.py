@@ -28,7 +28,7 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import USUAL_THICKNESS
-from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, ModelError, SmoothDepth, readings
+from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, IN_MEAN, ModelError, SmoothDepth, readings
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
 from limbcli.stages.diagnosis_tying import Tells, Tying, at_depths
@@ -40,7 +40,6 @@ _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
-_IN_MEAN = 0.07  # of ln mean speed, a unit of strain: as FEBio's and our meshes differ
 _THICKNESS_LEFT = 0.8  # of what 5 % more tissue change: surfaces and posture leave 4 %
 _CUT_LEFT = 0.2  # of what freeing the cut changes: half of it is put right
 _STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
@@ -245,7 +244,7 @@ class Numerics:
             return []
         curves = self.book.curves(self.likely_m)
         width = np.interp(self.depth, curves.depth, self.book.windows.width_doubt(curves.log_speed))
-        strain = _IN_MEAN * np.nan_to_num(self.depth) / self.thickness
+        strain = IN_MEAN * np.nan_to_num(self.depth) / self.thickness
         return [
             ModelError(
                 "model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -62,11 +63,14 @@ class Tying:
                 np.zeros(len(working.depth)), np.zeros_like(working.log_speed), 1.0, usual,
                 np.zeros(len(self.depth)),
             )  # fmt: skip
-        if freed is not None:
-            change = np.log(np.maximum(freed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
-            found.log_force[1:] += _FREED * change
-            found.log_speed[:] += _FREED * np.nan_to_num(freed.log_speed - working.log_speed)
-        return found
+        if freed is None:
+            return found
+        change = np.zeros(len(working.depth))
+        change[1:] = np.log(np.maximum(freed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
+        speeds = np.nan_to_num(freed.log_speed - working.log_speed)
+        return replace(
+            found, log_force=found.log_force + _FREED * change, log_speed=found.log_speed + _FREED * speeds
+        )
 
     def _solved_tie(self, working: Curves) -> Tie | None:
         """By the law with the likely m on the site's own mesh; None where it is not to be had."""
