@@ -55,6 +55,7 @@ EFFECT = Effect(
     apply=apply,
     stiffness=stiffness,
     grid=_PLACES,
+    needs=("force", "map"),
     solves=True,
     tell_tale="a spot in the speed map at every load, there at rest already",
 )

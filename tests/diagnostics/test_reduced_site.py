@@ -18,6 +18,7 @@ from limbcli.errors import SolveError
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_changes import logs
 from limbcli.stages.diagnosis_data import site_data
+from limbcli.stages.diagnosis_noise import ModelError
 from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
 
 
@@ -34,15 +35,18 @@ CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-
               "viscoelasticity", "poroelasticity", "support-motion")  # fmt: skip
 
 
-def bench(levels, names=CANDIDATES, **more) -> SiteBench:
+def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteBench:
     book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
-    site = site_data("p1", levels, reduced.NOISE, windows=book.windows)
+    site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
     return SiteBench(site, book, [effect(name) for name in names])
 
 
+def true_book():
+    return reduced.ReducedBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03)
+
+
 def levels(rng, ingredients=(), reading=None, **more):
-    book = reduced.ReducedBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03)
-    return reduced.measured(rng, ingredients, reading, book=book, **more)
+    return reduced.measured(rng, ingredients, reading, book=true_book(), **more)
 
 
 def run(measured, **more):
@@ -177,8 +181,26 @@ def test_false_alarms_on_the_reduced_model(rng):
     names = [
         each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
     ]
-    alarms = sum(run(levels(rng), names=names).verdict in ("named", "ambiguous") for _ in range(8))
-    assert alarms <= 2
+    alarms = 0
+    for _ in range(16):
+        measured = levels(rng)
+        verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
+        alarms += verdict in ("named", "ambiguous")
+    assert alarms <= 3  # one in twenty is what the test is made for: more than three by chance 1 time in 100
+
+
+def of_the_block(measured) -> ModelError:
+    """By how much the fitted block differs from the true one: an effect of 3 % in the force is no noise."""
+    true, fitted = (
+        book.curves(4.0) for book in (true_book(), reduced.ReducedBook(reduced.block_model(6, 5, 5)))
+    )
+    depth = np.maximum(measured.depth, 0.1)
+    force = [np.log(np.interp(depth, each.depth, each.force)) for each in (true, fitted)]
+    parts = [
+        np.stack([np.interp(depth, each.depth, part) for part in each.log_speed.T], axis=1)
+        for each in (true, fitted)
+    ]
+    return ModelError("model: block", force[0] - force[1], parts[0] - parts[1])
 
 
 def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
