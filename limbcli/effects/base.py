@@ -23,6 +23,7 @@ class Parameter:
     prior : what is known of its size, with the source
     shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
         (`null` is `start`), and is fitted from the points of the effect's grid
+    natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
     """
 
     name: str
@@ -33,6 +34,7 @@ class Parameter:
     typical: float
     prior: str = ""
     shape: bool = False
+    natural_bounds: bool = False
 
     @staticmethod
     def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:

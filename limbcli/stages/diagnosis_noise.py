@@ -22,10 +22,11 @@ from limbcli.stages.diagnosis_rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMMON_GAIN = 0.02  # of all speeds alike: calibration of the scanner (assumed; nobody states it)
-# The model's error in a map: of ln speed, a unit of strain (depth over thickness), as a mesh of 5 mm edges
-# differs from FEBio's over seven limbs: in the parts, more just below the face, and of the map's mean.
-_IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.06, 0.08, 3.0, 4.0
-_IN_WIDE, _WIDE_MM, IN_MEAN, _ALIKE = 0.055, 14.0, 0.07, 0.95  # over the image; from level to level
+# The model's error in a map, of ln speed a unit of strain (depth over thickness), as the diagnosis' models
+# differ from FEBio's on eleven limbs (largest likelihood): in the parts, more just below the face, and of the
+# map's mean. It is alike as an exponential: a smoother kernel lets contrasts tell what they cannot.
+_IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.095, 0.085, 3.0, 6.5
+IN_MEAN, _ALIKE = 0.07, 0.92  # _ALIKE: from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
@@ -86,10 +87,8 @@ class MapNoise:
         deviation = share * size * strain
         apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
         alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
-        near, wide = (np.exp(-0.5 * (apart / each) ** 2) for each in (_NEAR_MM, _WIDE_MM))
-        # What is wide or common is of one size everywhere: else the contrast between places would tell it.
-        over = (share * _IN_WIDE) ** 2 * wide + IN_MEAN**2
-        found = alike * (near * np.outer(deviation, deviation) + over * np.outer(strain, strain))
+        near = np.exp(-apart / _NEAR_MM) * np.outer(deviation, deviation)
+        found = alike * (near + IN_MEAN**2 * np.outer(strain, strain))
         return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 
 

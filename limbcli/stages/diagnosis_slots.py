@@ -44,10 +44,12 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
         ):
             continue  # another size of the effect is free, and says that it is there
         if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
+            if p.natural_bounds:
+                continue
             side = "higher" if value > p.null else "lower"
             found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
         elif all(
-            fixed[n]
+            abs(x[2 + n] - other.parameter.null) <= _ON_BOUND * (other.parameter.high - other.parameter.low)
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):
