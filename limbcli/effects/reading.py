@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 from limbcli.monotone import Monotone
 
 _FAR = 10.0  # of ln depth beyond a curve's ends
@@ -242,15 +243,27 @@ def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
 
 
 def _at_depths(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths; windows without a gap all at once."""
+    """ln speed (n_levels, n_windows) at depths; windows that are known at the same depths all at once."""
     out = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
     known = np.isfinite(curves.log_speed)
-    whole = known.all(axis=0)
-    if whole.any():
-        out[:, whole] = _one_curve(curves.depth, curves.log_speed[:, whole], depth)
-    for k in np.flatnonzero(~whole & (known.sum(axis=0) > 1)):
-        out[:, k] = _one_curve(curves.depth[known[:, k]], curves.log_speed[known[:, k], k], depth)
+    if known.all():
+        return _one_curve(curves.depth, curves.log_speed, depth)
+    for columns in alike(known):
+        at = known[:, columns[0]]
+        if at.sum() > 1:
+            out[:, columns] = _one_curve(curves.depth[at], curves.log_speed[at][:, columns], depth)
     return out
+
+
+def alike(table: NDArray[np.bool_]) -> list[IntArray]:
+    """Numbers of the columns that are the same, together.
+
+    >>> [each.tolist() for each in alike(np.array([[True, False, True], [True, True, True]]))]
+    [[1], [0, 2]]
+    """
+    _, which = np.unique(np.packbits(table, axis=0), axis=1, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
 
 
 def _one_curve(knots: Array, values: Array, depth: Array) -> Array:
