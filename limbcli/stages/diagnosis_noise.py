@@ -22,7 +22,7 @@ from limbcli.stages.diagnosis_rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 # Of all speeds alike: a scanner's calibration (assumed, 2 %: nobody states it), and the models' own error: c
-# that is fitted to FEBio's curves without noise comes out 2 to 7 % too high on eight limbs, speeds half of it.
+# fitted to FEBio's curves without noise comes out 2 to 7 % too high on eight limbs, speeds half of it.
 COMMON_GAIN = 0.03
 # The model's error in a map, of ln speed a unit of strain (depth over thickness), as the diagnosis' models
 # differ from FEBio's on eleven limbs (largest likelihood): in the parts, more just below the face, and of the
