@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from limbcli.model import Array
 
 LEVEL = 0.01  # of the test against the best of the set
 ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
-_OF_FORM = 0.02  # of the deviance that an explanation takes: what its form may leave
 _BARELY = 0.25  # of that level: what misses it by no more is told where it fits as well as what does not
 _AS_WELL = 4.0  # deviance
 _SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
@@ -31,7 +30,7 @@ class Refit:
 
     chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
     the largest gap that chance allows it (None before the comparison)
-    explained : deviance, of what the fit without effects leaves
+    rooms : deviance by the name of a test of `family`, that its form may leave (`rooms`)
     """
 
     fitted: Fitted
@@ -39,16 +38,15 @@ class Refit:
     family: Family
     gap: float | None = None
     gap_allowed: float | None = None
-    explained: float = 0.0
+    rooms: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def left_p(self) -> float:
-        """Smallest adjusted p of what it leaves beyond its form: no model of fat or of a scar is just that of
-        the limb, and of a large effect a small share stands out."""
+        """Smallest adjusted p of what it leaves beyond its form."""
         beyond = [
             each.p_adjusted
             for each in self.family.tests
-            if each.score.statistic > _OF_FORM * max(self.explained, 0.0)
+            if each.score.statistic > self.rooms.get(each.name, 0.0)
         ]
         return min([*beyond, *([self.family.overall.p_adjusted] if self.family.overall else [])], default=1.0)
 
@@ -92,11 +90,13 @@ def compare(
 
     Under explanation k the whitened data are mu_k + f_k + e, mu_k its prediction, f_k the error of its
     form (covariance `form_error(fitted)`, the same that the tests of what it leaves allow for). The gap is
-    k's deviance over the best one's, each linear round its own fit (for rivals also round the base).
+    k's deviance over the best one's, each linear round its own fit (for rivals also round the base). The
+    best is of those that leave nothing, if there are such: what leaves something is no better answer.
     """
     eligible = [each for each in refits if not each.fitted.at_bound]
     if not eligible:
         return list(refits)
+    eligible = [each for each in eligible if each.is_adequate] or eligible
     best = min(each.state.chi2 for each in eligible)
     scale = best / max(min(each.state.nu for each in eligible), 1) if relative else 1.0
     done = []

@@ -11,6 +11,7 @@ from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, compare, joint_trial
 from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.rooms import rooms
 from limbcli.diagnostics.score import Direction, Trial, narrowed, score
 from limbcli.errors import LimbError
 
@@ -132,12 +133,16 @@ class Refits:
             left = self._left_by(fitted)
         state = self.ground.linearised(fitted)
         explained = self.ground.state.chi2 - state.chi2
-        self.known[explanation] = Refit(fitted, state, left, explained=explained)
+        room = rooms(self.ground.data, fitted, left, self._allowing(fitted), explained)
+        self.known[explanation] = Refit(fitted, state, left, rooms=room)
+
+    def _allowing(self, fitted: Fitted) -> Whitener:
+        """By the noise, and the error of the effects' form."""
+        return Whitener.of(self.ground.data.noise.covariance + self.ground.form_error(fitted))
 
     def _left_by(self, fitted: Fitted) -> Family:
         """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
-        ground = self.ground
-        whiten = Whitener.of(ground.data.noise.covariance + ground.form_error(fitted))
+        ground, whiten = self.ground, self._allowing(fitted)
 
         def anew(direction: Direction) -> Direction:
             return replace(direction, columns=whiten(ground.whiten.undo(direction.columns)))

@@ -78,7 +78,7 @@ class CurveBook:
         model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], self._table.record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.work, self.beside = Work(), beside
+        self.work, self.beside = Work(n_cells=len(cells)), beside
         self.kept, self.progress = Kept(keep), progress
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]

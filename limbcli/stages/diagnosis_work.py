@@ -20,6 +20,9 @@ _PER_ITERATION, _PER_FACTOR = 10, 20
 _TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 3.0, 6.0
 _LEAST_ALLOWED = 1500  # some four seconds on a working mesh
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
+# Where the model itself is large or hard: products times cells, of a candidate and of all; a million take a
+# second and a half.
+_MOST_ALLOWED, _MOST_IN_ALL = 40e6, 160e6
 
 
 @dataclass
@@ -28,8 +31,10 @@ class Work:
 
     usual : of every solve without effects; done : of the solve that is on, or was last
     at_most : of a solve without effects; total : of all solves, those of an earlier run included
+    n_cells : of the model
     """
 
+    n_cells: int = 0
     usual: list[int] = field(default_factory=list)
     at_most: float = math.inf
     total: int = 0
@@ -41,7 +46,8 @@ class Work:
         """candidate : it has an effect in it; rubs : it has friction; fitted : its size is that of a fit"""
         self.done = 0
         times = _TIMES_WITH_FRICTION if rubs else _TIMES_FITTED if fitted else _TIMES_USUAL
-        self._allowed = max(_LEAST_ALLOWED, times * self.mean) if candidate else self.at_most
+        limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
+        self._allowed = limit if candidate else self.at_most
 
     @property
     def mean(self) -> float:
@@ -55,7 +61,8 @@ class Work:
     @property
     def spent(self) -> bool:
         """All that a diagnosis may take: what is left is told without simulations of its own."""
-        return self.total > _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
+        usual = _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
+        return self.total > min(usual, _MOST_IN_ALL / max(self.n_cells, 1))
 
     def __call__(self, kind: str, facts: dict[str, Any]) -> None:
         if kind != "newton":

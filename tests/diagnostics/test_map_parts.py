@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics import calibrate
+from limbcli.diagnostics.bench import Data, Fitted
 from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.linear import Whitener
+from limbcli.diagnostics.noise import Noise, independent
+from limbcli.diagnostics.rooms import rooms
 from limbcli.diagnostics.score import Direction, Score
 from limbcli.effects import effect
 from limbcli.effects.places import Places
@@ -92,11 +96,18 @@ def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
     assert np.linalg.eigvalsh(model.of_model(rows, 1.0)).min() > 0
 
 
-@pytest.mark.parametrize(("statistic", "adequate"), [(15.0, True), (40.0, False)])
-def test_what_the_form_of_a_large_effect_leaves_is_no_second_effect(statistic, adequate):
-    left = calibrate.Tested(
-        "tilt", Score(statistic, Direction(np.ones((3, 1)), (0,)), np.ones(1)), 1e-4, 0.002, 9.0
-    )
-    refit = Refit(None, None, calibrate.Family((left,), None, 0.05), explained=1000.0)
-    assert refit.is_adequate is adequate
-    assert not Refit(None, None, calibrate.Family((left,), None, 0.05), explained=20.0).is_adequate
+@pytest.mark.parametrize(
+    ("statistic", "channel", "adequate"), [(15.0, 0, True), (40.0, 0, False), (15.0, 1, False)]
+)
+def test_what_the_form_of_a_large_effect_leaves_is_no_second_effect(statistic, channel, adequate):
+    """A spot that takes 1000 from the maps may leave 20 there, and nothing in the force."""
+    noise = Noise((independent("own", np.full(4, 2.0), source="repeats"),))
+    data = Data(np.zeros(4), ("map", "map", "force", "force"), np.arange(4.0), noise)
+    change = np.array([2 * 1000**0.5, 0.0, 0.0, 0.0])
+    spot = Fitted(("inclusion",), change, np.zeros((4, 0)), (), {}, without=np.zeros(4))
+    whiten = Whitener.of(noise.covariance)
+    along = Direction(whiten(np.eye(4)[:, 2 * channel : 2 * channel + 1]), (0,))
+    left = calibrate.Tested("tilt", Score(statistic, along, np.ones(1)), 1e-4, 0.002, 9.0)
+    family = calibrate.Family((left,), None, 0.05)
+    assert Refit(spot, None, family, rooms=rooms(data, spot, family, whiten, 2000.0)).is_adequate is adequate
+    assert not Refit(spot, None, family, rooms=rooms(data, spot, family, whiten, 20.0)).is_adequate
