@@ -70,7 +70,7 @@ def forces(golden: Path, folder: str, simulation) -> tuple[np.ndarray, np.ndarra
     ("folder", "tolerance"),
     [
         ("effect-base-tet4", 3e-3),
-        ("punch-tet4", 3e-3),
+        pytest.param("punch-tet4", 3e-3, marks=pytest.mark.slow),
         pytest.param("punch-tet4-tilt7", 3e-3, marks=pytest.mark.slow),
         pytest.param("punch-tet4-auglag", 3e-3, marks=pytest.mark.slow),
         pytest.param("punch-tet10-quarter", 6e-3, marks=pytest.mark.slow),

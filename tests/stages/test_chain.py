@@ -246,6 +246,7 @@ def test_the_commands_told_mend_the_chain_with_the_options_it_was_made_with(
     assert result.provenance["made_from"]["results"]["mesh p1"]["files"]["model"]
 
 
+@pytest.mark.slow
 def test_the_same_again_leaves_the_chain_whole(root: Path, monkeypatch: pytest.MonkeyPatch):
     """Results are the same byte for byte, so that what was made from them stays good."""
     monkeypatch.undo()

@@ -91,6 +91,7 @@ def test_a_bone_elsewhere_and_sites_off_the_skin_are_told(tmp_path: Path):
         segment(Case.open(folder), out=tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_label_map_of_other_geometry_than_its_series_is_told(tmp_path: Path):
     from limbcli.imaging.dicom import read_series
     from limbcli.imaging.labels import write_labels

@@ -212,6 +212,7 @@ def test_febio_runs_use_the_cores_and_never_more(cores, case, tmp_path):
     assert shares(1, cores) == (1, cores)
 
 
+@pytest.mark.slow
 def test_the_mesh_error_is_counted_stated_and_can_be_given(fitted, forces, tmp_path):
     """Forces are proportional to c: an error common to them adds to c's own."""
     data = fitted[0].data
