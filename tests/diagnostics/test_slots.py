@@ -1,0 +1,35 @@
+"""What of a fit's parameters ended on a bound, and what that says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.effects import effect
+from limbcli.stages.diagnosis_slots import Slot, on_bounds, stuck
+
+CASES = [
+    ("nonlinearity", {"weight_q": 0.0, "second_pair_share": 0.0}, ""),  # a law with one of its two terms
+    ("nonlinearity", {"weight_q": 0.5, "second_pair_share": 0.0}, ""),  # q is free, and may be anything
+    ("nonlinearity", {"weight_q": 0.7, "second_pair_share": 0.6}, ""),  # q is free and says it is there
+    ("contraction", {"active_stress_per_c": 4.0}, "higher bound 4"),
+    ("contraction", {"active_stress_per_c": 0.0}, "ended at 0, which is without it"),
+    ("inclusion", {"log_inclusion_ratio": 1.0, "inclusion_x_mm": 26.0}, ""),  # a place is no size
+    ("inclusion", {"log_inclusion_ratio": 3.0}, "higher bound 3"),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "said"), CASES)
+def test_a_size_on_the_bound_of_the_search_is_told_and_one_at_a_laws_own_limit_is_not(name, values, said):
+    known = effect(name)
+    slots = [Slot(each.name, each) for each in known.parameters]
+    x = np.array([0.0, 0.0, *(values.get(each.name, each.start) for each in known.parameters)])
+    found = on_bounds(x, slots, [known])
+    assert bool(found) == bool(said)
+    assert all(said in each for each in found)
+
+
+def test_what_a_bound_holds_does_not_move_with_the_data():
+    known = effect("nonlinearity")
+    slots = [Slot(each.name, each) for each in known.parameters]
+    assert stuck(np.array([0.0, 0.0, 0.0, 0.3]), slots).tolist() == [True, False]
