@@ -38,11 +38,13 @@ class Sizes:
     growth: float = 0.35
     reach: float = 2.0  # mm round the face that keep the fine size
     bends: float = 2.5  # the shortest edges that bent surfaces ask for
+    thin: float = 0.0  # ... and that thin tissue, thin bone and clefts ask for, where facets do not meet
 
     def finer(self, factor: float) -> Sizes:
         return Sizes(
-            self.under_probe * factor, self.far * factor, self.growth, self.reach, self.bends * factor
-        )
+            self.under_probe * factor, self.far * factor, self.growth, self.reach,
+            self.bends * factor, self.thin * factor,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,7 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
         thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
+        limit = np.maximum(limit, min(sizes.thin, sizes.far))
     sag = _chord_error(domain, probe)
     for field in (domain.skin, domain.bone):
         if field is not None:

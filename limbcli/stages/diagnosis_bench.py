@@ -31,6 +31,7 @@ from limbcli.stages.diagnosis_tie import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
+_MOST_REPAIRS = 4
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
@@ -107,8 +108,8 @@ class SiteBench(Fits):
         return replace(found, intervals=inside)
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Solve the model as fitted, repair the stand-in there, fit again; twice at most. As it is where the
-        work is spent."""
+        """Solve the model as fitted, repair the stand-in there, fit again, until the fit stays; twice at most
+        with several effects, four times with one. As it is where the work is spent."""
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
@@ -116,7 +117,7 @@ class SiteBench(Fits):
         if any(each.book.spent for each in self.sites):
             self.not_simulated.add(explanation)
             return fitted
-        for _ in range(2):
+        for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
             points, m = self.points(fitted), round(fitted.values["m"], 4)
             for k, each in enumerate(self.sites):
                 each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)

@@ -45,7 +45,8 @@ _N_DEPTHS = 6
 # Times the deepest reading, and mm more, or that share of the tissue: a record may be read too shallow.
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm
-_BENDS = 8.0  # mm, the shortest edges that bent surfaces ask for: bone is followed roughly
+# mm, the shortest edges that bent surfaces ask for: bone is followed roughly; and thin bones and clefts.
+_BENDS, _THIN = 8.0, 6.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
 
 
@@ -220,7 +221,7 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size, _BENDS]  # fmt: skip
+                  self.size, self.mesh.far_size, _BENDS, _THIN]  # fmt: skip
         text = json.dumps(plain(recipe))
         self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"
@@ -228,7 +229,7 @@ class _Preparation:
             return load_model(kept)
         self.progress.event("note", text="making the working mesh")
         probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS)
+        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
