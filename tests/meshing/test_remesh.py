@@ -9,6 +9,7 @@ from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
 from limbcli.meshing.facets import edges_of
 from limbcli.meshing.frame import site_frame
+from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
 from limbcli.meshing.surfaces import Triangles
@@ -68,3 +69,24 @@ def test_faces_folded_flat_on_a_neighbour_are_bad():
     for height, n_bad in ((0.0, 4), (0.2, 0)):
         points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [1, 1, height]])
         assert len(bad_places(Boundary(Triangles(points, faces), np.full(4, SKIN)))) == n_bad
+
+
+@pytest.mark.slow
+def test_a_cleft_between_bones_takes_as_few_facets_as_asked_for(make_tube):
+    """Two bones 3 mm apart, one of them 8 mm thick: coarse where that does no harm, and still closed."""
+    skin = make_tube((0, 0, -60), (0, 0, 60), (42, 40))
+    tibia, fibula = (
+        make_tube((0, -8, -70), (0, -8, 70), (11, 10)),
+        make_tube((18, -8, -70), (18, -8, 70), (4, 4)),
+    )
+    limb = mend(skin, [tibia, fibula])
+    frame = site_frame(limb, np.array([0.0, 42.0, 0.0]), "transverse", PROBE)
+    local = limb.moved(frame.to_model)
+    domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
+    fine, found = boundary(domain), []
+    for thin in (0.0, 6.0):
+        graded = remesh(fine, domain, size_field(domain, PROBE, Sizes(5.0, 14.0, bends=8.0, thin=thin)))
+        assert graded.surface.volume == pytest.approx(fine.volume, rel=0.02)
+        assert len(bad_places(graded)) == 0
+        found.append(len(graded.surface.faces))
+    assert found[1] < 0.7 * found[0]
