@@ -108,7 +108,8 @@ def menu(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     if any(bench.site.protocol.unloading):
         open_items = [item for item in open_items if item.name != "unload"]
     found = [_proposal(bench, fits, item) for item in open_items]
-    if len(bench.sites) == 1 and any(name in fit.explanation for fit in fits for name in _TURNS):
+    # Beside other effects it takes a simulation of each of them in the turned model.
+    if len(bench.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
         found += _rotated(bench, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
 
