@@ -1,7 +1,7 @@
 """Volume meshers in a process of their own: they may crash or run on without harm.
 
-`python -m limbcli.meshing.mesher_process MESHER FOLDER` reads FOLDER/in.npz and
-leaves FOLDER/out.npz, or FOLDER/error.txt.
+`python -m limbcli.meshing.mesher_process MESHER FOLDER PARENT` reads FOLDER/in.npz and
+leaves FOLDER/out.npz, or FOLDER/error.txt; it is killed when PARENT, who started it, ends.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.model import Array, IntArray
+from limbcli.scratch import end_with_parent, scratch_folder
 
 _FIX = "ask for another size (--size-mm), or mend the surfaces"
 
@@ -36,10 +36,9 @@ def in_process(
     ToolError
         If the mesher is not installed.
     """
-    with tempfile.TemporaryDirectory(prefix="limbcli-mesh-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))
-        command = [sys.executable, "-m", __name__, mesher, name]
+        command = [sys.executable, "-m", __name__, mesher, str(folder), str(os.getpid())]
         try:
             done = subprocess.run(
                 command,
@@ -126,4 +125,5 @@ def main(mesher: str, folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent(int(sys.argv[3]))
     main(sys.argv[1], Path(sys.argv[2]))
