@@ -167,6 +167,9 @@ class End:
             if line.startswith(("FAILED", "ERROR")):
                 print(f"{self.name}: {line[:300]}", file=sys.stderr)
         counts = ", ".join(" ".join(each) for each in _COUNTS.findall(lines[-1])) or lines[-1][:200]
+        if done.returncode < 0:  # a library crashed: the first lines of its trace are Python's
+            where = [line.strip() for line in done.stderr.splitlines() if line.startswith("  File")][:1]
+            counts = f"killed by signal {-done.returncode}, {' '.join(where) or 'nowhere'}"
         self.note(
             f"{which} tests", f"{counts} ({time.perf_counter() - begun:.0f} s)", failed=bool(done.returncode)
         )

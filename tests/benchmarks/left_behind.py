@@ -9,12 +9,15 @@ from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any
 
+from scipy.io import loadmat
+
+from limbcli.results import plain
+
 Content = Mapping[str, str]  # hash by path below the output folder
 
 _TIMED_FILES = {"progress.jsonl", "model.log"}
 _TIMED_KEYS = re.compile(r"(^|_)(seconds|finished_utc|elapsed_s|wall_s|processor_s)$")
 _TIMES = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?Z?|\d+(\.\d+)? s\b")
-_MAT_HEADER = 116  # bytes of text at a MAT-file's start, with the date
 _HASH = re.compile(r"[0-9a-f]{64}")
 _NEVER_LEFT = (".partial-", ".writing", "limbcli-error-")
 
@@ -34,7 +37,8 @@ def content_hash(path: Path) -> str:
         except ValueError:
             content = b"cannot be read " + content
     elif path.suffix == ".mat":
-        content = content[_MAT_HEADER:]
+        values = {key: each for key, each in loadmat(path, simplify_cells=True).items() if key[0] != "_"}
+        content = json.dumps(without_times(plain(values)), sort_keys=True, default=str).encode()
     elif path.suffix in (".html", ".svg", ".feb", ".csv"):
         content = _TIMES.sub(b"", content)
     return hashlib.sha256(content).hexdigest()
