@@ -194,9 +194,13 @@ def audit_outcome(status: int, printed: str, complaints: str) -> str:
 
     >>> audit_outcome(1, "", "requests.exceptions.ConnectionError: Max retries exceeded")
     'the database cannot be reached from here'
+    >>> audit_outcome(0, "pillow Dependency not found on PyPI and could not be audited: pillow (10.0.0)", "")
+    'unknown: the database reached from here does not answer for 1 packages'
     """
     if status and any(word in complaints for word in _UNREACHABLE):
         return "the database cannot be reached from here"
+    if skipped := len(re.findall("could not be audited", printed + complaints)):
+        return f"unknown: the database reached from here does not answer for {skipped} packages"
     found = [
         line.split()[:3] for line in printed.splitlines() if re.match(r"\S+\s+\S+\s+(CVE|GHSA|PYSEC)-", line)
     ]

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import linregress
 
 from tests.benchmarks.left_behind import strays
 from tests.benchmarks.small_case import COMMANDS, family, start, write_case
@@ -59,13 +60,17 @@ def memory_at(samples: Sequence[Sample], share: float, n_cases: int) -> float:
     return max((peak for n, peak in peaks(samples).items() if first < n <= last), default=float("nan"))
 
 
-def slope(samples: Sequence[Sample], n_cases: int) -> float:
-    """MB by which the most memory of a case grows in 100 cases; without the first (kernels are compiled) and
-    the last (a worker alone), NaN where fewer than two are left."""
+def slope(samples: Sequence[Sample], n_cases: int) -> tuple[float, float]:
+    """MB by which the most memory of a case grows in 100 cases, and its standard error.
+
+    Without the first case (kernels are compiled) and the last (a worker alone); NaN where fewer than three
+    are left. Of a few cases it is noise: look at the error.
+    """
     kept = {n: peak for n, peak in peaks(samples).items() if 1 < n < n_cases}
-    if len(kept) < 2:
-        return float("nan")
-    return float(100 * np.polyfit(list(kept), list(kept.values()), 1)[0])
+    if len(kept) < 3:
+        return float("nan"), float("nan")
+    line = linregress(list(kept), list(kept.values()))
+    return 100 * float(line.slope), 100 * float(line.stderr)
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ class Load:
         return whole and not any(self.codes) and not self.processes and not self.files
 
     def table(self) -> str:
-        last = self.samples[-1]
+        last, (growth, error) = self.samples[-1], slope(self.samples, self.n_cases)
         at = [f"{memory_at(self.samples, share, self.n_cases):.0f}" for share in _SHARES]
         heads = [
             "cases done", "s a case", *(f"MB at {share:.0%}" for share in _SHARES), "MB per 100 cases",
@@ -92,7 +97,7 @@ class Load:
         ]  # fmt: skip
         values = [
             f"{last.done} of {self.n_cases}", f"{last.time / max(last.done, 1):.1f}", *at,
-            f"{slope(self.samples, self.n_cases):+.0f}", str(self.processes), str(len(self.files)),
+            f"{growth:+.0f} (error {error:.0f})", str(self.processes), str(len(self.files)),
         ]  # fmt: skip
         return f"| {' | '.join(heads)} |\n|{'-|' * len(heads)}\n| {' | '.join(values)} |"
 

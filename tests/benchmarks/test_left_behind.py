@@ -84,8 +84,8 @@ def test_kills_cover_the_whole_duration_and_aim_at_children():
 def test_memory_that_grows_has_a_slope():
     flat = [load.Sample(k, k // 4, 300.0 + 50 * (k % 4)) for k in range(80)]
     grows = [load.Sample(each.time, each.done, each.memory + 2.0 * each.done) for each in flat]
-    assert load.slope(flat, 20) == pytest.approx(0.0, abs=1e-6)
-    assert load.slope(grows, 20) == pytest.approx(200.0)
+    assert load.slope(flat, 20)[0] == pytest.approx(0.0, abs=1e-6)
+    assert load.slope(grows, 20)[0] == pytest.approx(200.0)
     assert load.memory_at(grows, 0.5, 20) == pytest.approx(450.0 + 2 * 9)
     left = load.Load(20, [*grows, load.Sample(80, 20, 0.0)], [0, 0], 0, [])
     assert left.is_sound
