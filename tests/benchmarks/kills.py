@@ -179,7 +179,10 @@ class Bench:
         self.restore(before)
         start_state = contents(self.out)
         faults = self.killed(command, kill, ran)
-        faults += [f"not whole: {name}" for name in halves(self.out, start_state, ran.left, ran.itself)]
+        faults += [
+            f"at its place, but not of a whole run: {name}"
+            for name in halves(self.out, start_state, ran.left, ran.itself)
+        ]
         again = self.begin(command).wait(timeout=_LIMIT_S)
         if again:
             last = self.log.read_text().strip().splitlines()[-3:]

@@ -16,7 +16,8 @@ from limbcli.results import plain
 Content = Mapping[str, str]  # hash by path below the output folder
 
 _TIMED_FILES = {"progress.jsonl", "model.log"}
-_TIMED_KEYS = re.compile(r"(^|_)(seconds|finished_utc|elapsed_s|wall_s|processor_s)$")
+# `n_solves` is what a call had to do; after a kill, what was kept before it need not be solved again.
+_TIMED_KEYS = re.compile(r"(^|_)(seconds|finished_utc|elapsed_s|wall_s|processor_s|n_solves)$")
 _TIMES = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?Z?|\d+(\.\d+)? s\b")
 _HASH = re.compile(r"[0-9a-f]{64}")
 _NEVER_LEFT = (".partial-", ".writing", "limbcli-error-")
