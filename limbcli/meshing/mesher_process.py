@@ -1,7 +1,7 @@
 """Volume meshers in a process of their own: they may crash or run on without harm.
 
-`python -m limbcli.meshing.mesher_process MESHER FOLDER` reads FOLDER/in.npz and
-leaves FOLDER/out.npz, or FOLDER/error.txt.
+`python -m limbcli.meshing.mesher_process MESHER FOLDER PARENT` reads FOLDER/in.npz and
+leaves FOLDER/out.npz, or FOLDER/error.txt; it is killed when PARENT, who started it, ends.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import signal
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +20,7 @@ import numpy as np
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.model import Array, IntArray
+from limbcli.scratch import end_with_parent, scratch_folder
 
 _FIX = "ask for another size (--size-mm), or mend the surfaces"
 
@@ -27,7 +28,7 @@ _FIX = "ask for another size (--size-mm), or mend the surfaces"
 def in_process(
     mesher: str, points: Array, faces: IntArray, options: dict[str, Any], *, time_limit_s: float
 ) -> tuple[Array, IntArray]:
-    """Nodes (n, 3) and tetrahedra (m, 4) out of a closed surface.
+    """Nodes (n, 3) and tetrahedra (m, 4) out of a closed surface; a mesher that was killed is run once more.
 
     Raises
     ------
@@ -36,23 +37,12 @@ def in_process(
     ToolError
         If the mesher is not installed.
     """
-    with tempfile.TemporaryDirectory(prefix="limbcli-mesh-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))
-        command = [sys.executable, "-m", __name__, mesher, name]
-        try:
-            done = subprocess.run(
-                command,
-                capture_output=True,
-                timeout=time_limit_s,
-                check=False,
-                cwd=folder,
-                env=_environment(),
-            )
-        except subprocess.TimeoutExpired as error:
-            raise MeshError(
-                f"{mesher} ran out of time ({time_limit_s:g} s)", where="volume mesh", fix=_FIX
-            ) from error
+        command = [sys.executable, "-m", __name__, mesher, str(folder), str(os.getpid())]
+        status = _run(mesher, command, folder, time_limit_s)
+        if status == -signal.SIGKILL:  # not its own fault: another way would be another mesh, unasked for
+            status = _run(mesher, command, folder, time_limit_s)
         message = folder / "error.txt"
         if message.is_file():
             kind, _, text = message.read_text().partition("\n")
@@ -61,10 +51,22 @@ def in_process(
                     f"{mesher} is not installed ({text})", where="volume mesh", fix=f"pip install {mesher}"
                 )
             raise MeshError(f"{mesher} refuses the surface: {text}", where="volume mesh", fix=_FIX)
-        if done.returncode or not (folder / "out.npz").is_file():
-            raise MeshError(f"{mesher} crashed (status {done.returncode})", where="volume mesh", fix=_FIX)
+        if status or not (folder / "out.npz").is_file():
+            raise MeshError(f"{mesher} crashed (status {status})", where="volume mesh", fix=_FIX)
         with np.load(folder / "out.npz") as out:
             return out["nodes"].astype(float), out["cells"].astype(np.int64)
+
+
+def _run(mesher: str, command: list[str], folder: Path, time_limit_s: float) -> int:
+    """Its exit status, negative: the signal that ended it."""
+    try:
+        return subprocess.run(
+            command, capture_output=True, timeout=time_limit_s, check=False, cwd=folder, env=_environment()
+        ).returncode
+    except subprocess.TimeoutExpired as error:
+        raise MeshError(
+            f"{mesher} ran out of time ({time_limit_s:g} s)", where="volume mesh", fix=_FIX
+        ) from error
 
 
 def _environment() -> dict[str, str]:
@@ -126,4 +128,5 @@ def main(mesher: str, folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent(int(sys.argv[3]))
     main(sys.argv[1], Path(sys.argv[2]))

@@ -8,11 +8,9 @@ there are.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from limbcli.inference.prediction import Differences, Prediction
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
+from limbcli.scratch import scratch_folder
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.session import ReferenceSession
@@ -182,9 +181,9 @@ class FileCurve:
         self.depths: Array = np.zeros(0)
 
     def __call__(self, theta: Array) -> Array:
-        with tempfile.TemporaryDirectory(prefix="limbcli-fit-") as folder:
+        with scratch_folder() as folder:
             model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
-            feb = self._solver.write(model, Path(folder))
+            feb = self._solver.write(model, folder)
             self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
             simulation = self._solver.read(feb)
         self.depths = at_levels(simulation, simulation.probe_depth(), self._times)

@@ -13,7 +13,6 @@ the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, toleran
 from __future__ import annotations
 
 import shutil
-import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from limbcli.phantom.mri import Volume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
+from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.synth import (
     SiteMeasurement,
@@ -156,10 +156,10 @@ def _measure(
     if options.synth is None:
         return []
     plan = replace(options.synth, seed=options.seed)
-    with tempfile.TemporaryDirectory() as scratch:
-        source = work if plan.same_mesh else _truth_case(subject, work, Path(scratch) / "case", options)
+    with scratch_folder() as scratch:
+        source = work if plan.same_mesh else _truth_case(subject, work, scratch / "case", options)
         case = Case.open(source)
-        measured = measure_sites(case, case.sites, out=Path(scratch) / "out", options=plan, progress=progress)
+        measured = measure_sites(case, case.sites, out=scratch / "out", options=plan, progress=progress)
     for each in measured:
         write_readings(work / each.site, each.readings)
     return measured

@@ -8,7 +8,6 @@ The simulation runs on a mesh of its own unless `same_mesh` is asked for.
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,6 +29,7 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.scratch import scratch_folder
 from limbcli.stages.chain import Chain
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent
@@ -144,9 +144,9 @@ def measure_sites(
 ) -> list[SiteMeasurement]:
     """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing."""
     numbers = {each.name: k for k, each in enumerate(case.sites)}
-    with tempfile.TemporaryDirectory() as scratch:
+    with scratch_folder() as scratch:
         _segmented(case, out, progress)
-        folder = out if options.same_mesh else Path(scratch)
+        folder = out if options.same_mesh else scratch
         if not options.same_mesh:
             shutil.copytree(stage_folder(out, "segment"), stage_folder(folder, "segment"))
         return [_measure_site(case, site, folder, options, numbers[site.name], progress) for site in sites]

@@ -38,6 +38,27 @@ def test_mesher_that_runs_on_or_dies_is_a_mesh_error(make_ball, monkeypatch, tmp
         in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=5)
 
 
+def test_mesher_that_was_killed_is_run_once_more(make_ball, monkeypatch, tmp_path):
+    killer = "import os, pathlib, signal\ndef TetGen(*_):\n    pathlib.Path({!r}).open('a').write('x')\n"
+    times = tmp_path / "times"
+    (tmp_path / "tetgen.py").write_text(
+        killer.format(str(times)) + "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    ball = make_ball((0, 0, 0), 10.0, n=6)
+    whole = in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=60)
+    environments = [{"PYTHONPATH": str(tmp_path)}, {}]
+    ours = mesher_process._environment()
+    monkeypatch.setattr(mesher_process, "_environment", lambda: {**ours, **environments.pop(0)})
+    nodes, cells = in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=60)
+    assert times.read_text() == "x"
+    assert np.array_equal(nodes, whole[0])
+    assert np.array_equal(cells, whole[1])
+    environments += 2 * [{"PYTHONPATH": str(tmp_path)}]
+    with pytest.raises(MeshError, match="status -9"):
+        in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=60)
+    assert times.read_text() == "xxx"
+
+
 def test_mesher_that_is_not_installed_is_a_tool_error(make_ball, monkeypatch, tmp_path):
     (tmp_path / "pytetwild.py").write_text("raise ImportError('not here')")
     monkeypatch.setattr(mesher_process, "_environment", lambda: {"PYTHONPATH": str(tmp_path)})

@@ -1,0 +1,74 @@
+"""Temporary folders and child processes that a killed limbcli does not leave behind."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+PREFIX = "limbcli-scratch-"
+_PR_SET_PDEATHSIG = 1  # prctl(2)
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """An empty temporary folder, removed when the block ends; those of makers that were killed go too.
+
+    Its maker holds the system's lock on the folder, which ends with it, however it ends.
+
+    >>> with scratch_folder() as folder:
+    ...     _ = (folder / "a.txt").write_text("for now")
+    >>> folder.exists()
+    False
+    """
+    _drop_abandoned(Path(tempfile.gettempdir()))
+    folder, held = _made()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(held)
+
+
+def _made() -> tuple[Path, int]:
+    """A folder and the handle that holds its lock; made again if another took it for abandoned meanwhile."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        try:
+            held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except FileNotFoundError:
+            continue
+        with contextlib.suppress(OSError):  # a file system without locks: nobody else gets one either
+            fcntl.flock(held, fcntl.LOCK_EX)
+        if folder.exists():
+            return folder, held
+        os.close(held)
+
+
+def _drop_abandoned(parent: Path) -> None:
+    """Remove our scratch folders whose lock nobody holds."""
+    for path in parent.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError):  # another user's, held, or gone meanwhile
+            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(handle).st_uid == os.getuid():
+                    shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(handle)
+
+
+def end_with_parent(parent: int) -> None:
+    """This process is killed when `parent` (its id), which started it, ends; on Linux only."""
+    if not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before that was said
+        os._exit(1)
