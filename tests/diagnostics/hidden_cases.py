@@ -160,11 +160,11 @@ class Case:
         )
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 
-    def diagnose(self, *curves: SiteCurves, propose: bool = True):
+    def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 3):
         bench = SiteBench.joint(curves or [self.curves(self.levels)])
         if len(bench.sites) == 1:
             bench.turned = self._turned
-        return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose)
+        return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose, max_effects=max_effects)
 
     def _turned(self) -> SiteCurves:
         turned = self.curves(self.levels, ALONG)
