@@ -180,7 +180,8 @@ def _truth_case(subject: Subject, work: Path, folder: Path, options: PhantomOpti
         sites=sites,
         element=options.element,
     )
-    (folder / "case.toml").write_text(toml(table), encoding="utf-8")
+    mine = {"files": {"allow_outside": True}}  # they lie in the subject that is being made
+    (folder / "case.toml").write_text(toml({**table, **mine}), encoding="utf-8")
     return folder
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
+from limbcli.stages.synth import SynthOptions
 
 BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), site_names=("p1", "p2"), synth=None)
 
@@ -79,3 +81,17 @@ def test_an_unknown_site_is_named(tmp_path):
     with pytest.raises(CaseError, match="no site 'p9'"):
         phantom(tmp_path / "x", options=PhantomOptions(site_names=("p9",), synth=None))
     assert not (tmp_path / "x").exists()
+
+
+def test_the_truth_is_measured_on_a_case_that_reaches_the_true_surfaces(tmp_path, monkeypatch):
+    """They lie in the subject that is being made, outside that case's own folder."""
+    seen = []
+
+    def measured(case, sites, **_):
+        assert case.imaging.skin.is_file()
+        seen.extend(site.name for site in sites)
+        return []
+
+    monkeypatch.setattr("limbcli.stages.phantom.measure_sites", measured)
+    phantom(tmp_path / "subject", options=replace(BARE, synth=SynthOptions()))
+    assert seen == ["p1", "p2"]
