@@ -30,7 +30,7 @@ class Refit:
 
     chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
     the largest gap that chance allows it (None before the comparison)
-    rooms : deviance by the name of a test of `family`, that its form may leave (`rooms`)
+    form_allowances : deviance that the error of its form may leave, by the name of a test of `family`
     """
 
     fitted: Fitted
@@ -38,7 +38,7 @@ class Refit:
     family: Family
     gap: float | None = None
     gap_allowed: float | None = None
-    rooms: Mapping[str, float] = field(default_factory=dict)
+    form_allowances: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def left_p(self) -> float:
@@ -46,7 +46,7 @@ class Refit:
         beyond = [
             each.p_adjusted
             for each in self.family.tests
-            if each.score.statistic > self.rooms.get(each.name, 0.0)
+            if each.score.statistic > self.form_allowances.get(each.name, 0.0)
         ]
         return min([*beyond, *([self.family.overall.p_adjusted] if self.family.overall else [])], default=1.0)
 

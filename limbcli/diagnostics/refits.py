@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from limbcli.diagnostics.bench import Explanation, Fitted
-from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.explain import Refit, compare, joint_trial
+from limbcli.diagnostics.form_error import form_allowances
 from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.rooms import rooms
 from limbcli.diagnostics.score import Direction, Trial, narrowed, score
 from limbcli.errors import LimbError
 
@@ -119,30 +118,23 @@ class Refits:
         """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
         label = " + ".join(explanation)
         self.ground.progress.event("note", text=f"refit with {label}")
-        left = self._left_by(draft)
-        fitted = draft
-        if simulated and left.smallest >= _UNFIT:
+        refit = self._judged(draft)
+        if simulated and refit.left_p >= _UNFIT:
             try:
                 fitted = self.ground.bench.verified(draft)
             except LimbError as error:
                 self.not_evaluated[label] = error.what
                 return
-        if fitted.at_bound:
-            self.left_out[label] = "; ".join(fitted.at_bound)
-        if fitted is not draft:
-            left = self._left_by(fitted)
-        state = self.ground.linearised(fitted)
-        explained = self.ground.state.chi2 - state.chi2
-        room = rooms(self.ground.data, fitted, left, self._allowing(fitted), explained)
-        self.known[explanation] = Refit(fitted, state, left, rooms=room)
+            if fitted is not draft:
+                refit = self._judged(fitted)
+        if refit.fitted.at_bound:
+            self.left_out[label] = "; ".join(refit.fitted.at_bound)
+        self.known[explanation] = refit
 
-    def _allowing(self, fitted: Fitted) -> Whitener:
-        """By the noise, and the error of the effects' form."""
-        return Whitener.of(self.ground.data.noise.covariance + self.ground.form_error(fitted))
-
-    def _left_by(self, fitted: Fitted) -> Family:
-        """Tests of what a refit leaves, with room for the effect's own form: it is modelled only roughly."""
-        ground, whiten = self.ground, self._allowing(fitted)
+    def _judged(self, fitted: Fitted) -> Refit:
+        """With tests of what it leaves, which allow for the error of the effect's form: models are rough."""
+        ground = self.ground
+        whiten = Whitener.of(ground.data.noise.covariance + ground.form_error(fitted))
 
         def anew(direction: Direction) -> Direction:
             return replace(direction, columns=whiten(ground.whiten.undo(direction.columns)))
@@ -151,8 +143,12 @@ class Refits:
             Trial(name, tuple(map(anew, trial.directions)))
             for name, trial in self.trials.items() if name not in fitted.explanation
         ]  # fmt: skip
-        state = LinearFit.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian))
-        return ground.family(
-            state, [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
-            relative=ground.is_relative(ground.linearised(fitted)),
+        state = ground.linearised(fitted)
+        family = ground.family(
+            LinearFit.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian)),
+            [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
+            relative=ground.is_relative(state),
         )  # fmt: skip
+        explained = ground.state.chi2 - state.chi2
+        allowances = form_allowances(ground.data, fitted, family, whiten, explained)
+        return Refit(fitted, state, family, form_allowances=allowances)

@@ -248,17 +248,17 @@ def _at_depths(curves: Curves, depth: Array) -> Array:
     known = np.isfinite(curves.log_speed)
     if known.all():
         return _one_curve(curves.depth, curves.log_speed, depth)
-    for columns in alike(known):
+    for columns in _equal_columns(known):
         at = known[:, columns[0]]
         if at.sum() > 1:
             out[:, columns] = _one_curve(curves.depth[at], curves.log_speed[at][:, columns], depth)
     return out
 
 
-def alike(table: NDArray[np.bool_]) -> list[IntArray]:
+def _equal_columns(table: NDArray[np.bool_]) -> list[IntArray]:
     """Numbers of the columns that are the same, together.
 
-    >>> [each.tolist() for each in alike(np.array([[True, False, True], [True, True, True]]))]
+    >>> [each.tolist() for each in _equal_columns(np.array([[True, False, True], [True, True, True]]))]
     [[1], [0, 2]]
     """
     _, which = np.unique(np.packbits(table, axis=0), axis=1, return_inverse=True)

@@ -22,11 +22,11 @@ from limbcli.stages.diagnosis_rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 # Of all speeds alike: a scanner's calibration (assumed, 2 %: nobody states it), and the models' own error: c
-# fitted to FEBio's curves without noise comes out 2 to 7 % too high on eight limbs, speeds half of it.
+# fitted to FEBio's curves without noise comes out 2 to 7 % too high at six sites, speeds half of it.
 COMMON_GAIN = 0.03
-# The model's error in a map, of ln speed a unit of strain (depth over thickness), as the diagnosis' models
-# differ from FEBio's on eleven limbs (largest likelihood): in the parts, more just below the face, and of the
-# map's mean. It is alike as an exponential: a smoother kernel lets contrasts tell what they cannot.
+# The model's error in a map, of ln speed a unit of strain (depth over thickness): in the parts, more just
+# below the face, near what is likeliest as the diagnosis' models differ from FEBio's at eleven sites; and of
+# the map's mean, for which these ask less. An exponential: a smoother kernel lets contrasts tell too much.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.095, 0.085, 3.0, 6.5
 IN_MEAN, _ALIKE = 0.07, 0.92  # _ALIKE: from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain

@@ -8,9 +8,9 @@ import pytest
 from limbcli.diagnostics import calibrate
 from limbcli.diagnostics.bench import Data, Fitted
 from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.form_error import form_allowances
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.noise import Noise, independent
-from limbcli.diagnostics.rooms import rooms
 from limbcli.diagnostics.score import Direction, Score
 from limbcli.effects import effect
 from limbcli.effects.places import Places
@@ -109,5 +109,6 @@ def test_what_the_form_of_a_large_effect_leaves_is_no_second_effect(statistic, c
     along = Direction(whiten(np.eye(4)[:, 2 * channel : 2 * channel + 1]), (0,))
     left = calibrate.Tested("tilt", Score(statistic, along, np.ones(1)), 1e-4, 0.002, 9.0)
     family = calibrate.Family((left,), None, 0.05)
-    assert Refit(spot, None, family, rooms=rooms(data, spot, family, whiten, 2000.0)).is_adequate is adequate
-    assert not Refit(spot, None, family, rooms=rooms(data, spot, family, whiten, 20.0)).is_adequate
+    for explained, is_adequate in ((2000.0, adequate), (20.0, False)):
+        allowances = form_allowances(data, spot, family, whiten, explained)
+        assert Refit(spot, None, family, form_allowances=allowances).is_adequate is is_adequate

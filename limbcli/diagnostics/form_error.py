@@ -1,7 +1,7 @@
-"""What an explanation's own form may leave: no model of fat or of a scar is just that of the limb.
+"""Model-form error: what an explanation may leave, as no model of fat or of a scar is just that of the limb.
 
-A large effect leaves a small share of what it changes, where it changes it. A test of what is left has
-that share as room: of the change in the channels that the test looks at, no more than the effect explains.
+A large effect leaves a small share of what it changes, where it changes it. A test of what is left allows
+for that share: of the change in the channels that the test looks at, no more than the effect explains.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from limbcli.model import Array
 _OF_FORM = 0.02  # of the deviance
 
 
-def rooms(data: Data, fitted: Fitted, family: Family, whiten: Whitener, explained: float) -> dict[str, float]:
+def form_allowances(
+    data: Data, fitted: Fitted, family: Family, whiten: Whitener, explained: float
+) -> dict[str, float]:
     """Deviance by the name of each test of a family.
 
     whiten : by which the family's directions were whitened; explained : deviance that the effects take
@@ -33,8 +35,8 @@ def rooms(data: Data, fitted: Fitted, family: Family, whiten: Whitener, explaine
     for each in family.tests:
         raw = whiten.undo(each.score.direction.columns @ _along(each.score.eta))
         share = np.array([np.sum((raw[mask] / data.deviation[mask]) ** 2) for mask in masks])
-        room = float(share @ changed) / max(float(share.sum()), 1e-300)
-        found[each.name] = _OF_FORM * max(min(room, explained), 0.0)
+        changes = float(share @ changed) / max(float(share.sum()), 1e-300)
+        found[each.name] = _OF_FORM * max(min(changes, explained), 0.0)
     return found
 
 
