@@ -155,7 +155,7 @@ class _Run:
         if not kept:
             why = "something is left that no candidate, alone or together, explains"
             return self._finish("unexplained", why, None)
-        best = min(kept, key=lambda refit: (len(refit.explanation), refit.state.chi2))
+        best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
         if len(kept) > 1:
             why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
             return self._finish("ambiguous", why, best, tuple(kept))

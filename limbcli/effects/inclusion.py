@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from scipy.special import expit
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.places import Places, stiffened
@@ -35,8 +36,9 @@ _PLACES = tuple(
 
 def stiffness(places: Places, theta: Theta) -> Array:
     middle = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 12.0)])
-    beyond = np.linalg.norm(places.at - middle, axis=-1) - theta.get(RADIUS, 7.0)
-    inside = 1.0 / (1.0 + np.exp(np.clip(beyond / EDGE_MM, -40, 40)))
+    away = places.at - middle
+    beyond = np.sqrt(np.einsum("...k,...k", away, away)) - theta.get(RADIUS, 7.0)
+    inside = expit(-beyond / EDGE_MM)
     return np.asarray(1.0 + inside * np.expm1(theta[CONTRAST.name]))
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
 from limbcli.monotone import Monotone
@@ -107,8 +106,10 @@ class Reading:
     after: tuple[Callable[[Readout, Curves, Protocol], Readout], ...] = field(default=())
 
 
-def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Readout:
-    """What would be written down at the levels' depths.
+def read(
+    curves: Curves, protocol: Protocol, reading: Reading = Reading(), *, with_speeds: bool = True
+) -> Readout:
+    """What would be written down at the levels' depths; speeds NaN where they are not asked for.
 
     >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
     >>> p = Protocol(np.array([0.0, 8.0]), np.array([0.0, 4.0]), np.zeros(2))
@@ -120,7 +121,10 @@ def read(curves: Curves, protocol: Protocol, reading: Reading = Reading()) -> Re
     force = relaxed(elastic, protocol, reading)
     if reading.preload:
         force = force - reading.preload
-    speed = _speeds(curves, depth, reading)
+    if with_speeds:
+        speed = _speeds(curves, depth, reading)
+    else:
+        speed = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
     shown = Readout(
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
@@ -248,19 +252,22 @@ def _at_depths(curves: Curves, depth: Array) -> Array:
     known = np.isfinite(curves.log_speed)
     if known.all():
         return _one_curve(curves.depth, curves.log_speed, depth)
-    for columns in _equal_columns(known):
+    for columns in _equal_columns(known.tobytes(), known.shape[1]):
         at = known[:, columns[0]]
         if at.sum() > 1:
             out[:, columns] = _one_curve(curves.depth[at], curves.log_speed[at][:, columns], depth)
     return out
 
 
-def _equal_columns(table: NDArray[np.bool_]) -> list[IntArray]:
-    """Numbers of the columns that are the same, together.
+@lru_cache(maxsize=64)
+def _equal_columns(truths: bytes, n_columns: int) -> list[IntArray]:
+    """Numbers of the columns of a table of truths that are the same, together.
 
-    >>> [each.tolist() for each in _equal_columns(np.array([[True, False, True], [True, True, True]]))]
+    >>> table = np.array([[True, False, True], [True, True, True]])
+    >>> [each.tolist() for each in _equal_columns(table.tobytes(), 3)]
     [[1], [0, 2]]
     """
+    table = np.frombuffer(truths, dtype=np.bool_).reshape(-1, n_columns)
     _, which = np.unique(np.packbits(table, axis=0), axis=1, return_inverse=True)
     order = np.argsort(which, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)

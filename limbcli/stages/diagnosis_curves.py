@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -49,6 +49,16 @@ _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up
 _CONTACT_STIFFER = 4.0
 _ENOUGH = 0.7  # of the depth needed: what must be solved
 _MOST_CHANGE = 10.0  # of the force, by stretched cells where a law is exponential
+
+
+@dataclass(frozen=True, eq=False)
+class _Plain:
+    """The model without effects at one m, and what it shows at its own deformation: force (n,) N, log_speed
+    (n, n_parts)."""
+
+    model: LimbModel
+    force: Array
+    log_speed: Array
 
 
 class CurveBook:
@@ -94,7 +104,7 @@ class CurveBook:
         self._failed: dict[str, SolveError] = {}
         self._changed: dict[str, str] = {}
         self._kinematics: dict[str, Kinematics] = {}
-        self._plain: dict[float, LimbModel] = {}
+        self._plain: dict[float, _Plain] = {}
         self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows)
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
@@ -123,28 +133,32 @@ class CurveBook:
         of the first level.
         """
         kinematics = self.kinematics(m)
-        if m not in self._plain:
-            self._plain[m] = self.model_with(m, ())
-        plain = self._plain[m]
+        plain = self._plain_at(m)
         laws = tuple(each for each in ingredients if each[0].stiffness is None)
-        changed = self.model_with(m, laws) if laws else plain
-        in_window = self.model_with(m, laws, waves=True) if laws else plain
-        ratio = (
-            frozen_force(changed, kinematics, fields(ingredients))[1:] / frozen_force(plain, kinematics)[1:]
-        )
+        changed = self.model_with(m, laws) if laws else plain.model
+        in_window = self.model_with(m, laws, waves=True) if laws else plain.model
+        ratio = frozen_force(changed, kinematics, fields(ingredients))[1:] / plain.force[1:]
         if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
             raise SolveError(
                 f"it changes the force more than {_MOST_CHANGE:g} times at a kept deformation",
                 where="diagnose", fix="smaller steps",
             )  # fmt: skip
-        speeds = [
-            frozen_speed(model, kinematics, stiffness, density_kg_per_m3=self.density)
-            for model, stiffness in ((in_window, fields(ingredients, waves=True)), (plain, ()))
-        ]
+        log_speed = frozen_speed(
+            in_window, kinematics, fields(ingredients, waves=True), density_kg_per_m3=self.density
+        )
         if laws:
             kinematics.forget(changed, in_window)
         added = np.log(ratio)
-        return np.concatenate([added[:1], added]), speeds[0] - speeds[1]
+        return np.concatenate([added[:1], added]), log_speed - plain.log_speed
+
+    def _plain_at(self, m: float) -> _Plain:
+        if m not in self._plain:
+            model, kinematics = self.model_with(m, ()), self.kinematics(m)
+            self._plain[m] = _Plain(
+                model, frozen_force(model, kinematics),
+                frozen_speed(model, kinematics, density_kg_per_m3=self.density),
+            )  # fmt: skip
+        return self._plain[m]
 
     def kinematics(self, m: float) -> Kinematics:
         """The deformation of every tissue cell in the model without effects."""

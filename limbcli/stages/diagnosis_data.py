@@ -77,11 +77,13 @@ class SiteData:
         """
         further = self._further(curves, reading)
         moved = replace(self.protocol, depth=self.protocol.depth + further)
-        out = self._laid_out(read(curves, moved, reading), curves, reading)
+        maps_apart = len(self.slope) > 0 and "map" in self._places
+        speeds = not maps_apart or "swe" in self._places or bool(reading.after)
+        out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
         if not len(self.slope):
             return out
         out = out - self.slope * further[self._levels]
-        if "map" in self._places:
+        if maps_apart:
             # Parts of a map differ in their slopes, and change little over an error of depth: as it was read.
             places, levels, parts = self._places["map"]
             out[places] = read(curves, self.protocol, reading).log_speed[levels, parts]

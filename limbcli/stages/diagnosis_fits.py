@@ -27,6 +27,7 @@ from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
+_FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
 _ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
 _NONE: Mapping[str, float] = {}
 
@@ -173,7 +174,7 @@ class Fits:
             found = least_squares(
                 off,
                 np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=scale, diff_step=1e-4,
-                max_nfev=60 if thorough else 12,
+                ftol=_FTOL, xtol=_XTOL, max_nfev=60 if thorough else 12,
             )  # fmt: skip
             if best is None or found.cost < best.cost:
                 best = found
