@@ -68,6 +68,7 @@ class Analysis:
     def run(
         self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
         hoped: int | None = None, last: int | None = None, patient: bool = True,
+        ends: Callable[[], bool] | None = None,
     ) -> list[Snapshot]:  # fmt: skip
         """All steps from rest to the end; `visit` is called at every converged time.
 
@@ -77,6 +78,7 @@ class Analysis:
         hoped : how many are worth the full effort, later ones are tried briefly. None: those required
         last : how many are tried at all; None: all
         patient : where Newton's method fails, let the tissue come to rest by a drag, which takes long
+        ends : asked after `visit` at every level, whether those so far are enough
         """
         self._march.patient = patient
         snapshots: list[Snapshot] = []
@@ -114,6 +116,8 @@ class Analysis:
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
+                if must and ends is not None and ends():
+                    return snapshots
             begin += step.n_steps * step.step_size
         return snapshots
 

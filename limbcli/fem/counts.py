@@ -10,6 +10,7 @@ class Settings:
     """How equilibrium is sought.
 
     tolerance : residual over the forces at play, both as norms
+    stalled : residual that will do where iterations no longer lessen it, as a contact point comes and goes
     renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
     single : factor in single precision (None: for large systems); GMRES makes up for it
     linear : "auto", "multifrontal", "pardiso" or "superlu"
@@ -23,6 +24,7 @@ class Settings:
     single: bool | None = None
     mixed: bool = True
     renew_ratio: float = 1e-3
+    stalled: float = 0.0
 
 
 @dataclass

@@ -9,6 +9,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem.counts import Counts, Level, Settings
 from limbcli.fem.linearised import Linearised
+from limbcli.fem.standing import Standing
 from limbcli.fem.state import Forces, State, norm
 from limbcli.fem.system import System
 from limbcli.model import Array
@@ -110,15 +111,18 @@ class Newton:
         if forces.worst <= 0:
             raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
         sizes: list[float] = []
-        renew = True
+        renew, standing = True, Standing(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
             self.report(level, iteration, forces)
+            self._note(standing, state, forces)
             if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
                 return replace(state, hints=system.hints(), volumes=()), forces
-            if iteration == settings.max_iterations:
+            if iteration == settings.max_iterations or standing.goes_round:
                 break
             sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
             if not patient and _too_long(sizes):
+                if standing.will_do:
+                    break
                 raise self.failure(state, forces, level, iteration, "the step is too long")
             self.counts.iterations += 1
             step = self.direction(state, forces, renew, target)
@@ -127,6 +131,8 @@ class Newton:
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
+        if standing.will_do:
+            return self._least(standing)
         raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
 
     def relax(self, guess: State, level: Level, *, tolerance: float | None = None) -> tuple[State, Forces]:
@@ -140,13 +146,14 @@ class Newton:
         target = self.settings.tolerance if tolerance is None else tolerance
         system.at(guess.time)
         state, forces = guess, self.forces(guess)
-        linearised.drag = _DRAG
+        linearised.drag, standing = _DRAG, Standing(self.settings.stalled)
         try:
             for iteration in range(_RELAXED + 1):
                 self.report(level, iteration, forces)
+                self._note(standing, state, forces)
                 if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
                     return replace(state, hints=system.hints(), volumes=()), forces
-                if iteration == _RELAXED or linearised.drag > _MOST_DRAG:
+                if iteration == _RELAXED or linearised.drag > _MOST_DRAG or standing.goes_round:
                     break
                 self.counts.iterations += 1
                 step = self.direction(state, forces, True, target)
@@ -163,7 +170,20 @@ class Newton:
                     linearised.drag = 0.0
         finally:
             linearised.drag = 0.0
+        if standing.will_do:
+            return self._least(standing)
         raise self.failure(state, forces, level, iteration, "the tissue does not come to rest")
+
+    def _note(self, standing: Standing, state: State, forces: Forces) -> None:
+        if standing.stalled > 0:
+            standing.note(replace(state, hints=self.system.hints(), volumes=()), forces)
+
+    def _least(self, standing: Standing) -> tuple[State, Forces]:
+        """The state that left least, with its contact found anew."""
+        assert standing.state is not None
+        self.system.recall(standing.state.hints)
+        forces = self.forces(standing.state)
+        return replace(standing.state, hints=self.system.hints()), forces
 
     def _relaxed(self, state: State, step: Array) -> tuple[State, Forces] | None:
         """State and forces after a step; None where a cell is turned inside out."""

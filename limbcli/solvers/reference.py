@@ -117,6 +117,7 @@ def prepare(
     threads: int = 2,
     linear: str = "auto",
     tolerance: float = 1e-6,
+    stalled: float = 0.0,
 ) -> Analysis:
     """An analysis of a model, after checking that all of it is supported."""
     from limbcli.fem.supported import check_supported, warm_up
@@ -128,4 +129,5 @@ def prepare(
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
-    return Analysis(model, Settings(tolerance=tolerance, linear=linear, threads=threads), progress)
+    settings = Settings(tolerance=tolerance, linear=linear, threads=threads, stalled=stalled)
+    return Analysis(model, settings, progress)

@@ -60,6 +60,7 @@ class ReferenceSession:
     Every solve starts from the converged levels of the nearest one before, moved along their
     derivatives where these are known.
 
+    stalled : residual that will do where iterations no longer lessen it; 0: none beyond the tolerance
     body : whose force is meant; by default the body of the first contact
     """
 
@@ -71,11 +72,14 @@ class ReferenceSession:
         threads: int = 2,
         linear: str = "auto",
         tolerance: float = 1e-6,
+        stalled: float = 0.0,
         body: str | None = None,
     ):
         self.model = model
         self.progress = progress
-        self._analysis = prepare(model, progress, threads=threads, linear=linear, tolerance=tolerance)
+        self._analysis = prepare(
+            model, progress, threads=threads, linear=linear, tolerance=tolerance, stalled=stalled
+        )
         self.body = body or _contact_body(model)
         self._warm: WarmStart | None = None
 
@@ -92,6 +96,7 @@ class ReferenceSession:
         last: int | None = None,
         patient: bool = True,
         leads: bool = True,
+        enough_force: float | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -106,6 +111,7 @@ class ReferenceSession:
         last : how many are tried at all; None: all
         patient : where Newton's method fails, let the tissue come to rest, which takes long
         leads : later solves may start from its levels
+        enough_force : N on the body, at which the levels are enough; None: all are solved
 
         Raises
         ------
@@ -125,8 +131,9 @@ class ReferenceSession:
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
-            watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient
-        )
+            watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient,
+            ends=None if enough_force is None else lambda: watch.force() >= enough_force,
+        )  # fmt: skip
         self.model = model
         if leads:
             warm.keep(

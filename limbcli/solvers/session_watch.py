@@ -52,6 +52,12 @@ class Watch:
         if self.parameters and snapshot.must:
             self._differentiate(running, snapshot)
 
+    def force(self) -> float:
+        """N on the body at the last converged time, compression positive."""
+        record = next(each for each in self.asked if each.items == self.body)
+        _, values = self.rows[record.file][-1]
+        return -float(np.asarray(values).ravel()[record.fields.index("Fz")])
+
     def _differentiate(self, running: Analysis, snapshot: Snapshot) -> None:
         from limbcli.fem.field_derivatives import record_derivatives
         from limbcli.fem.sensitivity import sensitivities

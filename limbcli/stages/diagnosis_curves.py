@@ -44,6 +44,7 @@ Ingredients = tuple[tuple[Effect, Theta], ...]
 FIRST_M, USUAL_M = (8.0, 4.0), 4.0
 _PATH_STEPS = 2  # a depth
 _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
+_STALLED = 5.0  # times that, where a contact point comes and goes
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
 # the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
 _CONTACT_STIFFER = 4.0
@@ -73,6 +74,7 @@ class CurveBook:
     c : MPa, the reference stiffness; keep : folder of curves already solved
     penalty : of the contact; None: four times that of the usual model
     beside : of the same depths on another mesh, whose curves lead where this one's solver stops
+    enough_force : N (at c), beyond which no reading lies: the first level that bears it is the last
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class CurveBook:
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
         progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
         needed: float | None = None, penalty: float | None = None, beside: CurveBook | None = None,
+        enough_force: float | None = None,
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
@@ -88,7 +91,7 @@ class CurveBook:
         model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.model = replace(model, records=(*model.records[:1], self._table.record))
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.work, self.beside = Work(n_cells=len(cells)), beside
+        self.work, self.beside, self.enough_force = Work(n_cells=len(cells)), beside, enough_force
         self.kept, self.progress = Kept(keep), progress
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]
@@ -105,7 +108,7 @@ class CurveBook:
         self._changed: dict[str, str] = {}
         self._kinematics: dict[str, Kinematics] = {}
         self._plain: dict[float, _Plain] = {}
-        self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows)
+        self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows, enough_force)
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
         """The curves with exponent m and these effects (at their parameter values) in the model.
@@ -213,6 +216,7 @@ class CurveBook:
                     leads=not ingredients,
                     patient=not limited,
                     last=None if m == USUAL_M and not ingredients else hoped,
+                    enough_force=self.enough_force,
                 )
             finally:
                 self.work.end()
@@ -236,15 +240,18 @@ class CurveBook:
             fields(ingredients, waves=True),
         )  # fmt: skip
         n_reached = len(values)
+        enough = self.enough_force is not None and curves.force[-1] >= self.enough_force
         if n_reached < self.n_depths:
             further = [each + offset for each in self.depths[n_reached:]]
-            curves = continued(curves, further, like=self._beside(m, ingredients))
+            like = None if enough and not ingredients else self._beside(m, ingredients)
+            curves = continued(curves, further, like=like)
             values = np.concatenate([values, *[values[-1:]] * len(further)])
             kinematics = self._table.kinematics(model, curves.depth, values)
         if not ingredients:
             self.work.usual.append(work)
             self._kinematics[key] = kinematics
             self.kept.keep_cells(key, values)
+        n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
@@ -279,7 +286,10 @@ class CurveBook:
 
     def _fresh(self, model: LimbModel) -> ReferenceSession:
         watched = self.progress.also(self.work)
-        return ReferenceSession(model, progress=watched, tolerance=self.tolerance, threads=self.threads)
+        return ReferenceSession(
+            model, progress=watched, tolerance=self.tolerance, stalled=_STALLED * self.tolerance,
+            threads=self.threads,
+        )  # fmt: skip
 
     def _key(self, m: float, ingredients: Ingredients) -> str:
         parts = [

@@ -37,10 +37,13 @@ def changed_to(*models: LimbModel) -> str:
     return digest.hexdigest()
 
 
-def fingerprint(model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows) -> str:
-    """What is solved, before effects: mesh, contact, depths, tissue, and the window that is read."""
+def fingerprint(
+    model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows,
+    enough_force: float | None,
+) -> str:  # fmt: skip
+    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read, the end."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     penalties = [each.penalty for each in model.contacts]
-    asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties]
+    asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
     digest.update(json.dumps(asked).encode())
     return digest.hexdigest()[:16]

@@ -19,7 +19,7 @@ from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
-from limbcli.measurement.elastography import read_maps
+from limbcli.measurement.elastography import read_maps, shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_levels, read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
@@ -45,6 +45,7 @@ _N_DEPTHS = 6
 # Times the deepest reading, and mm more, or that share of the tissue: a record may be read too shallow.
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm
+_TIMES_FORCE = 4.0  # the largest that was read: the fitted tissue may be softer than the speed at rest says
 # mm, the shortest edges that bent surfaces ask for: bone is followed roughly; and thin bones and clefts.
 _BENDS, _THIN = 8.0, 6.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
@@ -199,8 +200,18 @@ class _Preparation:
         return CurveBook(
             self._working_mesh(), [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, needed=needed,
+            progress=self.progress, needed=needed, enough_force=self._enough_force(),
         )  # fmt: skip
+
+    def _enough_force(self) -> float | None:
+        """N at the usual stiffness, beyond which no reading lies; None where no wave speed at rest tells the
+        tissue's. A power of two, so that curves serve again."""
+        largest, speed = float(np.nanmax(self.levels.force)), self.levels.swe_mean_m_per_s[:1]
+        if not (self.levels.begins_at_zero and np.isfinite(speed).all() and largest > 0):
+            return None
+        modulus = shear_modulus_from_wave_speed(speed, density_kg_per_m3=self.site.density_kg_per_m3)
+        at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
+        return float(2.0 ** np.ceil(np.log2(at_usual)))
 
     def _skin_bone(self) -> float | None:
         """mm of tissue under the probe's centre in the site's own model, else on the B-mode image."""

@@ -71,7 +71,7 @@ def own_curves(meshed: LimbModel, book: CurveBook, m: float, *, size_ratio: floa
         meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
         windows=book.windows, keep=book.kept.folder, progress=book.progress, threads=book.threads,
         tolerance=book.tolerance, beside=book,
-        penalty=size_ratio * book.model.contacts[0].penalty,
+        penalty=size_ratio * book.model.contacts[0].penalty, enough_force=book.enough_force,
     )  # fmt: skip
     own.work.at_most = _TIMES_USUAL * max(book.work.mean, _LEAST_WORK)
     try:

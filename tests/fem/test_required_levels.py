@@ -11,6 +11,8 @@ from small_models import punch
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.march import BRIEF_CUTS
+from limbcli.fem.standing import Standing
+from limbcli.fem.state import Forces, State
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel
 from limbcli.solvers.session import ReferenceSession
@@ -90,3 +92,43 @@ def test_levels_after_the_last_that_is_asked_for_are_not_tried():
     session.close()
     assert len(every.depths) == 3
     assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)
+
+
+def test_a_run_ends_with_the_first_level_that_bears_enough():
+    session = ReferenceSession(punch(levels=3), threads=1)
+    every = session.solve().must_points
+    between = float(every.forces[:2].mean())
+    some = session.solve(enough_force=between).must_points
+    session.close()
+    assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)
+
+
+def test_what_iterations_no_longer_lessen_will_do_where_it_may_and_else_fails(monkeypatch):
+    monkeypatch.setattr("limbcli.fem.newton._ROUND_OFF", 0.0)
+    exact = ReferenceSession(punch(), threads=1, tolerance=1e-8)
+    expected = exact.solve().must_points
+    refused = ReferenceSession(punch(), threads=1, tolerance=1e-30)
+    with pytest.raises(SolveError, match="target 1e-30"):
+        refused.solve()
+    allowed = ReferenceSession(punch(), threads=1, tolerance=1e-30, stalled=1e-6)
+    found = allowed.solve().must_points
+    for each in (exact, refused, allowed):
+        each.close()
+    assert found.forces == pytest.approx(expected.forces, rel=1e-5)
+
+
+def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
+    def noted(*errors: float) -> Standing:
+        standing = Standing(5e-3)
+        for k, error in enumerate(errors):
+            state = State(float(k), np.zeros((1, 3)), ())
+            residual = np.array([error])
+            standing.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
+        return standing
+
+    turns = noted(0.1, 2.7e-3, 1.95e-3, 2.71e-3, 1.951e-3)
+    assert turns.goes_round
+    assert turns.state is not None
+    assert turns.state.time == 2.0
+    assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).goes_round
+    assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).goes_round  # too large to do
