@@ -121,6 +121,13 @@ class Analysis:
             begin += step.n_steps * step.step_size
         return snapshots
 
+    def forget(self) -> None:
+        """What earlier runs left that may change the next one's last digits: factor and strides."""
+        self._march = March()
+        if self._newton is not None:
+            self._collect()
+            self._newton.linearised.forget()
+
     def times(self) -> list[list[float]]:
         """The times of every step that are solved for, from its start."""
         found, begin = [], 0.0

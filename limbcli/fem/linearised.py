@@ -71,6 +71,12 @@ class Linearised:
             else None
         )
 
+    def forget(self) -> None:
+        """As before the first tangent."""
+        self.tangent = self.inverse = None
+        self.debt = self.ageing = self._wasted = 0.0
+        self.rate, self.stuck = _FRESH, False
+
     @property
     def worn(self) -> bool:
         """Whether there is no factor, or one that has cost more than a new one, or will."""

@@ -49,6 +49,10 @@ class WarmStart:
     def keep(self, solved: Solved) -> None:
         self._solved = [*self._solved[-(_KEPT - 1) :], solved]
 
+    @property
+    def last(self) -> Solved | None:
+        return self._solved[-1] if self._solved else None
+
     def at(self, values: Mapping[Key, float]) -> None:
         """Set the parameter values that guesses are wanted for."""
         self._values = values

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +50,7 @@ class Restart:
         self._states[state.time] = state
         if len(self._states) <= self.n_stored and state.time in self._stored:
             return
-        arrays: dict[str, Any] = {"key": np.array(self.key), "times": np.array(list(self._states))}
-        for k, each in enumerate(self._states.values()):
-            arrays[f"u{k}"] = each.u
-            arrays[f"shift{k}"] = np.array([body.shift for body in each.bodies])
-            arrays[f"turn{k}"] = np.array([body.turn for body in each.bodies])
-            arrays |= {f"hints{k}_{j}": part for j, part in enumerate(each.hints)}
+        arrays = {"key": np.array(self.key), **level_arrays(self._states)}
         with atomic_file(self.path) as path, path.open("wb") as stream:
             np.savez(stream, **arrays)
 
@@ -66,9 +62,25 @@ class Restart:
         unusable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
         with contextlib.suppress(*unusable), np.load(self.path, allow_pickle=False) as stored:
             if str(stored["key"]) == self.key:
-                states = [_state(stored, k, float(time)) for k, time in enumerate(stored["times"])]
-                return {each.time: each for each in states}
+                return levels_of(stored)
         return {}
+
+
+def level_arrays(states: Mapping[float, State]) -> dict[str, Any]:
+    """Converged levels as arrays to be stored by name."""
+    arrays: dict[str, Any] = {"times": np.array(list(states))}
+    for k, each in enumerate(states.values()):
+        arrays[f"u{k}"] = each.u
+        arrays[f"shift{k}"] = np.array([body.shift for body in each.bodies])
+        arrays[f"turn{k}"] = np.array([body.turn for body in each.bodies])
+        arrays |= {f"hints{k}_{j}": part for j, part in enumerate(each.hints)}
+    return arrays
+
+
+def levels_of(stored: Any) -> dict[float, State]:
+    """The levels, by time, out of what `level_arrays` gave."""
+    states = [_state(stored, k, float(time)) for k, time in enumerate(stored["times"])]
+    return {each.time: each for each in states}
 
 
 def _state(stored: Any, k: int, time: float) -> State:

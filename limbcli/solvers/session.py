@@ -23,7 +23,7 @@ from limbcli.solvers.session_watch import Rows, Watch, key_of
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Snapshot
-    from limbcli.fem.warm import WarmStart
+    from limbcli.fem.warm import Solved, WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
 
@@ -97,6 +97,7 @@ class ReferenceSession:
         patient: bool = True,
         leads: bool = True,
         enough_force: float | None = None,
+        afresh: bool = False,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -111,6 +112,8 @@ class ReferenceSession:
         last : how many are tried at all; None: all
         patient : where Newton's method fails, let the tissue come to rest, which takes long
         leads : later solves may start from its levels
+        afresh : nothing of earlier solves is used but the levels of those that lead: the result does not
+            depend on what else was solved
         enough_force : N on the body, at which the levels are enough; None: all are solved
 
         Raises
@@ -126,6 +129,8 @@ class ReferenceSession:
         moved = dict(weights or {})
         self._analysis.model = model
         warm = self._warm_start(model, wrt, moved)
+        if afresh:
+            self._analysis.forget()
         started = time.monotonic()
         asked = self._records(model, records or field_gradients)
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
@@ -153,6 +158,18 @@ class ReferenceSession:
         )
         gradients = {name: np.array(each) for name, each in watch.forces.items()}
         return SessionResult(simulation, points, gradients, field_gradient=watch.field_gradient())
+
+    @property
+    def led(self) -> Solved | None:
+        """The levels of the last solve that leads."""
+        return self._warm.last if self._warm is not None else None
+
+    def lead(self, solved: Solved) -> None:
+        """Take levels that an earlier session kept as those of a solve of this one."""
+        from limbcli.fem.warm import WarmStart
+
+        self._warm = self._warm or WarmStart()
+        self._warm.keep(solved)
 
     def start_like(self, other: ReferenceSession) -> None:
         """Take first guesses from another session's levels so far, where its model has the same nodes."""

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,6 +38,9 @@ from limbcli.stages.indentation_model import (
     starting_depth,
     with_penalty,
 )
+
+if TYPE_CHECKING:
+    from limbcli.fem.warm import Solved
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
@@ -103,6 +107,7 @@ class CurveBook:
         )
         self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
         self._session: ReferenceSession | None = None
+        self._leads: list[Solved] = []  # of an earlier run
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
         self._changed: dict[str, str] = {}
@@ -204,9 +209,10 @@ class CurveBook:
         self.work.begin(candidate=limited, rubs=rubs, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
-            session = self._shared() if same_mesh else self._fresh(model)
-            if not same_mesh and self._session is not None:
-                session.start_like(self._session)
+            shared = self._shared()
+            session = shared if same_mesh else self._fresh(model)
+            if not same_mesh:
+                session.start_like(shared)
             try:
                 result = session.solve(
                     model,
@@ -217,6 +223,7 @@ class CurveBook:
                     patient=not limited,
                     last=None if m == USUAL_M and not ingredients else hoped,
                     enough_force=self.enough_force,
+                    afresh=True,
                 )
             finally:
                 self.work.end()
@@ -230,7 +237,8 @@ class CurveBook:
         table = result.simulation.elements[FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
-        values = table.values[found]
+        # in the precision that they are kept in: an interrupted diagnosis goes on with the same numbers
+        values = table.values[found].astype(np.float32).astype(float)
         kinematics = self._table.kinematics(
             model, np.concatenate([[0.0], result.must_points.depths + offset]), values
         )
@@ -250,7 +258,9 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(work)
             self._kinematics[key] = kinematics
-            self.kept.keep_cells(key, values)
+            self.kept.keep_cells(key, values.astype(np.float32))
+            if session.led is not None:
+                self.kept.keep_levels(key, session.led)
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
@@ -279,9 +289,21 @@ class CurveBook:
         text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
         self.progress.event("note", text=text)
 
+    def _taken_up(self, key: str) -> None:
+        """Levels of an earlier run lead later solves as they did there."""
+        levels = self.kept.levels(key)
+        if levels is None:
+            return
+        if self._session is None:
+            self._leads.append(levels)
+        else:
+            self._session.lead(levels)
+
     def _shared(self) -> ReferenceSession:
         if self._session is None:
             self._session = self._fresh(self.model)
+            for each in self._leads:
+                self._session.lead(each)
         return self._session
 
     def _fresh(self, model: LimbModel) -> ReferenceSession:
@@ -310,6 +332,7 @@ class CurveBook:
         self.work.total += found.work
         if not ingredients:
             self.work.usual.append(found.work)
+            self._taken_up(key)
         if not _is_numerical(ingredients):
             self._tell(m, ingredients, found.n_reached)
         return found.curves

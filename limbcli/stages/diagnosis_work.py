@@ -44,7 +44,7 @@ class Work:
 
     def begin(self, *, candidate: bool, rubs: bool = False, fitted: bool = False) -> None:
         """candidate : it has an effect in it; rubs : it has friction; fitted : its size is that of a fit"""
-        self.done = 0
+        self.done, self._counted = 0, (0, 0)
         times = _TIMES_WITH_FRICTION if rubs else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
         self._allowed = limit if candidate else self.at_most

@@ -14,7 +14,7 @@ from limbcli.fem.march import BRIEF_CUTS
 from limbcli.fem.standing import Standing
 from limbcli.fem.state import Forces, State
 from limbcli.materials import ogden_type
-from limbcli.model import LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.solvers.session import ReferenceSession
 
 
@@ -132,3 +132,19 @@ def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
     assert turns.state.time == 2.0
     assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).goes_round
     assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).goes_round  # too large to do
+
+
+def test_a_solve_afresh_depends_on_nothing_but_the_levels_that_lead():
+    base = punch(depth=2.0)
+    laws = [base.with_material("tissue", ogden_type(c=0.005, f_kappa=f, m=m)) for f, m in ((5, 6), (40, 2))]
+
+    def force(*before: LimbModel, afresh: bool) -> Array:
+        session = ReferenceSession(base, threads=1, tolerance=1e-3)
+        for each in before:
+            session.solve(each, leads=False)
+        found = session.solve(laws[0], afresh=afresh).must_points.forces
+        session.close()
+        return found
+
+    np.testing.assert_array_equal(force(laws[1], afresh=True), force(afresh=True))
+    assert (force(laws[1], afresh=False) != force(afresh=False)).any()

@@ -91,6 +91,29 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
     book.close()
 
 
+def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path):
+    """Wherever it was stopped: else what was close to a threshold is answered in another way."""
+    asked = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ())]
+
+    def solved(folder, n_before: int):
+        """Curves and kept deformation by one book, or by two with a stop in between."""
+        for some in (asked[:n_before], asked):
+            book = CurveBook(block, DEPTHS, c=0.006, threads=1, keep=folder)
+            curves = [book.curves(m, ingredients) for m, ingredients in some]
+            gradient = book.kinematics(4.0).gradient if some is asked else None
+            book.close()
+        return curves, gradient, book.work.total
+
+    whole_curves, whole_gradient, whole_work = solved(tmp_path / "whole", 0)
+    for n_before in (1, 3):
+        curves, gradient, work = solved(tmp_path / str(n_before), n_before)
+        for found, expected in zip(curves, whole_curves, strict=True):
+            np.testing.assert_array_equal(found.force, expected.force)
+            np.testing.assert_array_equal(found.log_speed, expected.log_speed)
+        np.testing.assert_array_equal(gradient, whole_gradient)
+        assert work == whole_work
+
+
 @pytest.mark.parametrize("spoil", [Path.unlink, lambda path: path.write_bytes(b"PK\x03\x04 cut off")])
 def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, spoil):
     book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
