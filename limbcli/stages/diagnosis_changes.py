@@ -178,6 +178,8 @@ class Changes:
         """What the kept deformation does not tell of a change: from one solve at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
+            if self.book.spent:
+                raise _spent(effect)
             true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
             missed = true - np.column_stack(self.book.shift(m, ((effect, theta),)))
         except SolveError as error:
@@ -185,6 +187,13 @@ class Changes:
             return np.zeros_like(logs(self.book.curves(m)))
         missed[0, 0] = 0.0
         return np.nan_to_num(missed)
+
+
+def _spent(effect: Effect) -> SolveError:
+    return SolveError(
+        "the simulations took all the work that a diagnosis may take",
+        where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
+    )  # fmt: skip
 
 
 def only_febio(effect: Effect) -> SolveError:
