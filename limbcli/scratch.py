@@ -10,11 +10,12 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 PREFIX = "limbcli-scratch-"
 _PR_SET_PDEATHSIG = 1  # prctl(2)
+_CAN_TELL_CHILDREN = sys.platform.startswith("linux")
 
 
 @contextlib.contextmanager
@@ -67,8 +68,24 @@ def _drop_abandoned(parent: Path) -> None:
 
 def end_with_parent(parent: int) -> None:
     """This process is killed when `parent` (its id), which started it, ends; on Linux only."""
-    if not sys.platform.startswith("linux"):
-        return
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before that was said
-        os._exit(1)
+    _ending_with(parent)()
+
+
+def ends_with_this_process() -> Callable[[], None] | None:
+    """For `preexec_fn` of a program that is not ours: it then ends with the thread that starts it. None where the
+    system knows no such thing."""
+    return _ending_with(os.getpid()) if _CAN_TELL_CHILDREN else None
+
+
+def _ending_with(parent: int) -> Callable[[], None]:
+    """What the child calls: all is looked up here, as little may be done between fork and exec."""
+    if not _CAN_TELL_CHILDREN:
+        return lambda: None
+    prctl, getppid, leave = ctypes.CDLL(None).prctl, os.getppid, os._exit
+
+    def die() -> None:
+        prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        if getppid() != parent:  # it ended before that was said
+            leave(1)
+
+    return die

@@ -20,6 +20,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
+from limbcli.scratch import ends_with_this_process
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
 from limbcli.solvers.law_check import can_be_checked, check_first_step
@@ -164,6 +165,7 @@ class FebioSolver:
                 stdout=screen,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                preexec_fn=ends_with_this_process(),
             )
         except OSError as error:
             raise _not_startable(binary, error) from error

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -83,6 +86,30 @@ def test_only_what_was_asked_for_is_left(binary: Path, feb: Path) -> None:
 
 def test_the_version_is_asked_for(binary: Path) -> None:
     assert FebioSolver(binary).version() == "4.9.1"
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="other systems tell no child that it is alone"
+)
+def test_febio_ends_with_a_limbcli_that_is_killed(binary: Path, feb: Path) -> None:
+    runs = (
+        "import sys; from pathlib import Path; from limbcli.progress import SILENT; "
+        "from limbcli.solvers.febio import FebioSolver; "
+        "FebioSolver(Path(sys.argv[1])).run(Path(sys.argv[2]), progress=SILENT)"
+    )
+    killed = subprocess.Popen(
+        [sys.executable, "-c", runs, binary, feb], env={**os.environ, "FAKE_FEBIO": "hang"}
+    )
+    for _ in range(1000):
+        if (child := started_child(feb)) is not None:
+            break
+        time.sleep(0.02)
+    assert child is not None
+    febio = int(Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()[1])
+    killed.kill()
+    killed.wait()
+    assert not is_alive(febio)
+    os.kill(child, signal.SIGKILL)
 
 
 @pytest.mark.parametrize(
