@@ -72,8 +72,10 @@ def end_with_parent(parent: int) -> None:
 
 
 def ends_with_this_process() -> Callable[[], None] | None:
-    """For `preexec_fn` of a program that is not ours: it then ends with the thread that starts it. None where the
-    system knows no such thing."""
+    """For `preexec_fn` of a program that is not ours, so that it ends with the thread that starts it.
+
+    None where the system knows no such thing.
+    """
     return _ending_with(os.getpid()) if _CAN_TELL_CHILDREN else None
 
 
