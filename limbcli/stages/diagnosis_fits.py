@@ -7,6 +7,7 @@ given points of the effects' grids.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -27,6 +28,8 @@ from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
+_QUICK, _FULL = 12, 60  # evaluations of a fit
+_BEHIND, _FAR_BEHIND = 0.5, 10.0  # of the least cost, and more: what is not followed further
 _FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
 _ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
 _NONE: Mapping[str, float] = {}
@@ -39,6 +42,17 @@ def held_points(effect: Effect) -> list[Theta]:
         if effect.held(point) not in found:
             found.append(effect.held(point))
     return found
+
+
+def _deepest(descended: Callable[[Array, int], Any], starts: Sequence[Array]) -> Any:
+    """The least that descents from several starts end at; those far behind the others are not followed."""
+    tries = [descended(x0, _QUICK if len(starts) > 1 else _FULL) for x0 in starts]
+    least = min(each.cost for each in tries)
+    going_on = [
+        each for each in tries
+        if each.status == 0 and each.cost < (1.0 + _BEHIND) * least + _FAR_BEHIND
+    ]  # fmt: skip
+    return min([*tries, *(descended(each.x, _FULL) for each in going_on)], key=lambda each: each.cost)
 
 
 def _guess(slot: Slot, start: Mapping[str, float]) -> float:
@@ -155,7 +169,6 @@ class Fits:
             guesses.append([p.start for p in parameters])
         for each in self.sites:
             each.inherit_parts(explanation, points)
-        best = None
         tissues = self._tissue_starts()
         pairs = list(zip(guesses, tissues, strict=False)) if parameters else [([], each) for each in tissues]
         starts = [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
@@ -170,17 +183,15 @@ class Fits:
             far = [(x[k] - null) / size for k, null, size in plausible if size > 0]
             return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
 
-        for x0 in ends + starts:
-            found = least_squares(
-                off,
-                np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=scale, diff_step=1e-4,
-                ftol=_FTOL, xtol=_XTOL, max_nfev=60 if thorough else 12,
+        def descended(x0: Array, n_most: int) -> Any:
+            inside = np.clip(x0, low + 1e-6, high - 1e-6)
+            return least_squares(
+                off, inside, bounds=(low, high), x_scale=scale, diff_step=1e-4, ftol=_FTOL, xtol=_XTOL,
+                max_nfev=n_most,
             )  # fmt: skip
-            if best is None or found.cost < best.cost:
-                best = found
-            if not thorough:
-                break
-        assert best is not None
+
+        seeds = ends + starts
+        best = _deepest(descended, seeds) if thorough else descended(seeds[0], _QUICK)
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         if thorough and not held:
