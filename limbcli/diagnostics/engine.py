@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
 from limbcli.diagnostics.account import Account
 from limbcli.diagnostics.bench import Bench, Facts
 from limbcli.diagnostics.calibrate import N_DRAWS, Family
@@ -192,12 +195,23 @@ class _Run:
     def _speaks_for_itself(self, refit: Refit) -> bool:
         """A name needs evidence of its own: what was found may be that of another, dropped since.
 
-        Where the fit without effects is grossly wrong, that little of it is left is evidence enough.
+        Where the fit without effects is grossly wrong, that little of it is left is evidence enough; and so
+        is how much better the refit is, where the first order at no effect shows less of it.
         """
         if len(refit.explanation) > 1 or closes_gross(self.ground.state, refit.state):
             return True
         found = self.family.of(refit.explanation[0])
-        return found is not None and found.p_adjusted < ALPHA
+        return (found is not None and found.p_adjusted < ALPHA) or self._gain_p(refit) < ALPHA
+
+    def _gain_p(self, refit: Refit) -> float:
+        """That a refit of any candidate gains as much by chance: likelihood ratio, in units of the scatter that
+        stays, as many tests as there are candidates and points of their grids."""
+        before, after = self.ground.state, refit.state
+        gain = (before.chi2 - after.chi2) / max(after.chi2 / max(after.nu, 1), 1.0)
+        trials = self.refits.trials.values() if self.refits else ()
+        n_tests = max(sum(len(trial.directions) for trial in trials), 1)
+        p = float(chi2_distribution.sf(max(gain, 0.0), max(len(refit.fitted.effect_names), 1)))
+        return float(-np.expm1(n_tests * np.log1p(-min(p, 1.0 - 1e-12))))
 
     @property
     def _n_candidates(self) -> int:

@@ -173,16 +173,21 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "speaks"), [(100.0, 8.0, True), (100.0, 30.0, False), (30.0, 5.0, False)]
-)
-def test_an_effect_that_takes_a_gross_misfit_away_needs_no_score_of_its_own(before, after, speaks):
-    """Sensitivities at a fit that is grossly wrong tell little: its score was not significant there."""
+    ("before", "after", "speaks", "needed"),
+    [(100.0, 8.0, True, True), (100.0, 30.0, True, False), (30.0, 5.0, True, False),
+     (100.0, 80.0, False, False), (30.0, 20.0, False, False)],
+)  # fmt: skip
+def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, speaks, needed):
+    """Its score was not significant at the fit without effects, where sensitivities may tell little."""
     ground = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
     run = _Run(ground, 3, False)
     run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
-    refit = SimpleNamespace(explanation=("wave",), state=SimpleNamespace(nu=9, chi2=after), gap=3.0)
+    run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
+    fitted = SimpleNamespace(effect_names=("size",))
+    state = SimpleNamespace(nu=9, chi2=after)
+    refit = SimpleNamespace(explanation=("wave",), state=state, gap=3.0, fitted=fitted)
     assert run._speaks_for_itself(refit) is speaks
-    assert run._each_is_needed(refit, None) is speaks
+    assert run._each_is_needed(refit, None) is needed
 
 
 @pytest.mark.parametrize("adequate", [True, False])
