@@ -204,8 +204,10 @@ class _Run:
         return (found is not None and found.p_adjusted < ALPHA) or self._gain_p(refit) < ALPHA
 
     def _gain_p(self, refit: Refit) -> float:
-        """That a refit of any candidate gains as much by chance: likelihood ratio, in units of the scatter that
-        stays, as many tests as there are candidates and points of their grids."""
+        """That a refit of any candidate gains as much by chance.
+
+        Likelihood ratio, in units of the scatter that stays; as many tests as the candidates have grid points.
+        """
         before, after = self.ground.state, refit.state
         gain = (before.chi2 - after.chi2) / max(after.chi2 / max(after.nu, 1), 1.0)
         trials = self.refits.trials.values() if self.refits else ()
