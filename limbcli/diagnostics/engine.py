@@ -206,7 +206,7 @@ class _Run:
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.
 
-        Likelihood ratio, in units of the scatter that stays; as many tests as the candidates have grid points.
+        Likelihood ratio, in units of the scatter that stays, of as many tests as there are grid points.
         """
         before, after = self.ground.state, refit.state
         gain = (before.chi2 - after.chi2) / max(after.chi2 / max(after.nu, 1), 1.0)
