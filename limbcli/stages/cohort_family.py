@@ -24,6 +24,7 @@ import numpy as np
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.feb.settings import Schedule, robust_contact, robust_step, schedule
+from limbcli.inference.layered_family import SKIN_RATIO
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.slab import LAYERS, QUARTER, Counts, Slab, slab_model
@@ -33,9 +34,9 @@ from limbcli.solvers.session import ReferenceSession, SessionResult
 
 ROOT_AREA = 20.0  # mm: the size at which the family is solved
 ASPECT, EDGE_SHARE = 4.0, 0.12
-SKIN_RATIO, F_KAPPA = 5.0, 100.0
+F_KAPPA = 100.0
 PENALTY = 80.0
-STRAINS = (0.05, 0.12, 0.2, 0.3, 0.4, 0.5)
+STRAINS = (0.05, 0.12, 0.2, 0.3, 0.4)
 _C = 0.01  # MPa; the answers are given over it
 _LARGEST_STRIDE_S = 0.3
 _RECORD = "axis.csv"
@@ -84,7 +85,7 @@ class Answer:
 
 
 def solve_member(
-    member: Member, *, counts: Counts = Counts(), strains: Sequence[float] = STRAINS, tolerance: float = 1e-4,
+    member: Member, *, counts: Counts = Counts(), strains: Sequence[float] = STRAINS, tolerance: float = 1e-3,
     gradients: bool = True, progress: Progress = SILENT,
 ) -> Answer:  # fmt: skip
     """Press the member step by step, as far as the solver gets.
@@ -133,29 +134,23 @@ def _answer(
     depth, force = found.must_points.depths[keep], QUARTER * found.must_points.forces[keep]
     table = found.simulation.nodes[_RECORD]
     rows = [int(np.argmin(np.abs(table.times - each))) for each in times[keep]]
-    sunk = -_by_node(table.column("uz")[rows], table.items, member, slab)
+    sunk = -_from_surface(table.column("uz")[rows], table.items)
     strain = depth / slab.thickness
     empty = np.full((len(strain), 2), np.nan)
     slopes = (empty, empty, empty)
     if gradients:
-        slopes = _slopes(member, slab, found, keep, depth, force)
+        slopes = _slopes(member, found, keep, depth, force)
     scale = _C * ROOT_AREA**2 * strain
     return Answer(strain, force / scale, sunk[:, 1] / depth, sunk[:, 2] / depth, *slopes)
 
 
-def _by_node(values: Array, items: Array, member: Member, slab: Slab) -> Array:
-    """Columns in the order surface, below skin, below fat; records are sorted by node."""
-    order = slab_model_axis_order(items)
-    return np.asarray(values[:, order])
-
-
-def slab_model_axis_order(items: Array) -> Array:
-    """Nodes on the axis count up with height, so the highest number is the surface."""
-    return np.argsort(items)[::-1]
+def _from_surface(values: Array, items: Array) -> Array:
+    """Columns in the order surface, below skin, below fat: nodes on the axis count up with height."""
+    return np.asarray(values[:, np.argsort(items)[::-1]])
 
 
 def _slopes(
-    member: Member, slab: Slab, found: SessionResult, keep: Array, depth: Array, force: Array
+    member: Member, found: SessionResult, keep: Array, depth: Array, force: Array
 ) -> tuple[Array, Array, Array]:
     """Derivatives (n, 2) by ln ratio and ln m of ln force and of both borders' shares."""
     moved = (
@@ -170,7 +165,7 @@ def _slopes(
             key = (material, name)
             total += rate * QUARTER * found.force_gradient[key][keep]
             table = found.field_gradient[key][_RECORD]
-            sunk -= rate * _by_node(table.column("uz")[keep], table.items, member, slab)
+            sunk -= rate * _from_surface(table.column("uz")[keep], table.items)
         by_force.append(total / force)
         by_skin.append(sunk[:, 1] / depth)
         by_fat.append(sunk[:, 2] / depth)
