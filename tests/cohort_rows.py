@@ -7,14 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.inference.cohort_model import CohortModel
+from limbcli.inference.cohort_model import CohortModel, tissue
 from limbcli.inference.layered_family import FORCE, SKIN_PART, layered_family
-from limbcli.inference.cohort_model import tissue
 
 HEADER = (
-    "subject", "location", "max_force_n", "face_mm2", "thickness_mm", "skin_mm", "fat_mm", "muscle_mm",
-    "total_strain", "skin_strain", "fat_strain", "muscle_strain", "stiffness_mpa_per_mm",
-)  # fmt: skip
+    "subject",
+    "location",
+    "max_force_n",
+    "face_mm2",
+    "thickness_mm",
+    "skin_mm",
+    "fat_mm",
+    "muscle_mm",
+    "total_strain",
+    "skin_strain",
+    "fat_strain",
+    "muscle_strain",
+    "stiffness_mpa_per_mm",
+)
 FACE = 675.0
 
 
@@ -44,8 +54,14 @@ def row(
 ) -> dict[str, str]:
     strain = shortened / thickness
     values = (
-        force, FACE, thickness.sum(), *thickness, shortened.sum() / thickness.sum(), *strain, slope,
-    )  # fmt: skip
+        force,
+        FACE,
+        thickness.sum(),
+        *thickness,
+        shortened.sum() / thickness.sum(),
+        *strain,
+        slope,
+    )
     return dict(zip(HEADER, (subject, location, *(f"{each:.9g}" for each in values)), strict=True))
 
 

@@ -16,8 +16,10 @@ TableArg = Annotated[
 ]
 OutOpt = Annotated[
     Path | None,
-    typer.Option("--out", "-o", metavar="DIR", help="Output folder; default: out/<name of TABLE>.", show_default=False),
-]  # fmt: skip
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Output folder; default: out/<name of TABLE>.", show_default=False
+    ),
+]
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the folds and of the sampling.")]
 
 

@@ -16,9 +16,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.inference.layered_family import (
-    CONVEXITY, EXPONENT, FORCE, HIGH, LOW, MUSCLE_PART, RATIO, SKIN_PART, LayeredFamily, OfTissue,
+    CONVEXITY,
+    EXPONENT,
+    FORCE,
+    HIGH,
+    LOW,
+    MUSCLE_PART,
+    RATIO,
+    SKIN_PART,
+    LayeredFamily,
+    OfTissue,
     is_inside,
-)  # fmt: skip
+)
+from limbcli.inference.population import row_modes
 from limbcli.model import Array
 
 PARAMETERS = ("c_muscle", "c_fat", "m")
@@ -26,6 +36,7 @@ C_MUSCLE, C_FAT, M = range(3)
 # A first mean, and the deviation that the weak prior on the spread expects: c of some kPa, within a factor 2.
 START = np.log(np.array([0.008, 0.008, 3.0]))
 PRIOR_DEVIATION = np.array([0.5, 0.7, 0.4])
+ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table tells
 FORCE_NOISE = 0.02  # of the force, one deviation: transducer and hold
 _STEEPNESS = 1.4  # d ln force / d ln depth, typically: what an error of the depth makes of the force
 _LEAST_NEAR_LINE, _NEAR_LINE, _ASSUMED_SLOPE = 20, 0.003, 0.05
@@ -34,7 +45,7 @@ _TO_DEVIATION = 1.4826  # of a Gaussian, over the median absolute deviation
 
 @dataclass(frozen=True, eq=False)
 class CohortModel:
-    """Rows of one population: coordinates (n, 6) with the tissue's left open, and what tissue makes of them."""
+    """Rows of one population: coordinates (n, 6), the tissue's left open, and what tissue makes of them."""
 
     shape: Array
     of_tissue: OfTissue
@@ -53,7 +64,9 @@ class CohortModel:
         """Readings (..., n, 3) of tissue (..., n, 3), and their derivatives (..., n, 3, 3)."""
         values, rates = self.of_tissue(tissue(theta), slopes=slopes)
         part = 1.0 / (1.0 + np.exp(-values[..., MUSCLE_PART]))
-        seen = np.stack([theta[..., C_MUSCLE] + values[..., FORCE], values[..., CONVEXITY], 1.0 - part], axis=-1)
+        seen = np.stack(
+            [theta[..., C_MUSCLE] + values[..., FORCE], values[..., CONVEXITY], 1.0 - part], axis=-1
+        )
         if not slopes:
             return seen, np.empty((*seen.shape, 0))
         by_part = -(part * (1 - part))[..., None] * rates[..., MUSCLE_PART, :]
@@ -111,6 +124,24 @@ def reading_noise(
     marks = (layer_deviation[1] * (1 - part)) ** 2 + (layer_deviation[2] * part) ** 2
     out[:, 2, 2] = marks / below**2 + (0.25 * emulator_error[MUSCLE_PART]) ** 2
     return out
+
+
+def row_modes_of(
+    model: CohortModel,
+    seen: Array,
+    shortened: Array,
+    family: LayeredFamily,
+    *,
+    layer_deviation: Array | None = None,
+    slope_deviation: float = _ASSUMED_SLOPE,
+) -> Array:
+    """The most likely tissue (n, 3) of each row under the weak prior alone: no row knows of another.
+
+    layer_deviation (3,) mm; None: what is assumed where no table tells
+    """
+    deviation = np.full(3, 2 * ASSUMED_EDGE) if layer_deviation is None else layer_deviation
+    noise = reading_noise(shortened, deviation, slope_deviation, family.error)
+    return row_modes(model, seen, noise, START, np.diag(PRIOR_DEVIATION**2))
 
 
 def slope_noise(convexity: Array, r2_line: Array | None, r2_parabola: Array | None) -> tuple[float, bool]:

@@ -1,9 +1,10 @@
 """The emulator of the layered slab: readings of an indentation for any thickness, layers and tissue, in
 microseconds, from solves of the reference solver that ship with the package.
 
-Per reading a polynomial of second or third degree (whichever misses left-out members less) in the family's numbers and the strain, fitted to the solves' values
-and to their exact derivatives by tissue. Its error is what it misses on members left out of the fit, told
-reading by reading; held-out members of another sequence are the check of the tests.
+Per reading a polynomial in the family's numbers and the strain, of second or third degree (whichever misses
+left-out members less), over the trend that springs in series give. It is fitted to the solves' values and to
+their exact derivatives by tissue. Its error is what it misses on members left out of the fit, told reading by
+reading; held-out members of another sequence are the check of the tests.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _FEWEST_FINE = 6  # members on the finer mesh, from which on they correct the fa
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Rows of the solves: x (n, 6) coordinates, y (n, 4) readings over the trend, slopes (n, 4, 2) by ln ratio and ln m."""
+    """Rows of the solves: x (n, 6) coordinates, y (n, 4) over the trend, slopes (n, 4, 2) by the tissue."""
 
     member: IntArray
     x: Array
@@ -66,7 +67,9 @@ class LayeredFamily:
     def __call__(self, x: Array) -> Array:
         """Readings (n, 4) at coordinates x (n, 6)."""
         x = np.clip(x, LOW, HIGH)
-        return np.asarray(_terms(_scaled(x), self.powers) @ self.coefficients + trend(_shares(x), x[:, RATIO])[0])
+        return np.asarray(
+            _terms(_scaled(x), self.powers) @ self.coefficients + trend(_shares(x), x[:, RATIO])[0]
+        )
 
     def of_shape(self, x: Array) -> OfTissue:
         """The readings of rows of given shape and strain, x (n, 6), as functions of their tissue alone."""
@@ -108,10 +111,13 @@ class OfTissue:
             return values, np.empty((*values.shape, 0))
         rate = np.maximum(up - 1, 0)
         by_a, by_b = up * u[..., [0]] ** rate, up * u[..., [1]] ** rate
-        found = np.stack([
-            np.einsum("...ni,...nj,nijq->...nq", by_a, b, self.table, optimize=True),
-            np.einsum("...ni,...nj,nijq->...nq", a, by_b, self.table, optimize=True),
-        ], axis=-1)  # fmt: skip
+        found = np.stack(
+            [
+                np.einsum("...ni,...nj,nijq->...nq", by_a, b, self.table, optimize=True),
+                np.einsum("...ni,...nj,nijq->...nq", a, by_b, self.table, optimize=True),
+            ],
+            axis=-1,
+        )
         within = (tissue > low) & (tissue < high)
         found = found * (2.0 / (high - low))
         found[..., 0] += by_ratio
@@ -125,7 +131,7 @@ def _shares(x: Array) -> Array:
 
 
 def trend(shares: Array, log_ratio: Array) -> tuple[Array, Array]:
-    """Layers as springs in series: what the polynomials are fitted over. Readings (..., n, 4), and by ln ratio.
+    """Layers as springs in series: what the polynomials are over. Readings (..., n, 4), and by ln ratio.
 
     shares (n, 3), log_ratio (..., n). The solves say by how much layers under a probe are no springs.
     """

@@ -72,7 +72,7 @@ def predict_left_out(
 
 
 def springs_left_out(people: Array, thickness: Array, compliance: Array, *, seed: int = 7) -> Array:
-    """Springs in series: compliance = a fat + b muscle, all sites together, by least squares; on the same folds."""
+    """Springs in series: compliance = a fat + b muscle, all sites together, least squares, same folds."""
     fold = person_folds(people, FOLDS, seed)
     predicted = np.empty(len(fold))
     for k in range(FOLDS):
@@ -130,9 +130,15 @@ class _Regression:
 
     @staticmethod
     def fit(
-        sites: Array, features: Array, compliance: Array, slab: Array, train: Array,
-        shrink_all: float, shrink_site: float, with_slab: bool,
-    ) -> _Regression:  # fmt: skip
+        sites: Array,
+        features: Array,
+        compliance: Array,
+        slab: Array,
+        train: Array,
+        shrink_all: float,
+        shrink_site: float,
+        with_slab: bool,
+    ) -> _Regression:
         kept = features[train]
         middle, scale = kept.mean(axis=0), kept.std(axis=0)
         scale = np.where(scale > _FLAT, scale, np.inf)
@@ -141,9 +147,15 @@ class _Regression:
         a = model._design(sites[train], kept)
         target = np.log(compliance[train]) - with_slab * slab[train]
         n, k = len(target), features.shape[1]
-        penalty = np.r_[
-            0.0, np.full(len(names), _INTERCEPT), np.full(k, shrink_all), np.full(k * len(names), shrink_site)
-        ] / n  # fmt: skip
+        penalty = (
+            np.r_[
+                0.0,
+                np.full(len(names), _INTERCEPT),
+                np.full(k, shrink_all),
+                np.full(k * len(names), shrink_site),
+            ]
+            / n
+        )
         start = np.linalg.solve(a.T @ a / n + np.diag(penalty + 1e-9), a.T @ target / n)
 
         def cost(w: Array) -> tuple[float, Array]:
@@ -158,11 +170,11 @@ class _Regression:
 
     def __call__(self, sites: Array, features: Array, slab: Array) -> Array:
         """Compliance of rows (n,)."""
-        return np.asarray(
-            np.exp(self._design(sites, features) @ self.coefficients + self.with_slab * slab)
-        )
+        return np.asarray(np.exp(self._design(sites, features) @ self.coefficients + self.with_slab * slab))
 
     def _design(self, sites: Array, features: Array) -> Array:
         z = (features - self.middle) / self.scale
         at = (sites.astype(str)[:, None] == np.array(self.names)[None]).astype(float)
-        return np.concatenate([np.ones((len(z), 1)), at, z, *(at[:, [j]] * z for j in range(at.shape[1]))], axis=1)
+        return np.concatenate(
+            [np.ones((len(z), 1)), at, z, *(at[:, [j]] * z for j in range(at.shape[1]))], axis=1
+        )

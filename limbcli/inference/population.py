@@ -23,7 +23,7 @@ import numpy as np
 from limbcli.model import Array
 
 Model = Callable[[Array, bool], tuple[Array, Array]]
-"""theta (..., n, p), whether derivatives are asked for -> readings (..., n, q), derivatives (..., n, q, p)."""
+"""theta (..., n, p), whether derivatives are wanted -> readings (..., n, q), derivatives (..., n, q, p)."""
 
 DRAWS = 400
 _PRIOR_ROWS = 3.0  # rows that the prior on the spread weighs as much as
@@ -81,8 +81,14 @@ class _Problem:
 
 
 def estimate_population(
-    model: Model, readings: Array, noise: Array, *, start: Array, prior_deviation: Array, seed: int = 7,
-) -> tuple[Population, Rows]:  # fmt: skip
+    model: Model,
+    readings: Array,
+    noise: Array,
+    *,
+    start: Array,
+    prior_deviation: Array,
+    seed: int = 7,
+) -> tuple[Population, Rows]:
     """Mean and spread of a population, and every row's own estimate.
 
     readings (n, q); noise (n, q, q), covariances; start (p,) a first mean; prior_deviation (p,) the deviation
@@ -94,7 +100,9 @@ def estimate_population(
     theta = np.tile(mean, (len(readings), 1))
     rounds = 0
     for rounds in range(1, _MOST_ROUNDS + 1):
-        theta, covariance = modes(problem, mean, spread, theta, steps=_STEPS if rounds == 1 else _STEPS_BETWEEN)
+        theta, covariance = modes(
+            problem, mean, spread, theta, steps=_STEPS if rounds == 1 else _STEPS_BETWEEN
+        )
         before = mean
         mean, spread = _maximised(theta, covariance, prior)
         if np.max(np.abs(mean - before) / np.sqrt(np.diag(spread))) < _STILL:
@@ -230,16 +238,20 @@ def _population(points: Array, weights: Array, mean: Array, spread: Array, round
     return Population(mean, spread, errors[:p] * deviation, errors[p:] * deviation, rounds)
 
 
-def _rows(
-    problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array
-) -> Rows:
+def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array) -> Rows:
     middle, covariance = _moments(points, weights)
     low, high = (_quantiles(points, weights, q) for q in (0.025, 0.975))
     variance = np.einsum("nii->ni", covariance)
     return Rows(
-        middle, np.sqrt(variance), low, high, mode, 1.0 / np.sum(weights**2, axis=0),
-        np.clip(variance / np.diag(spread), 0.0, 1.0), _misfit(problem, mean, spread),
-    )  # fmt: skip
+        middle,
+        np.sqrt(variance),
+        low,
+        high,
+        mode,
+        1.0 / np.sum(weights**2, axis=0),
+        np.clip(variance / np.diag(spread), 0.0, 1.0),
+        _misfit(problem, mean, spread),
+    )
 
 
 def _quantiles(points: Array, weights: Array, q: float) -> Array:

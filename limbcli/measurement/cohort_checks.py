@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.measurement.cohort_table import (
-    FACE, LAYERS, PERSON, PRESSURE, REQUIRED, SEX, SITE, TRIAL, CohortTable, read_cohort,
-)  # fmt: skip
+    FACE,
+    LAYERS,
+    PERSON,
+    PRESSURE,
+    REQUIRED,
+    SEX,
+    SITE,
+    TRIAL,
+    CohortTable,
+    read_cohort,
+)
 from limbcli.measurement.edge_noise import LayerNoise, layer_noise
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
@@ -74,13 +83,24 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
     face = columns.get(FACE, np.full(n, np.nan))
     if PRESSURE in columns:
         face = np.where(np.isfinite(face), face, columns["max_force_n"] / columns[PRESSURE])
-    text = {name: np.array(raw.texts.get(name, [""] * n), dtype=object) for name in (PERSON, SITE, TRIAL, SEX)}
+    text = {
+        name: np.array(raw.texts.get(name, [""] * n), dtype=object) for name in (PERSON, SITE, TRIAL, SEX)
+    }
     used = {*REQUIRED, FACE, PRESSURE}
     return CohortTable(
-        text[PERSON], text[SITE], text[TRIAL], text[SEX], columns["max_force_n"], face, thickness,
-        strain * thickness, columns["stiffness_mpa_per_mm"],
-        {name: each for name, each in columns.items() if name not in used}, np.array(raw.lines), path,
-    )  # fmt: skip
+        text[PERSON],
+        text[SITE],
+        text[TRIAL],
+        text[SEX],
+        columns["max_force_n"],
+        face,
+        thickness,
+        strain * thickness,
+        columns["stiffness_mpa_per_mm"],
+        {name: each for name, each in columns.items() if name not in used},
+        np.array(raw.lines),
+        path,
+    )
 
 
 def _listed(wrong: Array, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
@@ -96,10 +116,12 @@ def _without_skin(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
     skin = raw.numbers["skin_mm"]
     others = np.isfinite(raw.numbers["fat_mm"]) | np.isfinite(raw.numbers["muscle_mm"])
     return _listed(
-        complete & others & (~np.isfinite(skin) | (skin == 0.0)), np.array(raw.lines), path,
+        complete & others & (~np.isfinite(skin) | (skin == 0.0)),
+        np.array(raw.lines),
+        path,
         lambda k: "there are layers below the skin, but no skin: skin_mm is empty or 0",
         "mark the border of skin and fat too: without it the fat's thickness holds the skin's",
-    )  # fmt: skip
+    )
 
 
 def _impossible(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
@@ -114,32 +136,47 @@ def _units(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
     whole, force, strain = columns["thickness_mm"], columns["max_force_n"], columns["total_strain"]
     depth = strain * whole
     found = _listed(
-        complete & ~((whole >= _WHOLE[0]) & (whole <= _WHOLE[1])), lines, path,
-        lambda k: f"thickness_mm is {whole[k]:g}: its unit looks wrong", "give millimetres",
-    )  # fmt: skip
+        complete & ~((whole >= _WHOLE[0]) & (whole <= _WHOLE[1])),
+        lines,
+        path,
+        lambda k: f"thickness_mm is {whole[k]:g}: its unit looks wrong",
+        "give millimetres",
+    )
     found += _listed(
-        complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])), lines, path,
-        lambda k: f"max_force_n is {force[k]:g}: its unit looks wrong", "give newtons",
-    )  # fmt: skip
+        complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
+        lines,
+        path,
+        lambda k: f"max_force_n is {force[k]:g}: its unit looks wrong",
+        "give newtons",
+    )
     found += _listed(
-        complete & ~((table.face >= _FACE[0]) & (table.face <= _FACE[1])), lines, path,
+        complete & ~((table.face >= _FACE[0]) & (table.face <= _FACE[1])),
+        lines,
+        path,
         lambda k: f"the probe's face is {table.face[k]:g} mm2: a unit of face, force or pressure looks wrong",
         "give face_mm2 in mm2, or max_pressure_mpa in MPa and max_force_n in N",
-    )  # fmt: skip
+    )
     percent = np.max([np.abs(columns[f"{each}_strain"]) for each in ("total", *LAYERS)], axis=0)
     found += _listed(
-        complete & (percent > 2.0), lines, path,
+        complete & (percent > 2.0),
+        lines,
+        path,
         lambda k: f"a strain is {percent[k]:g}: its unit looks wrong",
         "give shortening over thickness (0.2, not 20)",
-    )  # fmt: skip
+    )
     secant = force / table.face / depth
     off = table.slope / secant
     found += _listed(
-        complete & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)), lines, path,
-        lambda k: f"stiffness_mpa_per_mm is {table.slope[k]:g} where pressure over displacement is {secant[k]:.3g}: "
-        "its unit looks wrong",
+        complete & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
+        lines,
+        path,
+        lambda k: (
+            f"stiffness_mpa_per_mm is {table.slope[k]:g} where pressure over displacement is "
+            f"{secant[k]:.3g}: "
+            "its unit looks wrong"
+        ),
         "give the slope of pressure (MPa) over displacement (mm)",
-    )  # fmt: skip
+    )
     return found
 
 
@@ -149,40 +186,60 @@ def _contradictions(raw: RawTable, complete: Array, path: Path) -> list[Problem]
     whole, depth = columns["thickness_mm"], columns["total_strain"] * columns["thickness_mm"]
     apart = np.abs(table.whole - whole)
     found = _listed(
-        complete & (table.thickness <= 0).any(axis=1), lines, path,
-        lambda k: "interfaces cross at first contact: "
-        + ", ".join(f"{n} {table.thickness[k, j]:g} mm" for j, n in enumerate(LAYERS)),
+        complete & (table.thickness <= 0).any(axis=1),
+        lines,
+        path,
+        lambda k: (
+            "interfaces cross at first contact: "
+            + ", ".join(f"{n} {table.thickness[k, j]:g} mm" for j, n in enumerate(LAYERS))
+        ),
         "a layer's lower border lies below its upper one; mark them again",
-    )  # fmt: skip
+    )
     found += _listed(
-        complete & (apart > _SUM_MM + _SUM_SHARE * whole), lines, path,
+        complete & (apart > _SUM_MM + _SUM_SHARE * whole),
+        lines,
+        path,
         lambda k: f"the layers add up to {table.whole[k]:.2f} mm, thickness_mm is {whole[k]:.2f}",
         "the borders of a layer must be those of its neighbours; correct thickness_mm or a layer",
-    )  # fmt: skip
+    )
     crossing = (table.shortened >= table.thickness) & (table.thickness > 0)
     found += _listed(
-        complete & crossing.any(axis=1), lines, path,
-        lambda k: f"interfaces cross under load: the {LAYERS[int(np.argmax(crossing[k]))]} shortens by its whole thickness",
+        complete & crossing.any(axis=1),
+        lines,
+        path,
+        lambda k: (
+            f"interfaces cross under load: the {LAYERS[int(np.argmax(crossing[k]))]} shortens by its "
+            f"whole thickness"
+        ),
         "mark the image at the largest force again; a strain stays below 1",
-    )  # fmt: skip
+    )
     missed = np.abs(table.depth - depth)
     found += _listed(
-        complete & (missed > _SUM_MM + 0.02 * np.abs(depth)), lines, path,
+        complete & (missed > _SUM_MM + 0.02 * np.abs(depth)),
+        lines,
+        path,
         lambda k: f"the layers shorten by {table.depth[k]:.2f} mm, the whole by {depth[k]:.2f}",
         "correct total_strain or a layer's strain",
-    )  # fmt: skip
+    )
     found += _listed(
-        complete & (depth <= 0), lines, path,
+        complete & (depth <= 0),
+        lines,
+        path,
         lambda k: f"the whole grows under load: total_strain is {columns['total_strain'][k]:g}",
         "shortening counts positive; mark both images again",
-    )  # fmt: skip
+    )
     girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
     found += _listed(
-        complete & (np.nan_to_num(girth, nan=np.inf) <= np.pi * whole), lines, path,
-        lambda k: f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm thick "
-        f"from skin to bone measures more than {np.pi * whole[k]:.0f} mm round",
+        complete & (np.nan_to_num(girth, nan=np.inf) <= np.pi * whole),
+        lines,
+        path,
+        lambda k: (
+            f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm "
+            f"thick "
+            f"from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
+        ),
         "give the limb's circumference at the site in mm, or leave the cell empty",
-    )  # fmt: skip
+    )
     return found
 
 
@@ -204,9 +261,12 @@ def _grown(table: CohortTable, noise: LayerNoise) -> list[Problem]:
     limit = np.maximum(_GROWTH_SIGMAS * noise.shortened, _LEAST_GROWTH)
     growing = table.shortened < -limit
     return _listed(
-        growing.any(axis=1), table.lines, table.path,
-        lambda k: "the {0} grows by {1:.2f} mm under load, more than the noise of its edges ({2:.2f} mm) allows".format(
-            LAYERS[j := int(np.argmax(growing[k]))], -table.shortened[k, j], noise.shortened[j]
+        growing.any(axis=1),
+        table.lines,
+        table.path,
+        lambda k: (
+            f"the {LAYERS[j := int(np.argmax(growing[k]))]} grows by {-table.shortened[k, j]:.2f} mm "
+            f"under load, more than the noise of its edges ({noise.shortened[j]:.2f} mm) allows"
         ),
         "shortening counts positive; mark the borders of both images again",
-    )  # fmt: skip
+    )

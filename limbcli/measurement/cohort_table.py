@@ -51,8 +51,20 @@ TEXTS: Mapping[str, str] = {
     TRIAL: "optional: which repetition, where a person's site was measured more than once",
     SEX: "optional, any two words; used in a second prediction of compliance",
 }
-_MAY_BE_EMPTY = frozenset({"thickness_mm", "muscle_mm", "fat_mm", "skin_mm", "total_strain", "skin_strain",
-                           "fat_strain", "muscle_strain", "stiffness_mpa_per_mm", "max_force_n"})  # fmt: skip
+_MAY_BE_EMPTY = frozenset(
+    {
+        "thickness_mm",
+        "muscle_mm",
+        "fat_mm",
+        "skin_mm",
+        "total_strain",
+        "skin_strain",
+        "fat_strain",
+        "muscle_strain",
+        "stiffness_mpa_per_mm",
+        "max_force_n",
+    }
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +117,18 @@ class CohortTable:
 
     def rows(self, keep: Array) -> CohortTable:
         """The rows that `keep` (bool or numbers) says."""
-        names = ("person", "site", "trial", "sex", "force", "face", "thickness", "shortened", "slope", "lines")
+        names = (
+            "person",
+            "site",
+            "trial",
+            "sex",
+            "force",
+            "face",
+            "thickness",
+            "shortened",
+            "slope",
+            "lines",
+        )
         parts = {name: getattr(self, name)[keep] for name in names}
         return replace(self, **parts, others={name: each[keep] for name, each in self.others.items()})
 

@@ -25,7 +25,7 @@ _EDGES = 2.0  # root of the four marks, two an image, behind a shortening
 
 @dataclass(frozen=True, eq=False)
 class LayerNoise:
-    """shortened (3,): deviation (mm) of the shortening of skin, fat, muscle; from_data (3,): told by the table."""
+    """shortened (3,): deviation (mm) of skin's, fat's, muscle's shortening; from_data (3,): the table's."""
 
     shortened: Array
     from_data: Array
@@ -37,7 +37,7 @@ class LayerNoise:
 
 
 def layer_noise(shortened: Array) -> LayerNoise:
-    """From shortenings (n_rows, n_layers) mm. A layer that never seems to grow takes the largest of the others."""
+    """From shortenings (n_rows, n_layers) mm. A layer that never grows takes the largest of the others."""
     n = shortened.shape[1]
     found, known = np.zeros(n), np.zeros(n, dtype=bool)
     for j in range(n):

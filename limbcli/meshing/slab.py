@@ -44,7 +44,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class Counts:
-    """Cells: along the probe's half sides (x, y), beside its ends (x) and its flanks (y), and through skin, fat and muscle."""
+    """Cells: along the probe's half sides (x, y), beside its ends (x) and flanks (y), through the layers."""
 
     along: int = 3
     across: int = 2
@@ -98,7 +98,9 @@ def _growth(step: float, margin: float, n: int) -> float:
     """The ratio by which n cells grow from `step`, so that they fill the margin; 1 where even ones do."""
     if step * n >= margin:
         return 1.0
-    return float(brentq(lambda ratio: step * np.sum(ratio ** np.arange(1, n + 1)) - margin, 1.0, 1.0 + margin / step))
+    return float(
+        brentq(lambda ratio: step * np.sum(ratio ** np.arange(1, n + 1)) - margin, 1.0, 1.0 + margin / step)
+    )
 
 
 def _heights(slab: Slab, counts: Counts) -> tuple[Array, IntArray]:
@@ -122,9 +124,14 @@ def _grid(x: Array, y: Array, z: Array) -> tuple[Array, IntArray, IntArray]:
 
 
 def _assembled(
-    slab: Slab, laws: Mapping[str, Material], points: Array, cells: IntArray, of_layer: IntArray,
-    skin: dict[str, IntArray], start: float,
-) -> LimbModel:  # fmt: skip
+    slab: Slab,
+    laws: Mapping[str, Material],
+    points: Array,
+    cells: IntArray,
+    of_layer: IntArray,
+    skin: dict[str, IntArray],
+    start: float,
+) -> LimbModel:
     rigid = probe_mesh(slab.probe, size=min(3.0, slab.probe.width / 4))
     first = len(points)
     quads, tips = rigid.quads + first, rigid.tips + first
@@ -145,17 +152,20 @@ def _assembled(
     mesh = Mesh(
         np.vstack([points, rigid.points - [0.0, 0.0, start]]),
         (*blocks, Block("probe", "quad4", quads), Block("probe_tips", "tri3", tips)),
-        sets, surfaces,
-    )  # fmt: skip
+        sets,
+        surfaces,
+    )
     return LimbModel(
         mesh=mesh,
         materials=dict(laws),
         domains=tuple(Domain(name, name) for name in LAYERS),
         bodies=(RigidBody("probe", (0.0, 0.0, -start), ("probe", "probe_tips")),),
         supports=(
-            Support("base", ("x", "y", "z")), Support("plane_x", ("x",)), Support("plane_y", ("y",)),
+            Support("base", ("x", "y", "z")),
+            Support("plane_x", ("x",)),
+            Support("plane_y", ("y",)),
         ),
         drives=tuple(Drive("probe", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),
         contacts=(Contact("contact", "probe_face"),),
         steps=(Step(),),
-    )  # fmt: skip
+    )

@@ -17,8 +17,13 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.files import atomic_file, sha256
 from limbcli.inference.cohort_model import (
-    PRIOR_DEVIATION, START, CohortModel, reading_noise, readings, slope_noise,
-)  # fmt: skip
+    PRIOR_DEVIATION,
+    START,
+    CohortModel,
+    reading_noise,
+    readings,
+    slope_noise,
+)
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.population import Population, Rows, estimate_population
 from limbcli.measurement.cohort_checks import checked_cohort
@@ -119,7 +124,12 @@ def _noise_of(table: CohortTable) -> CohortNoise:
 
 
 def estimate_sites(
-    table: CohortTable, family: LayeredFamily, noise: CohortNoise, *, seed: int = 7, progress: Progress = SILENT
+    table: CohortTable,
+    family: LayeredFamily,
+    noise: CohortNoise,
+    *,
+    seed: int = 7,
+    progress: Progress = SILENT,
 ) -> list[SiteEstimate]:
     """The population of every site and its rows' own tissue."""
     found = []
@@ -145,28 +155,38 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     words = []
     if outside:
         words.append(
-            f"{outside} rows have a shape or a strain outside the family of solves; they are answered by its nearest "
+            f"{outside} rows have a shape or a strain outside the family of solves; they are answered by "
+            f"its nearest "
             "member and marked outside_family in rows.csv"
         )
     beyond = [each.name for each in estimates if m_beyond(each.population.mean)]
     if beyond:
         words.append(
-            f"{', '.join(beyond)}: the curves are straighter or more bent than any m of the family makes them, so that m "
+            f"{', '.join(beyond)}: the curves are straighter or more bent than any m of the family makes "
+            f"them, so that m "
             "is known on one side only; slopes and largest forces do not tell more"
         )
     if ends:
-        words.append(f"{ends} rows' tissue lies at an end of the family (c_fat/c_muscle 0.1 to 15, m 1.5 to 12)")
+        words.append(
+            f"{ends} rows' tissue lies at an end of the family (c_fat/c_muscle 0.1 to 15, m 1.5 to 12)"
+        )
     if thin:
         words.append(f"{thin} rows: fewer than 30 effective draws behind their interval; do not rely on it")
     if family.error[0] > 0.05:
-        words.append(f"the emulator misses the solver's force by {100 * family.error[0]:.0f} % (one deviation)")
+        words.append(
+            f"the emulator misses the solver's force by {100 * family.error[0]:.0f} % (one deviation)"
+        )
     return words
 
 
 def _data(
-    table: CohortTable, family: LayeredFamily, noise: CohortNoise, estimates: list[SiteEstimate],
-    predicted: dict[str, Any], seconds: float,
-) -> dict[str, Any]:  # fmt: skip
+    table: CohortTable,
+    family: LayeredFamily,
+    noise: CohortNoise,
+    estimates: list[SiteEstimate],
+    predicted: dict[str, Any],
+    seconds: float,
+) -> dict[str, Any]:
     rows = row_entries(table, estimates, predicted)
     return {
         "n_rows": len(table),
@@ -201,7 +221,9 @@ def _written(
     out: Path, table: Path, data: dict[str, Any], warnings: list[str], templates: Path | None
 ) -> StageResult:
     own = {**provenance(), "inputs_sha256": {table.name: sha256(table)}}
-    content = plain({"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own})
+    content = plain(
+        {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
+    )
     files = {"result": RESULT, "rows": ROWS, "page": PAGE}
     cohort_page(content, out, PAGE, templates=templates)
     with atomic_file(out / ROWS) as path, path.open("w", newline="", encoding="utf-8") as stream:
@@ -211,6 +233,12 @@ def _written(
     with atomic_file(out / RESULT) as path:
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return StageResult(
-        stage=STAGE, subject=table.stem, folder=out, files=files, data=content,
-        summary=tuple(summary_lines(content, out / PAGE)), warnings=tuple(warnings), provenance=own,
-    )  # fmt: skip
+        stage=STAGE,
+        subject=table.stem,
+        folder=out,
+        files=files,
+        data=content,
+        summary=tuple(summary_lines(content, out / PAGE)),
+        warnings=tuple(warnings),
+        provenance=own,
+    )

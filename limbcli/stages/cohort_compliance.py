@@ -1,4 +1,4 @@
-"""How well compliance is predicted of people who were left out, and how much of the miss no model can mend."""
+"""How well compliance of people left out is predicted, and how much of the miss no model can mend."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.inference.cohort_model import PRIOR_DEVIATION, START, CohortModel, reading_noise, readings
+from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import LayeredFamily
 from limbcli.inference.left_out import (
-    FOLDS, lines_left_out, percent_off, predict_left_out, springs_left_out,
-)  # fmt: skip
-from limbcli.inference.population import row_modes
+    FOLDS,
+    lines_left_out,
+    percent_off,
+    predict_left_out,
+    springs_left_out,
+)
 from limbcli.measurement.cohort_table import CohortTable
 from limbcli.model import Array
 
@@ -63,13 +66,17 @@ def compliance_left_out(
         "folds": {str(p): int(found.fold[np.flatnonzero(people == p)[0]]) for p in table.people},
         "rows": [
             {
-                "subject": str(people[k]), "location": str(sites[k]), "line": int(table.lines[k]),
-                "fold": int(found.fold[k]), "measured_mm_per_mpa": float(measured[k]),
-                "predicted_mm_per_mpa": float(found.predicted[k]), "difference_percent": float(off[k]),
+                "subject": str(people[k]),
+                "location": str(sites[k]),
+                "line": int(table.lines[k]),
+                "fold": int(found.fold[k]),
+                "measured_mm_per_mpa": float(measured[k]),
+                "predicted_mm_per_mpa": float(found.predicted[k]),
+                "difference_percent": float(off[k]),
             }
             for k in range(len(table))
         ],
-    }  # fmt: skip
+    }
     return entry, []
 
 
@@ -87,8 +94,14 @@ class _Slab:
         strain = table.depth / table.whole
         model = CohortModel.of(family, table.thickness, table.face, strain)
         seen = readings(table.force, table.face, table.whole, table.shortened, table.slope)
-        noise = reading_noise(table.shortened, layer_deviation, slope_deviation, family.error)
-        self._theta = row_modes(model, seen, noise, START, np.diag(PRIOR_DEVIATION**2))
+        self._theta = row_modes_of(
+            model,
+            seen,
+            table.shortened,
+            family,
+            layer_deviation=layer_deviation,
+            slope_deviation=slope_deviation,
+        )
         self._strain = strain
 
     def __call__(self, train: Array) -> Array:
@@ -140,7 +153,8 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
     entry["n_repeated"] = len(repeated)
     if len(repeated) < _PAIRS:
         entry["reason"] = (
-            f"{len(repeated)} sites of a person were measured more than once; trials of the same person and site "
+            f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
+            f"and site "
             "are needed to tell repeatability"
         )
         return entry
@@ -165,5 +179,3 @@ def _person_share(table: CohortTable, residual: Array) -> float | None:
     if len(products) < _PAIRS:
         return None
     return float(np.mean(products) / np.mean(centred**2))
-
-

@@ -85,9 +85,14 @@ class Answer:
 
 
 def solve_member(
-    member: Member, *, counts: Counts = Counts(), strains: Sequence[float] = STRAINS, tolerance: float = 1e-3,
-    gradients: bool = True, progress: Progress = SILENT,
-) -> Answer:  # fmt: skip
+    member: Member,
+    *,
+    counts: Counts = Counts(),
+    strains: Sequence[float] = STRAINS,
+    tolerance: float = 1e-3,
+    gradients: bool = True,
+    progress: Progress = SILENT,
+) -> Answer:
     """Press the member step by step, as far as the solver gets.
 
     Raises
@@ -123,9 +128,7 @@ def _loaded(member: Member, slab: Slab, plan: Schedule, counts: Counts) -> LimbM
     )
 
 
-def _answer(
-    member: Member, slab: Slab, plan: Schedule, found: SessionResult, gradients: bool
-) -> Answer:
+def _answer(member: Member, slab: Slab, plan: Schedule, found: SessionResult, gradients: bool) -> Answer:
     levels = np.array(plan.times)
     times = found.must_points.times
     keep = np.array([bool(np.min(np.abs(levels - each)) < 1e-9) for each in times])

@@ -14,9 +14,7 @@ PICTURES = "pictures"
 TEMPLATE = "cohort.html.j2"
 
 
-def cohort_page(
-    data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None
-) -> Path:
+def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None) -> Path:
     """Write `<out>/<name>` and `<out>/pictures/`; the page holds its pictures and needs no other file."""
     reportlets = cohort_reportlets(data)
     with atomic_folder(out / PICTURES) as folder:

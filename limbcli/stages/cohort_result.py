@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,17 +62,19 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
         "c_fat_over_c_muscle": float(np.exp(ratio)),
         "correlation": {
             f"{a} {b}": float(together[i, j])
-            for i, a in enumerate(PARAMETERS) for j, b in enumerate(PARAMETERS) if i < j
+            for i, a in enumerate(PARAMETERS)
+            for j, b in enumerate(PARAMETERS)
+            if i < j
         },
         "rounds": people.rounds,
         "effective_draws_least": float(site.found.effective.min()),
         "effective_draws_median": float(np.median(site.found.effective)),
         "homogeneous": homogeneous(table, site),
-    }  # fmt: skip
+    }
 
 
 def m_beyond(mean: Array) -> str | None:
-    """In words, where the population's m lies beyond the ends of the family: then only that is known of it."""
+    """In words, where the population's m lies beyond the family's ends: then only that is known."""
     low, high = np.exp([LOW[EXPONENT], HIGH[EXPONENT]])
     m = float(np.exp(mean[M]))
     return f"below {low:.3g}" if m < low else f"above {high:.3g}" if m > high else None
@@ -93,7 +96,7 @@ def homogeneous(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
     missed = missed_by_one_tissue(site)
     fat = table.thickness[site.rows, 1]
     bands = {}
-    for low, high in zip(_FAT_BANDS_MM[:-1], _FAT_BANDS_MM[1:], strict=True):
+    for low, high in itertools.pairwise(_FAT_BANDS_MM):
         here = (fat >= low) & (fat < high)
         if here.any():
             name = f"{low:g} to {high:g} mm" if np.isfinite(high) else f"{low:g} mm and more"
@@ -110,7 +113,9 @@ def homogeneous(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
     }
 
 
-def row_entries(table: CohortTable, sites: list[SiteEstimate], predicted: dict[str, Any]) -> list[dict[str, Any]]:
+def row_entries(
+    table: CohortTable, sites: list[SiteEstimate], predicted: dict[str, Any]
+) -> list[dict[str, Any]]:
     """Every row, in the table's order: its tissue with intervals, its misfits, its left-out compliance."""
     entries: dict[int, dict[str, Any]] = {}
     left_out = predicted["rows"]
@@ -125,9 +130,11 @@ def row_entries(table: CohortTable, sites: list[SiteEstimate], predicted: dict[s
         for i, row in enumerate(site.rows):
             k = int(row)
             entry: dict[str, Any] = {
-                "subject": str(table.person[k]), "location": str(table.site[k]), "line": int(table.lines[k]),
+                "subject": str(table.person[k]),
+                "location": str(table.site[k]),
+                "line": int(table.lines[k]),
                 **{f"{name}_mm": float(table.thickness[k, j]) for j, name in enumerate(LAYERS)},
-            }  # fmt: skip
+            }
             for j, key in enumerate(_KEYS):
                 entry |= {
                     key: values[i, j],
@@ -170,9 +177,16 @@ def told_apart(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
             scores.setdefault(str(table.person[row]), []).append(float(z[i]))
     adjusted = holm(np.array(p_rows))
     listed = [
-        {"subject": rows[k][0], "location": rows[k][1], "line": rows[k][2], "p": p_rows[k], "p_adjusted": float(adjusted[k])}
-        for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL
-    ]  # fmt: skip
+        {
+            "subject": rows[k][0],
+            "location": rows[k][1],
+            "line": rows[k][2],
+            "p": p_rows[k],
+            "p_adjusted": float(adjusted[k]),
+        }
+        for k in np.argsort(adjusted, kind="stable")
+        if adjusted[k] < _LEVEL
+    ]
     return {"level": _LEVEL, "rows": listed, "people": _people(scores)}
 
 
@@ -187,10 +201,15 @@ def _people(scores: dict[str, list[float]]) -> list[dict[str, Any]]:
     adjusted = holm(2 * norm.sf(np.abs(z)))
     order = [k for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL]
     return [
-        {"subject": names[k], "n_rows": int(counts[k]), "muscle": "stiffer" if z[k] > 0 else "softer",
-         "z": float(z[k]), "p_adjusted": float(adjusted[k])}
+        {
+            "subject": names[k],
+            "n_rows": int(counts[k]),
+            "muscle": "stiffer" if z[k] > 0 else "softer",
+            "z": float(z[k]),
+            "p_adjusted": float(adjusted[k]),
+        }
         for k in order
-    ]  # fmt: skip
+    ]
 
 
 def holm(p: Array) -> Array:
@@ -217,7 +236,8 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
                 told.append(f"{key} {own['beyond_family']}")
                 continue
             told.append(
-                f"{key.removesuffix('_kpa')} {own['geometric_mean']:.3g}{unit} (x/÷ {own['spread_factor']:.2f})"
+                f"{key.removesuffix('_kpa')} {own['geometric_mean']:.3g}{unit} (x/÷ "
+                f"{own['spread_factor']:.2f})"
             )
         lines.append(f"{name}: {site['n_rows']} rows, {', '.join(told)}")
     told_off = data["compliance_left_out"]["mean_absolute_difference_percent"]
@@ -227,5 +247,3 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
     lines.append(f"{len(standing['rows'])} rows and {len(standing['people'])} people stand out")
     lines.append(f"page: {page}")
     return lines
-
-

@@ -8,8 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limbcli.inference.left_out import (
-    FOLDS, percent_off, person_folds, predict_left_out, springs_left_out,
-)  # fmt: skip
+    FOLDS,
+    percent_off,
+    person_folds,
+    predict_left_out,
+    springs_left_out,
+)
 
 
 def cohort(rng, n=40, noise=0.1):

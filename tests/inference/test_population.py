@@ -30,7 +30,7 @@ def cohort(model, n, sigma, rng):
 
 
 def test_a_row_of_a_linear_model_is_the_conjugate_posterior(rng):
-    theta, seen, noise = cohort(linear, 200, 0.2, rng)
+    _theta, seen, noise = cohort(linear, 200, 0.2, rng)
     people, rows = estimate_population(linear, seen, noise, start=MEAN + 0.5, prior_deviation=PRIOR)
     precision = MIX.T @ MIX / 0.2**2 + np.linalg.inv(people.spread)
     right = seen @ MIX / 0.2**2 + np.linalg.inv(people.spread) @ people.mean
@@ -43,8 +43,8 @@ def test_a_row_of_a_linear_model_is_the_conjugate_posterior(rng):
 
 
 def test_population_is_recovered_with_honest_errors(rng):
-    theta, seen, noise = cohort(linear, 400, 0.15, rng)
-    people, rows = estimate_population(linear, seen, noise, start=MEAN - 0.5, prior_deviation=PRIOR)
+    _theta, seen, noise = cohort(linear, 400, 0.15, rng)
+    people, _rows = estimate_population(linear, seen, noise, start=MEAN - 0.5, prior_deviation=PRIOR)
     assert np.abs(people.mean - MEAN) == pytest.approx(np.zeros(3), abs=4 * people.mean_error.max())
     assert people.deviation == pytest.approx(np.sqrt(np.diag(SPREAD)), rel=0.2)
     # Of n people without any noise the mean's error is deviation / sqrt(n): with noise it is a little more.
@@ -62,7 +62,7 @@ def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
 
 
 def test_rows_without_information_are_the_population(rng):
-    theta, seen, noise = cohort(linear, 60, 0.1, rng)
+    _theta, seen, noise = cohort(linear, 60, 0.1, rng)
     noise[0] *= 1e8
     people, rows = estimate_population(linear, seen, noise, start=MEAN, prior_deviation=PRIOR)
     assert rows.shrinkage[0].min() > 0.8
@@ -71,7 +71,7 @@ def test_rows_without_information_are_the_population(rng):
 
 
 def test_one_who_is_unlike_the_others_stands_out(rng):
-    theta, seen, noise = cohort(linear, 80, 0.1, rng)
+    _theta, seen, noise = cohort(linear, 80, 0.1, rng)
     seen[5] += 2.5
     _, rows = estimate_population(linear, seen, noise, start=MEAN, prior_deviation=PRIOR)
     assert rows.misfit.argmax() == 5
@@ -79,7 +79,7 @@ def test_one_who_is_unlike_the_others_stands_out(rng):
 
 
 def test_rows_do_not_depend_on_each_other_under_a_given_population(rng):
-    theta, seen, noise = cohort(curved, 30, 0.1, rng)
+    _theta, seen, noise = cohort(curved, 30, 0.1, rng)
     every = row_modes(curved, seen, noise, MEAN, SPREAD)
     one = row_modes(curved, seen[3:4], noise[3:4], MEAN, SPREAD)
     assert every[3:4] == pytest.approx(one, abs=1e-4)

@@ -68,9 +68,18 @@ def test_layers_without_skin(tmp_path):
 def test_a_layer_that_grows_beyond_noise(tmp_path):
     rows = good()
     grown = rows[3]
-    parts = np.array([float(grown[f"{each}_strain"]) * float(grown[f"{each}_mm"]) for each in ("skin", "fat", "muscle")])
+    parts = np.array(
+        [float(grown[f"{each}_strain"]) * float(grown[f"{each}_mm"]) for each in ("skin", "fat", "muscle")]
+    )
     parts[1], parts[2] = -2.0, parts[2] + parts[1] + 2.0
-    rows[3] = row("P03", "LL_P", float(grown["max_force_n"]), np.array([1.5, 8.0, 33.0]), parts, float(grown["stiffness_mpa_per_mm"]))
+    rows[3] = row(
+        "P03",
+        "LL_P",
+        float(grown["max_force_n"]),
+        np.array([1.5, 8.0, 33.0]),
+        parts,
+        float(grown["stiffness_mpa_per_mm"]),
+    )
     words = told(tmp_path, rows)
     assert "the fat grows by 2.00 mm under load" in words
 
