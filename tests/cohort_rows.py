@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.inference.cohort_model import CohortModel, tissue
-from limbcli.inference.layered_family import FORCE, SKIN_PART, layered_family
+from limbcli.inference.layered_family import layered_family
+from limbcli.inference.layered_solves import FORCE, SKIN_PART
 
 HEADER = (
     "subject",

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.inference.layered_family import (
+from limbcli.inference.layered_family import LayeredFamily, OfTissue, is_inside
+from limbcli.inference.layered_solves import (
     CONVEXITY,
     EXPONENT,
     FORCE,
@@ -24,9 +25,6 @@ from limbcli.inference.layered_family import (
     MUSCLE_PART,
     RATIO,
     SKIN_PART,
-    LayeredFamily,
-    OfTissue,
-    is_inside,
 )
 from limbcli.inference.population import row_modes
 from limbcli.model import Array

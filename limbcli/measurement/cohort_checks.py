@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if raw is None or any(each.severity == "error" for each in problems):
         return None, problems
     columns, lines = raw.numbers, np.array(raw.lines)
-    complete = np.all([np.isfinite(columns[name]) | _is_skin(name) for name in REQUIRED], axis=0)
+    complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
     problems += _without_skin(raw, complete, path)
     n_left = int((~complete).sum())
     if n_left:
@@ -52,27 +53,15 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     problems += _impossible(raw, complete, path)
     if any(each.severity == "error" for each in problems):
         return None, problems
-    table = _table(raw, path)
-    table = table.rows(complete)
-    table = _counted(table, n_left)
+    table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
     problems += _repeated(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
 
-def _is_skin(name: str) -> bool:
-    return name == "skin_mm"
-
-
 def _at(lines: Array) -> str:
     named = ", ".join(str(each) for each in lines[:_SHOWN])
     return f" (lines {named}{' and others' if len(lines) > _SHOWN else ''})"
-
-
-def _counted(table: CohortTable, n: int) -> CohortTable:
-    from dataclasses import replace
-
-    return replace(table, n_incomplete=n)
 
 
 def _table(raw: RawTable, path: Path) -> CohortTable:

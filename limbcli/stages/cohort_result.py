@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from limbcli.inference.cohort_model import C_FAT, C_MUSCLE, PARAMETERS, M
-from limbcli.inference.layered_family import EXPONENT, HIGH, LOW
+from limbcli.inference.layered_solves import EXPONENT, HIGH, LOW, RATIO
 from limbcli.measurement.cohort_table import LAYERS, CohortTable
 from limbcli.model import Array
 from limbcli.units import kpa_from_mpa
@@ -29,6 +29,18 @@ def natural(theta: Array) -> Array:
     values = np.exp(theta)
     values[..., [C_MUSCLE, C_FAT]] = kpa_from_mpa(values[..., [C_MUSCLE, C_FAT]])
     return np.asarray(values)
+
+
+def within_family(theta: Array, middle: Array) -> Array:
+    """theta (n, 3) with c_fat and m no farther than the family's ends, seen from the rows' c_muscle.
+
+    Beyond an end the readings are those of the end: nothing is known there but the side.
+    """
+    out = theta.copy()
+    apart = theta[:, C_FAT] - middle[:, C_MUSCLE]
+    out[:, C_FAT] = middle[:, C_MUSCLE] + np.clip(apart, LOW[RATIO], HIGH[RATIO])
+    out[:, M] = np.clip(theta[:, M], LOW[EXPONENT], HIGH[EXPONENT])
+    return out
 
 
 def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
@@ -121,7 +133,10 @@ def row_entries(
     left_out = predicted["rows"]
     for site in sites:
         found = site.found
-        values, low, high = natural(found.mean), natural(found.low), natural(found.high)
+        middle = within_family(found.mean, found.mean)
+        values, low, high = (
+            natural(within_family(each, middle)) for each in (found.mean, found.low, found.high)
+        )
         answered, _ = site.model(found.mean, False)
         skin = site.model.skin_part(found.mean)
         p = chi2.sf(found.misfit, site.readings.shape[1])

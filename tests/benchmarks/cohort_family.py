@@ -46,7 +46,7 @@ COLUMNS = (
 LOW = np.array([np.log(0.35), 0.015, 0.02, np.log(0.1), np.log(1.5)])
 HIGH = np.array([np.log(4.2), 0.70, 0.14, np.log(15.0), np.log(12.0)])
 THICKEST_SKIN = 0.25  # of the whole
-MESHES = {"family": Counts(), "fine": Counts(4, 3, 3, 5, 1, 2, 3)}
+MESHES = {"family": Counts(), "fine": Counts(4, 3, 2, 5, 1, 2, 2)}
 FINE_STRAINS = (0.05, 0.12, 0.2)  # a finer mesh is there to tell what a mesh does; without derivatives
 SEED, HELD_OUT_SEED = 7, 11
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from limbcli.errors import ToolError
 from limbcli.inference.cohort_model import CohortModel
-from limbcli.inference.layered_family import (
+from limbcli.inference.layered_family import is_inside, layered_family
+from limbcli.inference.layered_solves import (
     COORDINATES,
     EXPONENT,
     FILE,
@@ -19,12 +20,10 @@ from limbcli.inference.layered_family import (
     MUSCLE_PART,
     RATIO,
     SKIN_PART,
-    is_inside,
-    layered_family,
     read_solved,
+    shares_of,
     trend,
 )
-from limbcli.inference.layered_family import _shares as shares
 
 PLACE = st.tuples(*(st.floats(0.02, 0.98) for _ in COORDINATES)).map(
     lambda unit: LOW + np.array(unit) * (HIGH - LOW)
@@ -33,7 +32,7 @@ PLACE = st.tuples(*(st.floats(0.02, 0.98) for _ in COORDINATES)).map(
 
 def answered(solved):
     """The solves' readings, and the emulator's."""
-    middle, _ = trend(shares(solved.x), solved.x[:, RATIO])
+    middle, _ = trend(shares_of(solved.x), solved.x[:, RATIO])
     return solved.y + middle, layered_family()(solved.x)
 
 

@@ -11,7 +11,8 @@ import pytest
 from limbcli.cli.app import main
 from limbcli.errors import MeasurementError
 from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
-from limbcli.inference.layered_family import FILE, HIGH, LOW, is_inside, layered_family
+from limbcli.inference.layered_family import is_inside, layered_family
+from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.stages.cohort import cohort
 from limbcli.stages.cohort_family import Member, solve_member
 from limbcli.stages.cohort_result import natural
@@ -150,8 +151,6 @@ def test_a_member_of_the_file_is_solved_again():
 
 
 def test_the_file_fills_the_family():
-    from limbcli.inference.layered_family import read_solved
-
     x = read_solved(FILE, "family").x
     reach = np.ptp(x, axis=0) / (HIGH - LOW)
     assert (reach[:5] > 0.85).all()

@@ -27,6 +27,7 @@ Row = Mapping[str, Any]
 _PARAMETERS = (("c_muscle_kpa", "c of muscle [kPa]"), ("c_fat_kpa", "c of fat [kPa]"), ("m", "m [–]"))
 _COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, "#56b4e9", "#8a6d00", QUIET)
 _LABELS_UPRIGHT = 5
+_TICKS = (-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50)
 
 
 def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
@@ -91,6 +92,10 @@ def one_tissue(rows: Sequence[Row]) -> Figure:
             ylabel="fat shortens more than one tissue would\n[noise deviations]",
         )
         axes.set_yscale("symlog", linthresh=5)
+        least, most = axes.get_ylim()
+        ticks = [each for each in _TICKS if least <= each <= most]
+        axes.set_yticks(ticks, [f"{each:g}" for each in ticks])
+        axes.set_yticks([], minor=True)
         axes.legend(loc="upper left")
     return figure
 
@@ -126,7 +131,7 @@ def compliance(entries: Sequence[Row]) -> Figure:
             xlabel="measured compliance [mm/MPa]",
             ylabel="predicted, person left out [mm/MPa]",
         )
-        axes.legend(ncols=2, fontsize=8)
+        axes.legend(ncols=2, fontsize=8, loc="upper left")
     return figure
 
 
