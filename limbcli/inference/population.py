@@ -94,7 +94,7 @@ def estimate_population(
     readings (n, q); noise (n, q, q), covariances; start (p,) a first mean; prior_deviation (p,) the deviation
     that the weak prior on the spread expects.
     """
-    problem = _Problem(readings, noise, np.linalg.inv(noise), model)
+    problem = _Problem(readings, noise, _inverse(noise), model)
     prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
     mean, spread = start.astype(float), np.diag(prior_deviation**2)
     theta = np.tile(mean, (len(readings), 1))
@@ -123,9 +123,13 @@ def estimate_population(
     )
 
 
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
 def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: Array) -> Array:
     """The most likely parameters (n, p) of every row under a population that is given."""
-    problem = _Problem(readings, noise, np.linalg.inv(noise), model)
+    problem = _Problem(readings, noise, _inverse(noise), model)
     return modes(problem, mean, spread, np.tile(mean, (len(readings), 1)))[0]
 
 
@@ -136,7 +140,7 @@ def modes(
 
     Gauss-Newton with steps cut in half where they climb.
     """
-    precision = np.linalg.inv(spread)
+    precision = _inverse(spread)
     theta = start.copy()
     values, slopes = problem.model(theta, True)
     cost = _cost(problem, values, theta, mean, precision)
@@ -160,7 +164,7 @@ def modes(
         if moved < 1e-5:
             break
     hessian, _ = _quadratic(problem, values, slopes, theta, mean, precision)
-    return theta, np.linalg.inv(hessian)
+    return theta, _inverse(hessian)
 
 
 def _cost(problem: _Problem, values: Array, theta: Array, mean: Array, precision: Array) -> Array:
@@ -204,7 +208,7 @@ def _sampled(
     points = theta + np.einsum("nij,dnj->dni", root, draws)
     p = points.shape[2]
     values, _ = problem.model(points, False)
-    precision = np.linalg.inv(spread)
+    precision = _inverse(spread)
     missed, apart = problem.readings - values, points - mean
     logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
     logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
@@ -223,7 +227,7 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
 def _population(points: Array, weights: Array, mean: Array, spread: Array, rounds: int) -> Population:
     """Standard errors from the rows' scores, by Fisher's identity: each is its posterior mean of the score of
     the complete data, and their squares add up to the information."""
-    precision = np.linalg.inv(spread)
+    precision = _inverse(spread)
     deviation = np.sqrt(np.diag(spread))
     apart = points - mean
     by_mean = np.einsum("dn,dni->ni", weights, apart) @ precision
@@ -233,7 +237,7 @@ def _population(points: Array, weights: Array, mean: Array, spread: Array, round
     scores = np.concatenate([by_mean * deviation, by_log_deviation], axis=1)
     scores = scores - scores.mean(axis=0)
     information = scores.T @ scores + 1e-6 * np.eye(scores.shape[1])
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.inv(information)), 0.0))
+    errors = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
     p = len(mean)
     return Population(mean, spread, errors[:p] * deviation, errors[p:] * deviation, rounds)
 

@@ -38,11 +38,11 @@ def answered(solved):
 
 def test_held_out_solves_are_answered_within_the_stated_error():
     solved = read_solved(FILE, "held-out family")
-    assert len(set(solved.member.tolist())) >= 5
+    assert len(set(solved.member.tolist())) >= 4
     measured, found = answered(solved)
     error = layered_family().error
     missed = np.sqrt(np.mean((measured - found)[is_inside(solved.x)] ** 2, axis=0))
-    # Of five members with strains that hang together: a root mean square may be twice what is stated.
+    # Of four members with strains that hang together: a root mean square may be twice what is stated.
     assert (missed < 2.0 * error).all(), missed / error
 
 
