@@ -200,7 +200,7 @@ def _left_out(solved: Solved, powers: IntArray) -> Array:
     missed = np.empty_like(solved.y)
     for fold in range(_FOLDS):
         out = np.isin(solved.member, numbers[fold::_FOLDS])
-        kept = Solved(*(each[~out] for each in (solved.member, solved.x, solved.y, solved.slopes)))
+        kept = Solved(solved.member[~out], solved.x[~out], solved.y[~out], solved.slopes[~out])
         missed[out] = solved.y[out] - _terms(_scaled(solved.x[out]), powers) @ _fitted(kept, powers)
     return np.asarray(np.sqrt(np.mean(missed**2, axis=0)))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.measurement.cohort_table import (
     FACE,
@@ -24,6 +25,8 @@ from limbcli.measurement.edge_noise import LayerNoise, layer_noise
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
 from limbcli.problems import Problem
+
+Rows = NDArray[np.bool_]
 
 _SHOWN = 5  # rows named of each kind
 _SUM_MM, _SUM_SHARE = 0.1, 0.005  # by how much layers may miss the whole: rounding
@@ -92,7 +95,7 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
     )
 
 
-def _listed(wrong: Array, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
+def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
     """A problem for each of the first wrong rows, and one for the rest."""
     rows = np.flatnonzero(wrong)
     found = [problem(words(k), path, fix, line=int(lines[k])) for k in rows[:_SHOWN]]
@@ -101,7 +104,7 @@ def _listed(wrong: Array, lines: Array, path: Path, words: Callable[[int], str],
     return found
 
 
-def _without_skin(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
+def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     skin = raw.numbers["skin_mm"]
     others = np.isfinite(raw.numbers["fat_mm"]) | np.isfinite(raw.numbers["muscle_mm"])
     return _listed(
@@ -113,13 +116,13 @@ def _without_skin(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
     )
 
 
-def _impossible(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
+def _impossible(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     """What no tissue and no probe can be, unit slips first: they make the others follow."""
     with np.errstate(all="ignore"):
         return _units(raw, complete, path) or _contradictions(raw, complete, path)
 
 
-def _units(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
+def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     columns, lines = raw.numbers, np.array(raw.lines)
     table = _table(raw, path)
     whole, force, strain = columns["thickness_mm"], columns["max_force_n"], columns["total_strain"]
@@ -169,7 +172,7 @@ def _units(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
     return found
 
 
-def _contradictions(raw: RawTable, complete: Array, path: Path) -> list[Problem]:
+def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     columns, lines = raw.numbers, np.array(raw.lines)
     table = _table(raw, path)
     whole, depth = columns["thickness_mm"], columns["total_strain"] * columns["thickness_mm"]
@@ -248,9 +251,9 @@ def _repeated(table: CohortTable) -> list[Problem]:
 
 def _grown(table: CohortTable, noise: LayerNoise) -> list[Problem]:
     limit = np.maximum(_GROWTH_SIGMAS * noise.shortened, _LEAST_GROWTH)
-    growing = table.shortened < -limit
+    growing: Rows = np.asarray(table.shortened < -limit)
     return _listed(
-        growing.any(axis=1),
+        np.asarray(growing.any(axis=1)),
         table.lines,
         table.path,
         lambda k: (

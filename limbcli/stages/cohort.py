@@ -35,7 +35,14 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, provenance
 from limbcli.stages.cohort_compliance import compliance_left_out
 from limbcli.stages.cohort_page import cohort_page
-from limbcli.stages.cohort_result import m_beyond, row_entries, site_entry, summary_lines, told_apart
+from limbcli.stages.cohort_result import (
+    c_fat_beyond,
+    m_beyond,
+    row_entries,
+    site_entry,
+    summary_lines,
+    told_apart,
+)
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
 FEWEST_ROWS = 5  # of a site, for a population
@@ -75,7 +82,7 @@ def cohort(
     CaseError, ToolError
         If the folder cannot be written, or the emulator's solves are missing.
     """
-    started = time.monotonic()
+    started = time.process_time()
     progress.event("stage", name="cohort")
     read, problems = checked_cohort(table)
     rows = checked(read, problems, MeasurementError)
@@ -85,7 +92,7 @@ def cohort(
     family = layered_family()
     noise = _noise_of(rows)
     estimates = estimate_sites(rows, family, noise, seed=seed, progress=progress)
-    seconds = time.monotonic() - started
+    seconds = time.process_time() - started
     progress.event("task", name="compliance of people left out", done=0, total=1)
     predicted, words = compliance_left_out(rows, family, noise.slope, noise.layers.shortened, seed=seed)
     progress.event("task", name="compliance of people left out", done=1, total=1)
@@ -166,6 +173,12 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
             f"them, so that m "
             "is known on one side only; slopes and largest forces do not tell more"
         )
+    stiff = [each.name for each in estimates if c_fat_beyond(each.population.mean)]
+    if stiff:
+        words.append(
+            f"{', '.join(stiff)}: the layers move otherwise than with any c_fat of the family, so that c_fat is known on "
+            "one side only"
+        )
     if ends:
         words.append(
             f"{ends} rows' tissue lies at an end of the family (c_fat/c_muscle 0.1 to 15, m 1.5 to 12)"
@@ -192,7 +205,7 @@ def _data(
         "n_rows": len(table),
         "n_people": len(table.people),
         "n_incomplete": table.n_incomplete,
-        "identification_seconds_per_row": seconds / len(table),
+        "identification_processor_s_per_row": seconds / len(table),
         "noise": {
             "layer_shortened_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.shortened, strict=True)),
             "edge_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.edge, strict=True)),

@@ -30,7 +30,12 @@ def compliance_left_out(
     n_people = len(table.people)
     if n_people < FOLDS:
         why = f"{n_people} people are too few for {FOLDS} folds by person"
-        empty = {"mean_absolute_difference_percent": None, "reason": why, "folds": {}, "rows": []}
+        empty: dict[str, Any] = {
+            "mean_absolute_difference_percent": None,
+            "reason": why,
+            "folds": {},
+            "rows": [],
+        }
         return empty, [f"{why}: the compliance of people left out is not predicted"]
     physics = _Slab(table, family, slope_deviation, layer_deviation)
     features = np.column_stack([np.log(table.thickness), np.log(table.whole), np.log(table.face)])

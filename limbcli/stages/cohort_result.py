@@ -48,7 +48,7 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
     people = site.population
     middle = natural(people.mean)
     low, high = (natural(people.mean + sign * _LIKELY * people.mean_error) for sign in (-1, 1))
-    beyond = m_beyond(people.mean)
+    beyond = {"m": m_beyond(people.mean), "c_fat_kpa": c_fat_beyond(people.mean)}
     spread, doubt = people.deviation, people.deviation_error
     root = np.sqrt(np.diag(people.spread))
     together = people.spread / np.outer(root, root)
@@ -62,7 +62,7 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
             "spread_of_ln_low": max(spread[k] - _LIKELY * doubt[k], 0.0),
             "spread_of_ln_high": spread[k] + _LIKELY * doubt[k],
             "mean_shrinkage": float(site.found.shrinkage[:, k].mean()),
-            "beyond_family": beyond if key == "m" else None,
+            "beyond_family": beyond.get(key),
         }
         for k, key in enumerate(_KEYS)
     }
@@ -90,6 +90,15 @@ def m_beyond(mean: Array) -> str | None:
     low, high = np.exp([LOW[EXPONENT], HIGH[EXPONENT]])
     m = float(np.exp(mean[M]))
     return f"below {low:.3g}" if m < low else f"above {high:.3g}" if m > high else None
+
+
+def c_fat_beyond(mean: Array) -> str | None:
+    """The same of c_fat / c_muscle."""
+    low, high = np.exp([LOW[RATIO], HIGH[RATIO]])
+    ratio = float(np.exp(mean[C_FAT] - mean[C_MUSCLE]))
+    if low <= ratio <= high:
+        return None
+    return f"below {low:.3g} c_muscle" if ratio < low else f"above {high:.3g} c_muscle"
 
 
 def missed_by_one_tissue(site: SiteEstimate) -> Array:

@@ -109,8 +109,8 @@ def show(title: str, data: dict[str, Any], seconds: float) -> None:
     noise = {key: round(value, 3) for key, value in data["noise"]["layer_shortened_mm"].items()}
     print(
         f"Noise of a layer's shortening, mm: {noise}; of ln stiffness {data['noise']['ln_stiffness']:.3f}. "
-        f"Identification: {1000 * data['identification_seconds_per_row']:.0f} ms a row. Emulator: "
-        f"{data['emulator']}"
+        f"Identification: {1000 * data['identification_processor_s_per_row']:.0f} processor ms a row. "
+        f"Emulator: {data['emulator']}"
     )
     print(f"Stand out: {len(data['stands_out']['rows'])} rows, {len(data['stands_out']['people'])} people.")
     for each in data["warnings"]:

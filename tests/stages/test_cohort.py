@@ -166,7 +166,7 @@ def test_the_lower_leg_of_the_real_table(shared, tmp_path):
         rows = [row for row in csv.DictReader(stream) if row["location"] in ("LL_A", "LL_P")]
     data = cohort(written(tmp_path / "legs.csv", rows), out=tmp_path / "out").data
     assert (data["n_rows"], data["n_people"]) == (187, 95)
-    assert data["identification_seconds_per_row"] < 0.5
+    assert data["identification_processor_s_per_row"] < 0.5
     found = data["compliance_left_out"]
     assert found["mean_absolute_difference_percent"] < found["same_folds"]["sites_mean_percent"]
     assert found["repeatability"]["percent_from_trials"] is None
