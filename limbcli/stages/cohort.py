@@ -176,8 +176,8 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     stiff = [each.name for each in estimates if c_fat_beyond(each.population.mean)]
     if stiff:
         words.append(
-            f"{', '.join(stiff)}: the layers move otherwise than with any c_fat of the family, so that c_fat is known on "
-            "one side only"
+            f"{', '.join(stiff)}: the layers move otherwise than with any c_fat of the family, so that c_fat "
+            "is known on one side only"
         )
     if ends:
         words.append(
