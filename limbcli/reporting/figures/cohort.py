@@ -51,7 +51,9 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _bar(axes: Axes, x: float, own: Mapping[str, float]) -> None:
+def _bar(axes: Axes, x: float, own: Mapping[str, Any]) -> None:
+    if own["beyond_family"]:
+        return  # known on one side only
     middle, factor = own["geometric_mean"], own["spread_factor"]
     axes.plot(
         [x, x], [middle / factor, middle * factor], color=VERMILION, lw=5, alpha=0.45, solid_capstyle="butt"
