@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.inference.layered_family import LayeredFamily, OfTissue, is_inside
 from limbcli.inference.layered_solves import (
@@ -82,13 +83,13 @@ class CohortModel:
         values, _ = self.of_tissue(tissue(theta))
         return np.asarray(theta[..., C_MUSCLE] + values[..., FORCE] - values[..., CONVEXITY])
 
-    def at_an_end(self, theta: Array) -> Array:
+    def at_an_end(self, theta: Array) -> NDArray[np.bool_]:
         """Which rows' tissue (n,) lies at an end of the family."""
         x, ends = tissue(theta), [RATIO, EXPONENT]
         return np.asarray(((x <= LOW[ends] + 1e-3) | (x >= HIGH[ends] - 1e-3)).any(axis=1))
 
     @property
-    def inside(self) -> Array:
+    def inside(self) -> NDArray[np.bool_]:
         """Rows (n,) whose shape and strain the family holds."""
         return is_inside(self.shape)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import ToolError
 from limbcli.inference.layered_solves import (
@@ -114,7 +115,7 @@ class OfTissue:
         return values, found * within[..., None, :]
 
 
-def is_inside(x: Array) -> Array:
+def is_inside(x: Array) -> NDArray[np.bool_]:
     """Which coordinates (n, 6) lie within the family, whatever the tissue: (n,) bool."""
     own = [k for k in range(x.shape[1]) if k not in (RATIO, EXPONENT)]
     slack = 0.02 * (HIGH - LOW)

@@ -11,8 +11,10 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.measurement.tables import RawTable, problem, read_table
 from limbcli.model import Array
@@ -115,7 +117,7 @@ class CohortTable:
     def people(self) -> list[str]:
         return sorted(set(self.person.tolist()))
 
-    def rows(self, keep: Array) -> CohortTable:
+    def rows(self, keep: NDArray[Any]) -> CohortTable:
         """The rows that `keep` (bool or numbers) says."""
         names = (
             "person",

@@ -28,7 +28,7 @@ from limbcli.inference.layered_solves import SKIN_RATIO
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.slab import LAYERS, QUARTER, Counts, Slab, slab_model
-from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession, SessionResult
 
@@ -147,7 +147,7 @@ def _answer(member: Member, slab: Slab, plan: Schedule, found: SessionResult, gr
     return Answer(strain, force / scale, sunk[:, 1] / depth, sunk[:, 2] / depth, *slopes)
 
 
-def _from_surface(values: Array, items: Array) -> Array:
+def _from_surface(values: Array, items: IntArray) -> Array:
     """Columns in the order surface, below skin, below fat: nodes on the axis count up with height."""
     return np.asarray(values[:, np.argsort(items)[::-1]])
 

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.cli.app import main
 from limbcli.errors import MeasurementError
-from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
+from limbcli.inference.cohort_model import PRIOR_DEVIATION, START, CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.stages.cohort import cohort
@@ -132,12 +132,16 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     family, faces = layered_family(), np.full(len(chosen), face)
     model = CohortModel.of(family, thickness, faces, strain)
     seen = readings(np.array(force), faces, thickness.sum(axis=1), shortened, np.array(slope))
-    found = row_modes_of(model, seen, shortened, family)
+    exact = np.full(3, 0.01)  # mm: these marks have no noise
+    found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
     apart = found - truth
     keep = is_inside(model.shape)
-    # A mesh and the emulator together: a quarter; c_fat is read from a part of the shortening, a half.
+    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening; a
+    # tissue more than two deviations of the weak prior away from its middle is pulled there where layers are thin.
     assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
-    assert np.sqrt(np.mean(apart[keep, 1] ** 2)) < 0.5
+    usual = keep & (np.abs(truth[:, 1] - START[1]) < 2 * PRIOR_DEVIATION[1])
+    assert usual.sum() >= 2
+    assert np.sqrt(np.mean(apart[usual, 1] ** 2)) < 0.4
 
 
 def test_a_member_of_the_file_is_solved_again():
