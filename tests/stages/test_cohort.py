@@ -136,8 +136,8 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
     apart = found - truth
     keep = is_inside(model.shape)
-    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening; a
-    # tissue more than two deviations of the weak prior away from its middle is pulled there where layers are thin.
+    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;
+    # a tissue beyond two deviations of the weak prior is pulled to its middle where layers are thin.
     assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
     usual = keep & (np.abs(truth[:, 1] - START[1]) < 2 * PRIOR_DEVIATION[1])
     assert usual.sum() >= 2
