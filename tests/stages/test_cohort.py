@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.cli.app import main
 from limbcli.errors import MeasurementError
-from limbcli.inference.cohort_model import PRIOR_DEVIATION, START, CohortModel, readings, row_modes_of
+from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.stages.cohort import cohort
@@ -136,12 +136,10 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
     apart = found - truth
     keep = is_inside(model.shape)
-    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;
-    # a tissue beyond two deviations of the weak prior is pulled to its middle where layers are thin.
+    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening; of a
+    # thin slab with fat a sixth as stiff as muscle that says little, and the prior decides: hence the median.
     assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
-    usual = keep & (np.abs(truth[:, 1] - START[1]) < 2 * PRIOR_DEVIATION[1])
-    assert usual.sum() >= 2
-    assert np.sqrt(np.mean(apart[usual, 1] ** 2)) < 0.4
+    assert np.median(np.abs(apart[keep, 1])) < 0.4
 
 
 def test_a_member_of_the_file_is_solved_again():
