@@ -136,8 +136,8 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
     apart = found - truth
     keep = is_inside(model.shape)
-    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening; of a
-    # thin slab with fat a sixth as stiff as muscle that says little, and the prior decides: hence the median.
+    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;
+    # of a thin slab with fat a sixth as stiff as muscle that says little, the prior decides: hence the median.
     assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
     assert np.median(np.abs(apart[keep, 1])) < 0.4
 
