@@ -137,7 +137,7 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     apart = found - truth
     keep = is_inside(model.shape)
     # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;
-    # of a thin slab with fat a sixth as stiff as muscle that says little, the prior decides: hence the median.
+    # of a thin slab with fat a sixth as stiff as muscle it says little and the prior decides: so the median.
     assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
     assert np.median(np.abs(apart[keep, 1])) < 0.4
 
