@@ -38,6 +38,7 @@ COMMANDS = {
     "diagnose": "diagnose",
     "report": "report",
     "batch": "batch",
+    "cohort": "cohort",
     "phantom": "phantom",
     "synth": "synth",
 }

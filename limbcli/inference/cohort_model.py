@@ -1,0 +1,158 @@
+"""One row of a cohort as the layered slab sees it: what tissue makes of its readings, and how sure these are.
+
+Tissue: theta = ln c_muscle (MPa), ln c_fat (MPa), ln m. Readings of a row, at the strain that it reached:
+
+    ln of largest force over (face, strain)             how stiff the whole is
+    ln of the secant's slope over the stiffness          how it stiffens, which is m's
+    fat's part of what fat and muscle shorten            which layer is the softer
+
+Skin's own shortening is compared with what the slab says and not used: skin's stiffness is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.inference.layered_family import LayeredFamily, OfTissue, is_inside
+from limbcli.inference.layered_solves import (
+    CONVEXITY,
+    EXPONENT,
+    FORCE,
+    HIGH,
+    LOW,
+    MUSCLE_PART,
+    RATIO,
+    SKIN_PART,
+)
+from limbcli.inference.population import row_modes
+from limbcli.model import Array
+
+PARAMETERS = ("c_muscle", "c_fat", "m")
+C_MUSCLE, C_FAT, M = range(3)
+# A first mean, and the deviation that the weak prior on the spread expects: c of some kPa, within a factor 2.
+START = np.log(np.array([0.008, 0.008, 3.0]))
+PRIOR_DEVIATION = np.array([0.5, 0.7, 0.4])
+ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table tells
+FORCE_NOISE = 0.02  # of the force, one deviation: transducer and hold
+_STEEPNESS = 1.4  # d ln force / d ln depth, typically: what an error of the depth makes of the force
+_LEAST_NEAR_LINE, _NEAR_LINE, _ASSUMED_SLOPE = 20, 0.003, 0.05
+_TO_DEVIATION = 1.4826  # of a Gaussian, over the median absolute deviation
+
+
+@dataclass(frozen=True, eq=False)
+class CohortModel:
+    """Rows of one population: coordinates (n, 6), the tissue's left open, and what tissue makes of them."""
+
+    shape: Array
+    of_tissue: OfTissue
+
+    @staticmethod
+    def of(family: LayeredFamily, thickness: Array, face: Array, strain: Array) -> CohortModel:
+        """thickness (n, 3: skin, fat, muscle) mm, face (n,) mm2, strain (n,) of the whole."""
+        root = np.sqrt(face)
+        whole = thickness.sum(axis=1)
+        share = thickness[:, 1] / (thickness[:, 1] + thickness[:, 2])
+        open_ = np.zeros(len(whole))
+        shape = np.column_stack([np.log(whole / root), share, thickness[:, 0] / root, open_, open_, strain])
+        return CohortModel(shape, family.of_shape(shape))
+
+    def __call__(self, theta: Array, slopes: bool) -> tuple[Array, Array]:
+        """Readings (..., n, 3) of tissue (..., n, 3), and their derivatives (..., n, 3, 3)."""
+        values, rates = self.of_tissue(tissue(theta), slopes=slopes)
+        part = 1.0 / (1.0 + np.exp(-values[..., MUSCLE_PART]))
+        seen = np.stack(
+            [theta[..., C_MUSCLE] + values[..., FORCE], values[..., CONVEXITY], 1.0 - part], axis=-1
+        )
+        if not slopes:
+            return seen, np.empty((*seen.shape, 0))
+        by_part = -(part * (1 - part))[..., None] * rates[..., MUSCLE_PART, :]
+        by = np.stack([rates[..., FORCE, :], rates[..., CONVEXITY, :], by_part], axis=-2)
+        found = np.stack([-by[..., 0], by[..., 0], by[..., 1]], axis=-1)
+        found[..., 0, C_MUSCLE] += 1.0
+        return seen, found
+
+    def skin_part(self, theta: Array) -> Array:
+        """Skin's part (n,) of the whole shortening."""
+        return np.asarray(self.of_tissue(tissue(theta))[0][..., SKIN_PART])
+
+    def log_slope(self, theta: Array) -> Array:
+        """ln of the stiffness (n,): pressure over displacement (MPa/mm) times the thickness (mm)."""
+        values, _ = self.of_tissue(tissue(theta))
+        return np.asarray(theta[..., C_MUSCLE] + values[..., FORCE] - values[..., CONVEXITY])
+
+    def at_an_end(self, theta: Array) -> NDArray[np.bool_]:
+        """Which rows' tissue (n,) lies at an end of the family."""
+        x, ends = tissue(theta), [RATIO, EXPONENT]
+        return np.asarray(((x <= LOW[ends] + 1e-3) | (x >= HIGH[ends] - 1e-3)).any(axis=1))
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Rows (n,) whose shape and strain the family holds."""
+        return is_inside(self.shape)
+
+
+def tissue(theta: Array) -> Array:
+    """ln ratio and ln m (..., 2) of theta (..., 3)."""
+    return np.stack([theta[..., C_FAT] - theta[..., C_MUSCLE], theta[..., M]], axis=-1)
+
+
+def readings(force: Array, face: Array, whole: Array, shortened: Array, slope: Array) -> Array:
+    """The three readings (n, 3) of rows: N, mm2, mm, (n, 3) mm, MPa/mm."""
+    depth = shortened.sum(axis=1)
+    below = shortened[:, 1] + shortened[:, 2]
+    secant = force / face / depth
+    return np.column_stack([np.log(secant * whole), np.log(secant / slope), shortened[:, 1] / below])
+
+
+def reading_noise(
+    shortened: Array, layer_deviation: Array, slope_deviation: float, emulator_error: Array
+) -> Array:
+    """Covariances (n, 3, 3): the edges' noise, the slope's, the force's, and the emulator's error.
+
+    layer_deviation (3,) mm of a layer's shortening; emulator_error (4,) as LayeredFamily.error
+    """
+    depth, below = shortened.sum(axis=1), shortened[:, 1] + shortened[:, 2]
+    part = np.clip(shortened[:, 1] / below, 0.0, 1.0)
+    edge = layer_deviation.max()  # the whole has two outer edges in each image, as a layer has
+    out = np.zeros((len(depth), 3, 3))
+    out[:, 0, 0] = FORCE_NOISE**2 + (_STEEPNESS * edge / depth) ** 2 + emulator_error[FORCE] ** 2
+    out[:, 1, 1] = slope_deviation**2 + emulator_error[CONVEXITY] ** 2
+    marks = (layer_deviation[1] * (1 - part)) ** 2 + (layer_deviation[2] * part) ** 2
+    out[:, 2, 2] = marks / below**2 + (0.25 * emulator_error[MUSCLE_PART]) ** 2
+    return out
+
+
+def row_modes_of(
+    model: CohortModel,
+    seen: Array,
+    shortened: Array,
+    family: LayeredFamily,
+    *,
+    layer_deviation: Array | None = None,
+    slope_deviation: float = _ASSUMED_SLOPE,
+) -> Array:
+    """The most likely tissue (n, 3) of each row under the weak prior alone: no row knows of another.
+
+    layer_deviation (3,) mm; None: what is assumed where no table tells
+    """
+    deviation = np.full(3, 2 * ASSUMED_EDGE) if layer_deviation is None else layer_deviation
+    noise = reading_noise(shortened, deviation, slope_deviation, family.error)
+    return row_modes(model, seen, noise, START, np.diag(PRIOR_DEVIATION**2))
+
+
+def slope_noise(convexity: Array, r2_line: Array | None, r2_parabola: Array | None) -> tuple[float, bool]:
+    """Deviation of the ln of stiffness, and whether the table tells it.
+
+    Where a parabola fits no better than the line, the line's slope must be the secant's: what the two differ
+    by is noise. convexity (n,): ln of secant over slope.
+    """
+    if r2_line is None or r2_parabola is None:
+        return _ASSUMED_SLOPE, False
+    near = np.abs(r2_parabola - r2_line) < _NEAR_LINE
+    if near.sum() < _LEAST_NEAR_LINE:
+        return _ASSUMED_SLOPE, False
+    values = convexity[near]
+    return float(_TO_DEVIATION * np.median(np.abs(values - np.median(values)))), True

@@ -1,0 +1,217 @@
+"""The emulator of the layered slab: readings of an indentation for any thickness, layers and tissue, in
+microseconds, from solves of the reference solver that ship with the package.
+
+Per reading a polynomial in the family's numbers and the strain, of second or third degree (whichever misses
+left-out members less), over the trend that springs in series give. It is fitted to the solves' values and to
+their exact derivatives by tissue. Its error is what it misses on members left out of the fit, told reading by
+reading; held-out members of another sequence are the check of the tests.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import ToolError
+from limbcli.inference.layered_solves import (
+    COORDINATES,
+    EXPONENT,
+    FILE,
+    HIGH,
+    LOW,
+    RATIO,
+    READINGS,
+    Solved,
+    read_solved,
+    shares_of,
+    trend,
+)
+from limbcli.model import Array, IntArray
+
+_DEGREES, _CORRECTION_DEGREE = (2, 3), 1
+_RIDGE = 1e-4
+_SLOPE_WEIGHT = 0.5
+_FOLDS = 6
+_MESH, _FINE = "family", "fine"
+_FEWEST_FINE = 6  # members on the finer mesh, from which on they correct the family
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredFamily:
+    """powers (n_terms, 6); coefficients (n_terms, 4); error (4,): one deviation of every reading.
+
+    Readings: ln of force over (c_muscle, face, strain); ln of the secant over the slope of the line through
+    first contact; logit of muscle's part of what fat and muscle shorten; skin's part of the whole shortening.
+    """
+
+    powers: IntArray
+    coefficients: Array
+    error: Array
+    n_members: int
+    n_fine: int
+
+    def __call__(self, x: Array) -> Array:
+        """Readings (n, 4) at coordinates x (n, 6)."""
+        x = np.clip(x, LOW, HIGH)
+        return np.asarray(
+            _terms(_scaled(x), self.powers) @ self.coefficients + trend(shares_of(x), x[:, RATIO])[0]
+        )
+
+    def of_shape(self, x: Array) -> OfTissue:
+        """The readings of rows of given shape and strain, x (n, 6), as functions of their tissue alone."""
+        x = np.clip(x, LOW, HIGH)
+        u = _scaled(x)
+        u[:, [RATIO, EXPONENT]] = 1.0
+        weighted = _terms(u, self.powers)[:, :, None] * self.coefficients
+        n = int(self.powers.max()) + 1
+        out = np.zeros((len(x), n, n, self.coefficients.shape[1]))
+        for term, (i, j) in enumerate(self.powers[:, [RATIO, EXPONENT]]):
+            out[:, i, j] += weighted[:, term]
+        return OfTissue(out, shares_of(x))
+
+
+@dataclass(frozen=True, eq=False)
+class OfTissue:
+    """Rows' readings: a trend over polynomials of scaled ln ratio and ln m.
+
+    table (n, degree + 1, degree + 1, 4); shares (n, 3) of skin, fat, muscle
+    """
+
+    table: Array
+    shares: Array
+
+    def __call__(self, tissue: Array, *, slopes: bool = False) -> tuple[Array, Array]:
+        """Readings (..., n, 4) at ln ratio and ln m (..., n, 2), and derivatives (..., n, 4, 2) by them.
+
+        Beyond an end of the family the end's value stands.
+        """
+        ends = [RATIO, EXPONENT]
+        low, high = LOW[ends], HIGH[ends]
+        inside = np.clip(tissue, low, high)
+        u = 2.0 * (inside - low) / (high - low) - 1.0
+        up = np.arange(self.table.shape[1])
+        a, b = u[..., [0]] ** up, u[..., [1]] ** up
+        middle, by_ratio = trend(self.shares, inside[..., 0])
+        values = middle + np.einsum("...ni,...nj,nijq->...nq", a, b, self.table, optimize=True)
+        if not slopes:
+            return values, np.empty((*values.shape, 0))
+        rate = np.maximum(up - 1, 0)
+        by_a, by_b = up * u[..., [0]] ** rate, up * u[..., [1]] ** rate
+        found = np.stack(
+            [
+                np.einsum("...ni,...nj,nijq->...nq", by_a, b, self.table, optimize=True),
+                np.einsum("...ni,...nj,nijq->...nq", a, by_b, self.table, optimize=True),
+            ],
+            axis=-1,
+        )
+        within = (tissue > low) & (tissue < high)
+        found = found * (2.0 / (high - low))
+        found[..., 0] += by_ratio
+        return values, found * within[..., None, :]
+
+
+def is_inside(x: Array) -> NDArray[np.bool_]:
+    """Which coordinates (n, 6) lie within the family, whatever the tissue: (n,) bool."""
+    own = [k for k in range(x.shape[1]) if k not in (RATIO, EXPONENT)]
+    slack = 0.02 * (HIGH - LOW)
+    return np.asarray(((x >= LOW - slack) & (x <= HIGH + slack))[:, own].all(axis=1))
+
+
+@functools.cache
+def layered_family(path: Path = FILE) -> LayeredFamily:
+    """The emulator from its file of solves.
+
+    Raises
+    ------
+    ToolError
+        If the file is missing or damaged.
+    """
+    solved = read_solved(path, _MESH)
+    if len(set(solved.member.tolist())) < _FOLDS:
+        raise ToolError(
+            "too few solves lie behind the cohort's emulator",
+            where=str(path),
+            fix="install limbcli again: pip install --force-reinstall limbcli",
+        )
+    powers = _powers(max(_DEGREES))
+    coefficients, error = np.zeros((len(powers), len(READINGS))), np.full(len(READINGS), np.inf)
+    for degree in _DEGREES:
+        low = powers.sum(axis=1) <= degree
+        missed = _left_out(solved, powers[low])
+        better = missed < error
+        fitted = np.zeros_like(coefficients)
+        fitted[low] = _fitted(solved, powers[low])
+        coefficients[:, better], error[better] = fitted[:, better], missed[better]
+    fine = read_solved(path, _FINE)
+    n_fine = len(set(fine.member.tolist()))
+    if n_fine >= _FEWEST_FINE:
+        coefficients = coefficients + _correction(fine, powers, coefficients)
+    return LayeredFamily(powers, coefficients, error, len(set(solved.member.tolist())), n_fine)
+
+
+def _powers(degree: int) -> IntArray:
+    terms = [
+        each for each in itertools.product(range(degree + 1), repeat=len(COORDINATES)) if sum(each) <= degree
+    ]
+    return np.array(sorted(terms, key=lambda each: (sum(each), each)), dtype=np.int64)
+
+
+def _scaled(x: Array) -> Array:
+    return np.asarray(2.0 * (x - LOW) / (HIGH - LOW) - 1.0)
+
+
+def _terms(u: Array, powers: IntArray, *, by: int | None = None) -> Array:
+    """Monomials (n, n_terms) of scaled coordinates, or their derivatives by one of them."""
+    highest = int(powers.max())
+    table = u[:, :, None] ** np.arange(highest + 1)  # (n, 6, degree + 1)
+    out = np.ones((len(u), len(powers)))
+    for j in range(u.shape[1]):
+        if by == j:
+            p = powers[:, j]
+            out *= p * table[:, j, np.maximum(p - 1, 0)]
+        else:
+            out *= table[:, j, powers[:, j]]
+    return out
+
+
+def _fitted(solved: Solved, powers: IntArray) -> Array:
+    """Coefficients (n_terms, 4) by least squares on values and derivatives."""
+    u = _scaled(solved.x)
+    blocks, targets = [_terms(u, powers)], [solved.y]
+    for k, j in enumerate((RATIO, EXPONENT)):
+        half = 0.5 * (HIGH[j] - LOW[j])
+        blocks.append(_SLOPE_WEIGHT * _terms(u, powers, by=j))
+        targets.append(_SLOPE_WEIGHT * half * solved.slopes[:, :, k])
+    a, b = np.concatenate(blocks), np.concatenate(targets)
+    known = np.isfinite(b).all(axis=1)
+    a, b = a[known], b[known]
+    grown = powers.sum(axis=1)
+    ridge = np.diag(_RIDGE * len(solved.x) * (grown > 1))
+    return np.asarray(np.linalg.solve(a.T @ a + ridge, a.T @ b))
+
+
+def _left_out(solved: Solved, powers: IntArray) -> Array:
+    """Root mean square (4,) of what members left out of the fit are missed by."""
+    numbers = np.unique(solved.member)
+    missed = np.empty_like(solved.y)
+    for fold in range(_FOLDS):
+        out = np.isin(solved.member, numbers[fold::_FOLDS])
+        kept = Solved(solved.member[~out], solved.x[~out], solved.y[~out], solved.slopes[~out])
+        missed[out] = solved.y[out] - _terms(_scaled(solved.x[out]), powers) @ _fitted(kept, powers)
+    return np.asarray(np.sqrt(np.mean(missed**2, axis=0)))
+
+
+def _correction(fine: Solved, powers: IntArray, coefficients: Array) -> Array:
+    """What a finer mesh adds (n_terms, 4): a plane through what the family misses of its members."""
+    low = powers.sum(axis=1) <= _CORRECTION_DEGREE
+    missed = fine.y - _terms(_scaled(fine.x), powers) @ coefficients
+    a = _terms(_scaled(fine.x), powers[low])
+    ridge = 0.05 * len(fine.x) * np.diag((powers[low].sum(axis=1) > 0).astype(float))
+    added = np.zeros_like(coefficients)
+    added[low] = np.linalg.solve(a.T @ a + ridge, a.T @ missed)
+    return added

@@ -1,0 +1,275 @@
+"""A hierarchical estimate: every row has parameters of its own, drawn from one population.
+
+    y_i = g_i(theta_i) + noise,  noise ~ N(0, R_i),  theta_i ~ N(mean, spread)
+
+y_i are a row's readings, g_i the model of that row, theta_i logarithms of its parameters. The population's
+mean and spread are those of greatest likelihood but for a weak inverse-Wishart prior on the spread, which
+keeps it from collapsing where a parameter is hardly seen (it weighs as much as a few rows). They are found by
+expectation-maximisation: first with Laplace's approximation of every row's distribution, then with
+importance sampling from a wider t distribution round it, which is right where the row's distribution is not
+Gaussian. The effective number of draws says whether the sampling can be trusted.
+
+Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
+sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.model import Array
+
+Model = Callable[[Array, bool], tuple[Array, Array]]
+"""theta (..., n, p), whether derivatives are wanted -> readings (..., n, q), derivatives (..., n, q, p)."""
+
+DRAWS = 400
+_PRIOR_ROWS = 3.0  # rows that the prior on the spread weighs as much as
+_FREEDOM = 6.0  # of the t distribution that is drawn from
+_WIDER = 1.15
+_MOST_ROUNDS, _SAMPLED_ROUNDS = 150, 15
+_STILL = 1e-3
+_STEPS, _STEPS_BETWEEN = 40, 4  # of Newton's method: at the ends, and between two rounds
+_HALVINGS = 8
+_LARGEST_STEP = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """mean (p,), spread (p, p) covariance; standard errors of the means and of the deviations (p,)."""
+
+    mean: Array
+    spread: Array
+    mean_error: Array
+    deviation_error: Array
+    rounds: int
+
+    @property
+    def deviation(self) -> Array:
+        return np.asarray(np.sqrt(np.diag(self.spread)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Of every row: posterior mean and deviation (n, p), 95 % interval low and high (n, p), the mode (n, p),
+    effective draws (n,), and how much of the population's variance was left unlearnt (n, p), 0 to 1.
+
+    misfit (n,): distance of the readings from those of the population's middle, squared, in deviations of
+    both population and noise; as many degrees of freedom as readings.
+    """
+
+    mean: Array
+    deviation: Array
+    low: Array
+    high: Array
+    mode: Array
+    effective: Array
+    shrinkage: Array
+    misfit: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """readings (n, q), noise covariances (n, q, q) with their inverses, and the model."""
+
+    readings: Array
+    noise: Array
+    weights: Array
+    model: Model
+
+
+def estimate_population(
+    model: Model,
+    readings: Array,
+    noise: Array,
+    *,
+    start: Array,
+    prior_deviation: Array,
+    seed: int = 7,
+) -> tuple[Population, Rows]:
+    """Mean and spread of a population, and every row's own estimate.
+
+    readings (n, q); noise (n, q, q), covariances; start (p,) a first mean; prior_deviation (p,) the deviation
+    that the weak prior on the spread expects.
+    """
+    problem = _Problem(readings, noise, _inverse(noise), model)
+    prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
+    mean, spread = start.astype(float), np.diag(prior_deviation**2)
+    theta = np.tile(mean, (len(readings), 1))
+    rounds = 0
+    for rounds in range(1, _MOST_ROUNDS + 1):
+        theta, covariance = modes(
+            problem, mean, spread, theta, steps=_STEPS if rounds == 1 else _STEPS_BETWEEN
+        )
+        before = mean
+        mean, spread = _maximised(theta, covariance, prior)
+        if np.max(np.abs(mean - before) / np.sqrt(np.diag(spread))) < _STILL:
+            break
+    draws = _standard_draws(len(readings), len(mean), seed)
+    for _ in range(_SAMPLED_ROUNDS):
+        theta, covariance = modes(problem, mean, spread, theta, steps=_STEPS_BETWEEN)
+        points, weights = _sampled(problem, mean, spread, theta, covariance, draws)
+        before = mean
+        mean, spread = _maximised(*_moments(points, weights), prior)
+        rounds += 1
+        if np.max(np.abs(mean - before) / np.sqrt(np.diag(spread))) < 3 * _STILL:
+            break
+    theta, covariance = modes(problem, mean, spread, theta)
+    points, weights = _sampled(problem, mean, spread, theta, covariance, draws)
+    return _population(points, weights, mean, spread, rounds), _rows(
+        problem, mean, spread, theta, points, weights
+    )
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: Array) -> Array:
+    """The most likely parameters (n, p) of every row under a population that is given."""
+    problem = _Problem(readings, noise, _inverse(noise), model)
+    return modes(problem, mean, spread, np.tile(mean, (len(readings), 1)))[0]
+
+
+def modes(
+    problem: _Problem, mean: Array, spread: Array, start: Array, *, steps: int = _STEPS
+) -> tuple[Array, Array]:
+    """The most likely parameters (n, p) of every row under a population, and their covariance (n, p, p).
+
+    Gauss-Newton with steps cut in half where they climb.
+    """
+    precision = _inverse(spread)
+    theta = start.copy()
+    values, slopes = problem.model(theta, True)
+    cost = _cost(problem, values, theta, mean, precision)
+    for _ in range(steps):
+        hessian, gradient = _quadratic(problem, values, slopes, theta, mean, precision)
+        step = np.clip(-np.linalg.solve(hessian, gradient[..., None])[..., 0], -_LARGEST_STEP, _LARGEST_STEP)
+        pace = np.ones(len(theta))
+        for _ in range(_HALVINGS):
+            tried = theta + pace[:, None] * step
+            tried_values, _ = problem.model(tried, False)
+            new = _cost(problem, tried_values, tried, mean, precision)
+            worse = new > cost + 1e-12
+            if not worse.any():
+                break
+            pace[worse] *= 0.5
+        better = new <= cost + 1e-12
+        moved = float(np.max(np.abs(pace[:, None] * step)[better], initial=0.0))
+        theta = np.where(better[:, None], tried, theta)
+        values, slopes = problem.model(theta, True)
+        cost = _cost(problem, values, theta, mean, precision)
+        if moved < 1e-5:
+            break
+    hessian, _ = _quadratic(problem, values, slopes, theta, mean, precision)
+    return theta, _inverse(hessian)
+
+
+def _cost(problem: _Problem, values: Array, theta: Array, mean: Array, precision: Array) -> Array:
+    """Minus the logarithm of likelihood times prior, but for a constant: (...,)."""
+    missed, apart = problem.readings - values, theta - mean
+    fit = np.einsum("ni,nij,nj->n", missed, problem.weights, missed)
+    return np.asarray(0.5 * (fit + np.einsum("ni,ij,nj->n", apart, precision, apart)))
+
+
+def _quadratic(
+    problem: _Problem, values: Array, slopes: Array, theta: Array, mean: Array, precision: Array
+) -> tuple[Array, Array]:
+    weighted = np.einsum("nqp,nqr->npr", slopes, problem.weights)
+    hessian = weighted @ slopes + precision
+    missed = problem.readings - values
+    gradient = -np.einsum("npr,nr->np", weighted, missed) + (theta - mean) @ precision
+    return hessian, gradient
+
+
+def _maximised(theta: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
+    """Mean and spread from every row's mean and covariance."""
+    mean = theta.mean(axis=0)
+    apart = theta - mean
+    total = covariance.sum(axis=0) + apart.T @ apart + prior
+    return mean, total / (len(theta) + _PRIOR_ROWS)
+
+
+def _standard_draws(n: int, p: int, seed: int) -> Array:
+    """(DRAWS, n, p) of a standard t distribution, in pairs of opposite sign."""
+    rng = np.random.default_rng(seed)
+    half = rng.standard_normal((DRAWS // 2, n, p))
+    half /= np.sqrt(rng.chisquare(_FREEDOM, (DRAWS // 2, n, 1)) / _FREEDOM)
+    return np.concatenate([half, -half])
+
+
+def _sampled(
+    problem: _Problem, mean: Array, spread: Array, theta: Array, covariance: Array, draws: Array
+) -> tuple[Array, Array]:
+    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws."""
+    root = _WIDER * np.linalg.cholesky(covariance)
+    points = theta + np.einsum("nij,dnj->dni", root, draws)
+    p = points.shape[2]
+    values, _ = problem.model(points, False)
+    precision = _inverse(spread)
+    missed, apart = problem.readings - values, points - mean
+    logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
+    logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
+    logs += 0.5 * (_FREEDOM + p) * np.log1p(np.sum(draws**2, axis=2) / _FREEDOM)
+    logs -= logs.max(axis=0)
+    weights = np.exp(logs)
+    return points, weights / weights.sum(axis=0)
+
+
+def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
+    mean = np.einsum("dn,dni->ni", weights, points)
+    apart = points - mean
+    return mean, np.einsum("dn,dni,dnj->nij", weights, apart, apart)
+
+
+def _population(points: Array, weights: Array, mean: Array, spread: Array, rounds: int) -> Population:
+    """Standard errors from the rows' scores, by Fisher's identity: each is its posterior mean of the score of
+    the complete data, and their squares add up to the information."""
+    precision = _inverse(spread)
+    deviation = np.sqrt(np.diag(spread))
+    apart = points - mean
+    by_mean = np.einsum("dn,dni->ni", weights, apart) @ precision
+    squared = np.einsum("dn,dni,dnj->nij", weights, apart, apart)
+    own = precision @ squared @ precision - precision
+    by_log_deviation = np.einsum("nij,ji->ni", own, spread)  # a common factor on each parameter's row
+    scores = np.concatenate([by_mean * deviation, by_log_deviation], axis=1)
+    scores = scores - scores.mean(axis=0)
+    information = scores.T @ scores + 1e-6 * np.eye(scores.shape[1])
+    errors = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
+    p = len(mean)
+    return Population(mean, spread, errors[:p] * deviation, errors[p:] * deviation, rounds)
+
+
+def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array) -> Rows:
+    middle, covariance = _moments(points, weights)
+    low, high = (_quantiles(points, weights, q) for q in (0.025, 0.975))
+    variance = np.einsum("nii->ni", covariance)
+    return Rows(
+        middle,
+        np.sqrt(variance),
+        low,
+        high,
+        mode,
+        1.0 / np.sum(weights**2, axis=0),
+        np.clip(variance / np.diag(spread), 0.0, 1.0),
+        _misfit(problem, mean, spread),
+    )
+
+
+def _quantiles(points: Array, weights: Array, q: float) -> Array:
+    order = np.argsort(points, axis=0)
+    places = np.take_along_axis(points, order, axis=0)
+    shares = np.take_along_axis(np.broadcast_to(weights[:, :, None], points.shape), order, axis=0)
+    reached = np.cumsum(shares, axis=0) - 0.5 * shares
+    first = np.argmax(reached >= q, axis=0)
+    return np.asarray(np.take_along_axis(places, first[None], axis=0)[0])
+
+
+def _misfit(problem: _Problem, mean: Array, spread: Array) -> Array:
+    n = len(problem.readings)
+    values, slopes = problem.model(np.tile(mean, (n, 1)), True)
+    expected = slopes @ spread @ slopes.transpose(0, 2, 1) + problem.noise
+    missed = problem.readings - values
+    return np.asarray(np.einsum("ni,ni->n", missed, np.linalg.solve(expected, missed[..., None])[..., 0]))

@@ -1,0 +1,264 @@
+"""What cannot be in a table of a cohort: every row is looked at before anything is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.measurement.cohort_table import (
+    FACE,
+    LAYERS,
+    PERSON,
+    PRESSURE,
+    REQUIRED,
+    SEX,
+    SITE,
+    TRIAL,
+    CohortTable,
+    read_cohort,
+)
+from limbcli.measurement.edge_noise import LayerNoise, layer_noise
+from limbcli.measurement.tables import RawTable, problem
+from limbcli.model import Array
+from limbcli.problems import Problem
+
+Rows = NDArray[np.bool_]
+
+_SHOWN = 5  # rows named of each kind
+_SUM_MM, _SUM_SHARE = 0.1, 0.005  # by how much layers may miss the whole: rounding
+_GROWTH_SIGMAS, _LEAST_GROWTH = 6.0, 0.5  # noise deviations, mm: beyond them a layer grew
+_FACE = (20.0, 10_000.0)  # mm2
+_WHOLE = (1.0, 400.0)  # mm
+_FORCE = (0.05, 500.0)  # N
+_SLOPE_OFF = 5.0  # times the pressure over the depth: beyond it the slope's unit is wrong
+
+
+def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
+    """The complete rows of a table, if they can be used, and every problem."""
+    raw, problems = read_cohort(path)
+    if raw is None or any(each.severity == "error" for each in problems):
+        return None, problems
+    columns, lines = raw.numbers, np.array(raw.lines)
+    complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
+    problems += _without_skin(raw, complete, path)
+    n_left = int((~complete).sum())
+    if n_left:
+        words = f"{n_left} of {len(lines)} rows lack a reading and are left out{_at(lines[~complete])}"
+        problems.append(problem(words, path, "fill the empty cells, or leave it so", warning=True))
+    if not complete.any():
+        problems.append(problem("no row is complete", path, "fill the empty cells"))
+    if any(each.severity == "error" for each in problems):
+        return None, problems
+    problems += _impossible(raw, complete, path)
+    if any(each.severity == "error" for each in problems):
+        return None, problems
+    table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
+    problems += _repeated(table)
+    problems += _grown(table, layer_noise(table.shortened))
+    return (None if any(each.severity == "error" for each in problems) else table), problems
+
+
+def _at(lines: Array) -> str:
+    named = ", ".join(str(each) for each in lines[:_SHOWN])
+    return f" (lines {named}{' and others' if len(lines) > _SHOWN else ''})"
+
+
+def _table(raw: RawTable, path: Path) -> CohortTable:
+    columns = raw.numbers
+    n = len(raw)
+    thickness = np.stack([columns[f"{each}_mm"] for each in LAYERS], axis=1)
+    strain = np.stack([columns[f"{each}_strain"] for each in LAYERS], axis=1)
+    face = columns.get(FACE, np.full(n, np.nan))
+    if PRESSURE in columns:
+        face = np.where(np.isfinite(face), face, columns["max_force_n"] / columns[PRESSURE])
+    text = {
+        name: np.array(raw.texts.get(name, [""] * n), dtype=object) for name in (PERSON, SITE, TRIAL, SEX)
+    }
+    used = {*REQUIRED, FACE, PRESSURE}
+    return CohortTable(
+        text[PERSON],
+        text[SITE],
+        text[TRIAL],
+        text[SEX],
+        columns["max_force_n"],
+        face,
+        thickness,
+        strain * thickness,
+        columns["stiffness_mpa_per_mm"],
+        {name: each for name, each in columns.items() if name not in used},
+        np.array(raw.lines),
+        path,
+    )
+
+
+def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
+    """A problem for each of the first wrong rows, and one for the rest."""
+    rows = np.flatnonzero(wrong)
+    found = [problem(words(k), path, fix, line=int(lines[k])) for k in rows[:_SHOWN]]
+    if len(rows) > _SHOWN:
+        found.append(problem(f"and {len(rows) - _SHOWN} more rows like these", path, fix))
+    return found
+
+
+def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+    skin = raw.numbers["skin_mm"]
+    others = np.isfinite(raw.numbers["fat_mm"]) | np.isfinite(raw.numbers["muscle_mm"])
+    return _listed(
+        complete & others & (~np.isfinite(skin) | (skin == 0.0)),
+        np.array(raw.lines),
+        path,
+        lambda k: "there are layers below the skin, but no skin: skin_mm is empty or 0",
+        "mark the border of skin and fat too: without it the fat's thickness holds the skin's",
+    )
+
+
+def _impossible(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+    """What no tissue and no probe can be, unit slips first: they make the others follow."""
+    with np.errstate(all="ignore"):
+        return _units(raw, complete, path) or _contradictions(raw, complete, path)
+
+
+def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+    columns, lines = raw.numbers, np.array(raw.lines)
+    table = _table(raw, path)
+    whole, force, strain = columns["thickness_mm"], columns["max_force_n"], columns["total_strain"]
+    depth = strain * whole
+    found = _listed(
+        complete & ~((whole >= _WHOLE[0]) & (whole <= _WHOLE[1])),
+        lines,
+        path,
+        lambda k: f"thickness_mm is {whole[k]:g}: its unit looks wrong",
+        "give millimetres",
+    )
+    found += _listed(
+        complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
+        lines,
+        path,
+        lambda k: f"max_force_n is {force[k]:g}: its unit looks wrong",
+        "give newtons",
+    )
+    found += _listed(
+        complete & ~((table.face >= _FACE[0]) & (table.face <= _FACE[1])),
+        lines,
+        path,
+        lambda k: f"the probe's face is {table.face[k]:g} mm2: a unit of face, force or pressure looks wrong",
+        "give face_mm2 in mm2, or max_pressure_mpa in MPa and max_force_n in N",
+    )
+    percent = np.max([np.abs(columns[f"{each}_strain"]) for each in ("total", *LAYERS)], axis=0)
+    found += _listed(
+        complete & (percent > 2.0),
+        lines,
+        path,
+        lambda k: f"a strain is {percent[k]:g}: its unit looks wrong",
+        "give shortening over thickness (0.2, not 20)",
+    )
+    secant = force / table.face / depth
+    off = table.slope / secant
+    found += _listed(
+        complete & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
+        lines,
+        path,
+        lambda k: (
+            f"stiffness_mpa_per_mm is {table.slope[k]:g} where pressure over displacement is "
+            f"{secant[k]:.3g}: "
+            "its unit looks wrong"
+        ),
+        "give the slope of pressure (MPa) over displacement (mm)",
+    )
+    return found
+
+
+def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+    columns, lines = raw.numbers, np.array(raw.lines)
+    table = _table(raw, path)
+    whole, depth = columns["thickness_mm"], columns["total_strain"] * columns["thickness_mm"]
+    apart = np.abs(table.whole - whole)
+    found = _listed(
+        complete & (table.thickness <= 0).any(axis=1),
+        lines,
+        path,
+        lambda k: (
+            "interfaces cross at first contact: "
+            + ", ".join(f"{n} {table.thickness[k, j]:g} mm" for j, n in enumerate(LAYERS))
+        ),
+        "a layer's lower border lies below its upper one; mark them again",
+    )
+    found += _listed(
+        complete & (apart > _SUM_MM + _SUM_SHARE * whole),
+        lines,
+        path,
+        lambda k: f"the layers add up to {table.whole[k]:.2f} mm, thickness_mm is {whole[k]:.2f}",
+        "the borders of a layer must be those of its neighbours; correct thickness_mm or a layer",
+    )
+    crossing = (table.shortened >= table.thickness) & (table.thickness > 0)
+    found += _listed(
+        complete & crossing.any(axis=1),
+        lines,
+        path,
+        lambda k: (
+            f"interfaces cross under load: the {LAYERS[int(np.argmax(crossing[k]))]} shortens by its "
+            f"whole thickness"
+        ),
+        "mark the image at the largest force again; a strain stays below 1",
+    )
+    missed = np.abs(table.depth - depth)
+    found += _listed(
+        complete & (missed > _SUM_MM + 0.02 * np.abs(depth)),
+        lines,
+        path,
+        lambda k: f"the layers shorten by {table.depth[k]:.2f} mm, the whole by {depth[k]:.2f}",
+        "correct total_strain or a layer's strain",
+    )
+    found += _listed(
+        complete & (depth <= 0),
+        lines,
+        path,
+        lambda k: f"the whole grows under load: total_strain is {columns['total_strain'][k]:g}",
+        "shortening counts positive; mark both images again",
+    )
+    girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
+    found += _listed(
+        complete & (np.nan_to_num(girth, nan=np.inf) <= np.pi * whole),
+        lines,
+        path,
+        lambda k: (
+            f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm "
+            f"thick "
+            f"from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
+        ),
+        "give the limb's circumference at the site in mm, or leave the cell empty",
+    )
+    return found
+
+
+def _repeated(table: CohortTable) -> list[Problem]:
+    """The same person, site and trial in two rows."""
+    first: dict[tuple[str, str, str], int] = {}
+    found = []
+    for k, key in enumerate(zip(table.person, table.site, table.trial, strict=True)):
+        if key in first:
+            words = f"person {key[0]}, site {key[1]} stands in line {table.lines[first[key]]} already"
+            fix = "remove one of them, or number repetitions in a column `trial`"
+            found.append(problem(words, table.path, fix, line=int(table.lines[k])))
+        else:
+            first[key] = k
+    return found[:_SHOWN]
+
+
+def _grown(table: CohortTable, noise: LayerNoise) -> list[Problem]:
+    limit = np.maximum(_GROWTH_SIGMAS * noise.shortened, _LEAST_GROWTH)
+    growing: Rows = np.asarray(table.shortened < -limit)
+    return _listed(
+        np.asarray(growing.any(axis=1)),
+        table.lines,
+        table.path,
+        lambda k: (
+            f"the {LAYERS[j := int(np.argmax(growing[k]))]} grows by {-table.shortened[k, j]:.2f} mm "
+            f"under load, more than the noise of its edges ({noise.shortened[j]:.2f} mm) allows"
+        ),
+        "shortening counts positive; mark the borders of both images again",
+    )

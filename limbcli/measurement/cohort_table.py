@@ -1,0 +1,184 @@
+"""A table of people and sites, each indented once (or a few times): what `limbcli cohort` reads.
+
+One row: the layers under the probe at first contact, how much each shortened at the largest force, that
+force, and the slope of pressure over displacement. No image, no limb, no wave speed is needed.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.measurement.tables import RawTable, problem, read_table
+from limbcli.model import Array
+from limbcli.problems import Problem, suggestion
+
+LAYERS = ("skin", "fat", "muscle")
+# Other names under which the texts may stand.
+PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
+_ALSO = {"person": PERSON, "site": SITE}
+FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
+
+REQUIRED: Mapping[str, str] = {
+    "max_force_n": "largest normal force of the probe",
+    "thickness_mm": "skin to bone at first contact",
+    "skin_mm": "skin at first contact",
+    "fat_mm": "fat at first contact",
+    "muscle_mm": "muscle at first contact; the three layers add up to the thickness",
+    "total_strain": "shortening of the whole over thickness_mm, at the largest force",
+    "skin_strain": "shortening of the skin over skin_mm, at the largest force",
+    "fat_strain": "the same of the fat",
+    "muscle_strain": "the same of the muscle; the three shortenings add up to the whole's",
+    "stiffness_mpa_per_mm": "slope of pressure over displacement: of the line from first contact on",
+}
+OPTIONAL: Mapping[str, str] = {
+    FACE: "area of the probe's face; or max_pressure_mpa",
+    PRESSURE: "largest force over the face: tells the face where face_mm2 is missing",
+    "circumference_mm": "of the limb at the site (checked against the layers)",
+    "age_years": "used in a second prediction of compliance",
+    "bmi_kg_per_m2": "used in a second prediction of compliance",
+    "r2_line": "R2 of the line through the record",
+    "r2_parabola": "R2 of a parabola: with r2_line, what the slope's own noise is",
+}
+TEXTS: Mapping[str, str] = {
+    PERSON: "the person (or `person`); never a name",
+    SITE: "the place on the body (or `site`)",
+    TRIAL: "optional: which repetition, where a person's site was measured more than once",
+    SEX: "optional, any two words; used in a second prediction of compliance",
+}
+_MAY_BE_EMPTY = frozenset(
+    {
+        "thickness_mm",
+        "muscle_mm",
+        "fat_mm",
+        "skin_mm",
+        "total_strain",
+        "skin_strain",
+        "fat_strain",
+        "muscle_strain",
+        "stiffness_mpa_per_mm",
+        "max_force_n",
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CohortTable:
+    """Complete rows; arrays (n_rows,). face mm2; thickness, shortened (n_rows, 3: skin, fat, muscle) mm.
+
+    slope : MPa/mm; others : optional number columns (NaN where empty); lines : of the file
+    n_incomplete : rows that were left out because a reading is missing
+    """
+
+    person: Array
+    site: Array
+    trial: Array
+    sex: Array
+    force: Array
+    face: Array
+    thickness: Array
+    shortened: Array
+    slope: Array
+    others: Mapping[str, Array]
+    lines: Array
+    path: Path
+    n_incomplete: int = 0
+
+    def __len__(self) -> int:
+        return len(self.force)
+
+    @property
+    def whole(self) -> Array:
+        """Skin to bone (mm)."""
+        return np.asarray(self.thickness.sum(axis=1))
+
+    @property
+    def depth(self) -> Array:
+        """How far the probe went (mm): the whole's shortening."""
+        return np.asarray(self.shortened.sum(axis=1))
+
+    @property
+    def compliance(self) -> Array:
+        """mm/MPa: one over the slope."""
+        return np.asarray(1.0 / self.slope)
+
+    @property
+    def sites(self) -> list[str]:
+        return sorted(set(self.site.tolist()))
+
+    @property
+    def people(self) -> list[str]:
+        return sorted(set(self.person.tolist()))
+
+    def rows(self, keep: NDArray[Any]) -> CohortTable:
+        """The rows that `keep` (bool or numbers) says."""
+        names = (
+            "person",
+            "site",
+            "trial",
+            "sex",
+            "force",
+            "face",
+            "thickness",
+            "shortened",
+            "slope",
+            "lines",
+        )
+        parts = {name: getattr(self, name)[keep] for name in names}
+        return replace(self, **parts, others={name: each[keep] for name, each in self.others.items()})
+
+
+def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
+    """The table's columns as they stand, and every problem of its form.
+
+    Columns that nobody asked for are left aside, with a warning that names the nearest known one.
+    """
+    if not path.is_file():
+        return None, [problem("there is no such table", path, "name a CSV file with the documented columns")]
+    known = {*REQUIRED, *OPTIONAL, *TEXTS}
+    header = _header(path)
+    spare = {each for each in header if each and each not in known | set(_ALSO)}
+    texts = {*TEXTS, *_ALSO, *spare}
+    optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
+    required = [each for each in REQUIRED if each not in optional]
+    table, problems = read_table(path, required=required, optional=optional, texts=texts)
+    problems = [*_lacking(header, path), *problems] if header else problems
+    for name in sorted(spare):
+        hint = suggestion(name, known)
+        fix = hint if hint.startswith("did you mean") else "nothing, if that is meant"
+        problems.append(problem(f"column {name!r} is not used", path, fix, line=1, warning=True))
+    if table is None:
+        return None, problems
+    columns = {_ALSO.get(name, name): each for name, each in table.texts.items() if name not in spare}
+    return replace(table, texts=columns), problems
+
+
+def _header(path: Path) -> list[str]:
+    """The first line's names; none where the file cannot be read (which `read_table` then tells)."""
+    try:
+        line = path.read_text(encoding="utf-8-sig").lstrip("\n").partition("\n")[0]
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [cell.strip() for cell in next(csv.reader(io.StringIO(line)), [])] if "," in line else []
+
+
+def _lacking(header: list[str], path: Path) -> list[Problem]:
+    """Columns that are missing, each with what it holds."""
+    found = []
+    for name in (PERSON, SITE):
+        if name not in header and not any(_ALSO.get(each) == name for each in header):
+            found.append(problem(f"column {name!r} is missing", path, f"add it: {TEXTS[name]}", line=1))
+    for name in _MAY_BE_EMPTY:
+        if name not in header:
+            found.append(problem(f"column {name!r} is missing", path, f"add it: {REQUIRED[name]}", line=1))
+    if FACE not in header and PRESSURE not in header:
+        fix = f"add {FACE}, the area of the probe's face, or {PRESSURE}, the force over it"
+        found.append(problem("the probe's face is not known", path, fix, line=1))
+    return sorted(found, key=lambda each: each.what)

@@ -1,0 +1,298 @@
+"""The page of a cohort: reads what `cohort.json` holds and shows it; computes nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.figures import cohort as drawn
+from limbcli.reporting.numbers import DASH, cell, significant
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
+
+Data = Mapping[str, Any]
+_NAMES = (("c_muscle_kpa", "c of muscle", "kPa"), ("c_fat_kpa", "c of fat", "kPa"), ("m", "m", ""))
+_LISTED = 25
+
+
+def cohort_reportlets(data: Data) -> list[Reportlet]:
+    """One question each, in the order of reading."""
+    return [
+        population(data),
+        standing_out(data),
+        misfits(data),
+        one_tissue(data),
+        left_out(data),
+        grounds(data),
+    ]
+
+
+def population(data: Data) -> Reportlet:
+    rows = []
+    for site, own in data["sites"].items():
+        for k, (key, name, unit) in enumerate(_NAMES):
+            value = own["population"][key]
+            first = (Cell(f"{site} ({own['n_rows']} rows)", lead=True, down=3),) if k == 0 else ()
+            interval = f"{significant(value['low'])} to {significant(value['high'])}"
+            spread = (
+                f"×/÷ {value['spread_factor']:.2f} "
+                f"({_factor(value['spread_of_ln_low'])} to {_factor(value['spread_of_ln_high'])})"
+            )
+            beyond = value["beyond_family"]
+            middle = (
+                Cell(beyond, reason="the family ends there")
+                if beyond
+                else cell(value["geometric_mean"], unit=unit)
+            )
+            if beyond:
+                interval = spread = DASH
+            rows.append(
+                (
+                    *first,
+                    Cell(name),
+                    middle,
+                    Cell(interval),
+                    Cell(spread),
+                    Cell(f"{100 * value['mean_shrinkage']:.0f} %"),
+                )
+            )
+    names = (
+        "site",
+        "parameter",
+        "middle of the people",
+        "95 % interval of the middle",
+        "spread between people",
+        "left to the population",
+    )
+    table = Table(
+        "Population of every site: geometric means and spreads as factors",
+        (head(*names),),
+        tuple(rows),
+        numeric=False,
+    )
+    return Reportlet(
+        "population",
+        "Which tissue have these people?",
+        pictures=(
+            Picture(
+                "distributions",
+                "c of muscle, c of fat and m of every row with 95 % intervals, and each site’s population",
+                figure=drawn.distributions(data["rows"], data["sites"]),
+            ),
+        ),
+        tables=(table,),
+        look_for="dots (people, with their 95 % intervals) that spread beyond their intervals: people "
+        "differ. The bar at the "
+        "right of each site is the population’s middle (line) and spread (pale)",
+        bad="intervals as long as the pale bar, and a high share “left to the population”: the readings "
+        "tell little of that "
+        "parameter, and a person’s value is mostly the population’s",
+    )
+
+
+def _factor(ln: float) -> str:
+    return f"{math.exp(ln):.2f}"
+
+
+def standing_out(data: Data) -> Reportlet:
+    found = data["stands_out"]
+    people = tuple(
+        (
+            Cell(each["subject"], lead=True),
+            Cell(str(each["n_rows"])),
+            Cell(each["muscle"]),
+            cell(each["z"], digits=2),
+            cell(each["p_adjusted"], digits=2),
+        )
+        for each in found["people"][:_LISTED]
+    )
+    rows = tuple(
+        (
+            Cell(each["subject"], lead=True),
+            Cell(each["location"]),
+            Cell(str(each["line"])),
+            cell(each["p_adjusted"], digits=2),
+        )
+        for each in found["rows"][:_LISTED]
+    )
+    tables = []
+    if people:
+        tables.append(
+            Table(
+                "People whose muscle differs over all of their sites",
+                (head("person", "rows", "muscle is", "z", "p, adjusted"),),
+                people,
+            )
+        )
+    if rows:
+        tables.append(
+            Table(
+                "Rows that their site’s population does not expect",
+                (head("person", "site", "line", "p, adjusted"),),
+                rows,
+            )
+        )
+    counts = (
+        f"{len(found['rows'])} rows and {len(found['people'])} people stand out at "
+        f"{100 * found['level']:g} %, adjusted for all looked at (Holm)."
+    )
+    return Reportlet(
+        "stands-out",
+        "Who stands out?",
+        "warning" if tables else "fine",
+        tables=tuple(tables),
+        notes=(counts,),
+        look_for="the lines named here: first a slip of the pen or a bad image, then a person unlike the "
+        "others",
+        bad="a list as long as the table: then the model is wrong for this site, not the people",
+    )
+
+
+def misfits(data: Data) -> Reportlet:
+    return Reportlet(
+        "misfits",
+        "What does the model miss?",
+        pictures=(
+            Picture(
+                "misfits",
+                "measured and predicted part of fat and of skin in the shortening, a dot a row",
+                figure=drawn.misfits(data["rows"]),
+            ),
+        ),
+        look_for="dots on the line at the left: fat and muscle shorten as the fitted layers do",
+        bad="a cloud off the line. At the right nothing was fitted: skin is held five times as stiff as "
+        "muscle, and its "
+        "shortening is of the size of the marks’ noise",
+    )
+
+
+def one_tissue(data: Data) -> Reportlet:
+    rows = tuple(
+        (
+            Cell(site, lead=True),
+            cell(own["homogeneous"]["median_noise_deviations"], digits=2),
+            cell(own["homogeneous"]["median_absolute_noise_deviations"], digits=2),
+            Cell(f"{100 * own['homogeneous']['share_beyond_2']:.0f} %"),
+            cell(own["c_fat_over_c_muscle"], digits=2),
+        )
+        for site, own in data["sites"].items()
+    )
+    names = ("site", "median", "median, sign aside", "rows beyond 2", "c of fat / c of muscle")
+    return Reportlet(
+        "one-tissue",
+        "Would one tissue do?",
+        pictures=(
+            Picture(
+                "one-tissue",
+                "by how many noise deviations fat shortens more than one homogeneous tissue would, over "
+                "fat thickness",
+                figure=drawn.one_tissue(data["rows"]),
+            ),
+        ),
+        tables=(
+            Table(
+                "Fat’s shortening over that of one tissue, in deviations of the edges’ noise",
+                (head(*names),),
+                rows,
+            ),
+        ),
+        look_for="dots within the band: fat and muscle move like one tissue. Below it, fat is the "
+        "stiffer layer; above it, the softer",
+        bad="most dots outside: a homogeneous model moves its material lines otherwise than the tissue does",
+    )
+
+
+def left_out(data: Data) -> Reportlet:
+    found = data["compliance_left_out"]
+    key, title = "left-out", "How well is compliance predicted of people left out?"
+    if found["mean_absolute_difference_percent"] is None:
+        return Reportlet(key, title, "warning", warned=(found["reason"],))
+    same = found["same_folds"]
+    rows = [
+        ("this prediction, from thicknesses", found["mean_absolute_difference_percent"]),
+        ("springs in series, same folds", same["springs_in_series_percent"]),
+        ("linear, site by site, same folds", same["linear_site_by_site_percent"]),
+        ("each site’s mean, same folds", same["sites_mean_percent"]),
+    ]
+    person = found["with_person_columns"]
+    if person:
+        rows.insert(1, (f"with {', '.join(person['columns'])}", person["mean_absolute_difference_percent"]))
+    repeat = found["repeatability"]
+    rows.append(("of it marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
+    if repeat["percent_from_trials"] is not None:
+        rows.append(("of it repeatability (trials)", repeat["percent_from_trials"]))
+    table = Table(
+        "Mean of |predicted − measured| / measured, ten folds by person",
+        (head("model", "percent"),),
+        tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
+    )
+    return Reportlet(
+        key,
+        title,
+        pictures=(
+            Picture(
+                "left-out",
+                "predicted over measured compliance of people left out, by site",
+                figure=drawn.compliance(found["rows"]),
+            ),
+        ),
+        tables=(table,),
+        look_for="dots along the line, within the grey band",
+        bad="one site beside the line (its tissue differs), or a flat cloud (thickness tells nothing there)",
+        notes=(repeat["reason"],) if repeat.get("reason") else (),
+    )
+
+
+def grounds(data: Data) -> Reportlet:
+    noise, emulator = data["noise"], data["emulator"]
+    error = emulator["left_out_error"]
+    rows = [
+        (
+            f"noise of the {layer}’s shortening",
+            f"{significant(value, 2)} mm",
+            "from this table" if noise["from_data"][layer] else "taken from the others",
+        )
+        for layer, value in noise["layer_shortened_mm"].items()
+    ]
+    rows += [
+        (
+            "noise of the stiffness",
+            f"{100 * noise['ln_stiffness']:.1f} %",
+            "from this table" if noise["ln_stiffness_from_data"] else "assumed",
+        ),
+        (
+            "solves behind the emulator",
+            str(emulator["n_solves"]),
+            f"and {emulator['n_solves_on_finer_mesh']} on a finer mesh",
+        ),
+        (
+            "emulator’s error of the force",
+            f"{error['force_percent']:.1f} %",
+            "one deviation, members left out",
+        ),
+        (
+            "emulator’s error of muscle’s part (logit)",
+            significant(error["logit_muscle_part"], 2),
+            "one deviation, members left out",
+        ),
+    ]
+    return Reportlet(
+        "grounds",
+        "What do these numbers rest on?",
+        tables=(
+            Table(
+                "Noise and emulator",
+                (head("what", "value", "whence"),),
+                tuple((Cell(a, lead=True), Cell(b or DASH), Cell(c)) for a, b, c in rows),
+                numeric=False,
+            ),
+        ),
+        look_for="noise well below a layer’s shortening, and an emulator error below it",
+        bad="an assumed noise: the intervals are as good as that guess",
+        notes=(
+            "The model is a flat layered slab on a rigid base under a face four times as long as wide: "
+            "the limb’s shape is not "
+            "known. c is what this shape makes of the force; compare people of one site, and sites with "
+            "care.",
+        ),
+    )

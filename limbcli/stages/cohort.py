@@ -1,0 +1,257 @@
+"""A cohort: every row of a table identified with one family of models, then the population behind them.
+
+The table's rows are people's sites; what is written is `cohort.json`, `rows.csv`, a page and its pictures.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import MeasurementError
+from limbcli.files import atomic_file, sha256
+from limbcli.inference.cohort_model import (
+    PRIOR_DEVIATION,
+    START,
+    CohortModel,
+    reading_noise,
+    readings,
+    slope_noise,
+)
+from limbcli.inference.layered_family import LayeredFamily, layered_family
+from limbcli.inference.population import Population, Rows, estimate_population
+from limbcli.measurement.cohort_checks import checked_cohort
+from limbcli.measurement.cohort_table import CohortTable
+from limbcli.measurement.edge_noise import LayerNoise, layer_noise
+from limbcli.model import Array, IntArray
+from limbcli.problems import Problem, checked
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, plain, provenance
+from limbcli.stages.cohort_compliance import compliance_left_out
+from limbcli.stages.cohort_page import cohort_page
+from limbcli.stages.cohort_result import (
+    c_fat_beyond,
+    m_beyond,
+    row_entries,
+    site_entry,
+    summary_lines,
+    told_apart,
+)
+
+STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
+FEWEST_ROWS = 5  # of a site, for a population
+
+
+@dataclass(frozen=True, eq=False)
+class SiteEstimate:
+    """One site's rows (numbers in the table), their model and what was found."""
+
+    name: str
+    rows: IntArray
+    model: CohortModel
+    readings: Array
+    noise: Array
+    population: Population
+    found: Rows
+
+
+@dataclass(frozen=True, eq=False)
+class CohortNoise:
+    """What the table's own noise is: of layers' shortening (mm), and of the ln of stiffness."""
+
+    layers: LayerNoise
+    slope: float
+    slope_from_data: bool
+
+
+def cohort(
+    table: Path, *, out: Path, seed: int = 7, templates: Path | None = None, progress: Progress = SILENT
+) -> StageResult:
+    """Identify every row of a table, estimate the population of each site, predict who was left out.
+
+    Raises
+    ------
+    MeasurementError
+        If the table cannot be used; every problem is named with its line.
+    CaseError, ToolError
+        If the folder cannot be written, or the emulator's solves are missing.
+    """
+    started = time.process_time()
+    progress.event("stage", name="cohort")
+    read, problems = checked_cohort(table)
+    rows = checked(read, problems, MeasurementError)
+    warnings = [_told(each) for each in problems if each.severity == "warning"]
+    rows, left_out_sites = _with_enough(rows)
+    warnings += left_out_sites
+    family = layered_family()
+    noise = _noise_of(rows)
+    estimates = estimate_sites(rows, family, noise, seed=seed, progress=progress)
+    seconds = time.process_time() - started
+    progress.event("task", name="compliance of people left out", done=0, total=1)
+    predicted, words = compliance_left_out(rows, family, noise.slope, noise.layers.shortened, seed=seed)
+    progress.event("task", name="compliance of people left out", done=1, total=1)
+    warnings += words + _trust(estimates, family)
+    data = _data(rows, family, noise, estimates, predicted, seconds)
+    return _written(out, table, data, warnings, templates)
+
+
+def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
+    """Without sites of so few rows that they have no population."""
+    counts = {site: int((table.site == site).sum()) for site in table.sites}
+    few = [site for site, n in counts.items() if n < FEWEST_ROWS]
+    if len(few) == len(counts):
+        raise MeasurementError(
+            f"no site has {FEWEST_ROWS} complete rows ({', '.join(f'{k}: {n}' for k, n in counts.items())})",
+            where=str(table.path),
+            fix="a population needs people: bring more rows, or `limbcli fit` one case",
+        )
+    if not few:
+        return table, []
+    keep = ~np.isin(table.site.astype(str), few)
+    return table.rows(keep), [
+        f"{', '.join(few)}: fewer than {FEWEST_ROWS} complete rows, left out of everything"
+    ]
+
+
+def _told(each: Problem) -> str:
+    return f"{each.what} ({each.where})"
+
+
+def _noise_of(table: CohortTable) -> CohortNoise:
+    convexity = np.log(table.force / table.face / table.depth / table.slope)
+    one, two = (table.others.get(name) for name in ("r2_line", "r2_parabola"))
+    slope, told = slope_noise(convexity, one, two)
+    return CohortNoise(layer_noise(table.shortened), slope, told)
+
+
+def estimate_sites(
+    table: CohortTable,
+    family: LayeredFamily,
+    noise: CohortNoise,
+    *,
+    seed: int = 7,
+    progress: Progress = SILENT,
+) -> list[SiteEstimate]:
+    """The population of every site and its rows' own tissue."""
+    found = []
+    for k, site in enumerate(table.sites):
+        rows = np.flatnonzero(table.site == site)
+        part = table.rows(rows)
+        model = CohortModel.of(family, part.thickness, part.face, part.depth / part.whole)
+        seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
+        covariance = reading_noise(part.shortened, noise.layers.shortened, noise.slope, family.error)
+        population, own = estimate_population(
+            model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, seed=seed
+        )
+        found.append(SiteEstimate(site, rows, model, seen, covariance, population, own))
+        progress.event("task", name="sites", done=k + 1, total=len(table.sites))
+    return found
+
+
+def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
+    """What a reader must know before believing the numbers."""
+    outside = sum(int((~each.model.inside).sum()) for each in estimates)
+    thin = sum(int((each.found.effective < 30).sum()) for each in estimates)
+    ends = sum(int(each.model.at_an_end(each.found.mode).sum()) for each in estimates)
+    words = []
+    if outside:
+        words.append(
+            f"{outside} rows have a shape or a strain outside the family of solves; they are answered by "
+            f"its nearest "
+            "member and marked outside_family in rows.csv"
+        )
+    beyond = [each.name for each in estimates if m_beyond(each.population.mean)]
+    if beyond:
+        words.append(
+            f"{', '.join(beyond)}: the curves are straighter or more bent than any m of the family makes "
+            f"them, so that m "
+            "is known on one side only; slopes and largest forces do not tell more"
+        )
+    stiff = [each.name for each in estimates if c_fat_beyond(each.population.mean)]
+    if stiff:
+        words.append(
+            f"{', '.join(stiff)}: the layers move otherwise than with any c_fat of the family, so that c_fat "
+            "is known on one side only"
+        )
+    if ends:
+        words.append(
+            f"{ends} rows' tissue lies at an end of the family (c_fat/c_muscle 0.1 to 15, m 1.5 to 12)"
+        )
+    if thin:
+        words.append(f"{thin} rows: fewer than 30 effective draws behind their interval; do not rely on it")
+    if family.error[0] > 0.05:
+        words.append(
+            f"the emulator misses the solver's force by {100 * family.error[0]:.0f} % (one deviation)"
+        )
+    return words
+
+
+def _data(
+    table: CohortTable,
+    family: LayeredFamily,
+    noise: CohortNoise,
+    estimates: list[SiteEstimate],
+    predicted: dict[str, Any],
+    seconds: float,
+) -> dict[str, Any]:
+    rows = row_entries(table, estimates, predicted)
+    return {
+        "n_rows": len(table),
+        "n_people": len(table.people),
+        "n_incomplete": table.n_incomplete,
+        "identification_processor_s_per_row": seconds / len(table),
+        "noise": {
+            "layer_shortened_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.shortened, strict=True)),
+            "edge_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.edge, strict=True)),
+            "from_data": dict(zip(("skin", "fat", "muscle"), noise.layers.from_data, strict=True)),
+            "ln_stiffness": noise.slope,
+            "ln_stiffness_from_data": noise.slope_from_data,
+        },
+        "emulator": {
+            "n_solves": family.n_members,
+            "n_solves_on_finer_mesh": family.n_fine,
+            "left_out_error": {
+                "force_percent": 100 * family.error[0],
+                "convexity": family.error[1],
+                "logit_muscle_part": family.error[2],
+                "skin_part": family.error[3],
+            },
+        },
+        "sites": {each.name: site_entry(table, each) for each in estimates},
+        "stands_out": told_apart(table, estimates),
+        "compliance_left_out": predicted,
+        "rows": rows,
+    }
+
+
+def _written(
+    out: Path, table: Path, data: dict[str, Any], warnings: list[str], templates: Path | None
+) -> StageResult:
+    own = {**provenance(), "inputs_sha256": {table.name: sha256(table)}}
+    content = plain(
+        {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
+    )
+    files = {"result": RESULT, "rows": ROWS, "page": PAGE}
+    cohort_page(content, out, PAGE, templates=templates)
+    with atomic_file(out / ROWS) as path, path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(content["rows"])
+    with atomic_file(out / RESULT) as path:
+        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return StageResult(
+        stage=STAGE,
+        subject=table.stem,
+        folder=out,
+        files=files,
+        data=content,
+        summary=tuple(summary_lines(content, out / PAGE)),
+        warnings=tuple(warnings),
+        provenance=own,
+    )

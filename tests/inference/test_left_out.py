@@ -1,0 +1,72 @@
+"""Predictions of people left out: no way from a person's own readings to their prediction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limbcli.inference.left_out import (
+    FOLDS,
+    percent_off,
+    person_folds,
+    predict_left_out,
+    springs_left_out,
+)
+
+
+def cohort(rng, n=40, noise=0.1):
+    people = np.repeat([f"P{k}" for k in range(n)], 2)
+    sites = np.tile(["A", "B"], n)
+    features = rng.normal(0, 0.4, (2 * n, 3))
+    ln = 6.0 + (sites == "B") * 0.7 + features @ [0.5, 0.2, 0.0] + rng.normal(0, noise, 2 * n)
+    return people, sites, features, np.exp(ln)
+
+
+def no_slab(train):
+    return np.zeros(len(train))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(10, 60), st.integers(0, 1000))
+def test_a_person_is_in_one_fold_and_folds_are_of_one_size(n, seed):
+    people = np.repeat([f"P{k}" for k in range(n)], 3)
+    fold = person_folds(people, FOLDS, seed)
+    by_person = fold.reshape(n, 3)
+    assert (by_person == by_person[:, :1]).all()
+    counts = np.bincount(by_person[:, 0], minlength=FOLDS)
+    assert counts.max() - counts.min() <= 1
+
+
+def test_what_can_be_known_is_found(rng):
+    people, sites, features, compliance = cohort(rng)
+    found = predict_left_out(people, sites, features, compliance, no_slab)
+    # Nothing can be better than the noise of 10 %, 8 % in the mean; a site's mean alone misses 20 %.
+    assert percent_off(found.predicted, compliance).mean() < 10.5
+
+
+def test_a_left_out_person_does_not_enter_their_own_prediction(rng):
+    people, sites, features, compliance = cohort(rng, n=20)
+    before = predict_left_out(people, sites, features, compliance, no_slab)
+    fold = before.fold[0]
+    out = before.fold == fold
+    changed = np.where(out, compliance * np.exp(rng.normal(0, 1.0, len(compliance))), compliance)
+    after = predict_left_out(people, sites, features, changed, no_slab)
+    assert after.predicted[out] == pytest.approx(before.predicted[out], rel=1e-12)
+    assert np.abs(after.predicted[~out] / before.predicted[~out] - 1).max() > 1e-3
+
+
+def test_the_slab_is_asked_for_training_rows_only_once_a_fold(rng):
+    people, sites, features, compliance = cohort(rng, n=12)
+    asked = []
+    predict_left_out(people, sites, features, compliance, lambda train: asked.append(train) or no_slab(train))
+    assert len(asked) == FOLDS
+    assert np.sum([~each for each in asked], axis=0).tolist() == [1] * len(people)
+
+
+def test_springs_in_series_are_found_exactly(rng):
+    people = np.array([f"P{k}" for k in range(30)])
+    thickness = rng.uniform(2, 40, (30, 2))
+    compliance = thickness @ [20.0, 12.0]
+    assert springs_left_out(people, thickness, compliance) == pytest.approx(compliance)

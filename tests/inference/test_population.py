@@ -1,0 +1,85 @@
+"""The hierarchical estimate against what is known in closed form, and its coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.inference.population import estimate_population, row_modes
+
+MIX = np.array([[1.0, 0.2, 0.0], [0.3, -0.8, 0.4], [0.0, 0.5, 1.0]])
+MEAN, SPREAD = np.array([-4.8, -4.2, 1.1]), np.array([[0.09, 0.03, 0], [0.03, 0.16, 0.02], [0, 0.02, 0.06]])
+PRIOR = np.array([0.3, 0.4, 0.3])
+
+
+def linear(theta, slopes):
+    values = theta @ MIX.T
+    return values, np.broadcast_to(MIX, (*values.shape, 3)) if slopes else np.empty((*values.shape, 0))
+
+
+def curved(theta, slopes):
+    u = theta - MEAN
+    values = u + 0.4 * u**2
+    return values, (1 + 0.8 * u)[..., None] * np.eye(3) if slopes else np.empty((*values.shape, 0))
+
+
+def cohort(model, n, sigma, rng):
+    theta = rng.multivariate_normal(MEAN, SPREAD, n)
+    noise = np.tile(np.diag(np.full(3, sigma**2)), (n, 1, 1))
+    return theta, model(theta, False)[0] + rng.normal(0, sigma, (n, 3)), noise
+
+
+def test_a_row_of_a_linear_model_is_the_conjugate_posterior(rng):
+    _theta, seen, noise = cohort(linear, 200, 0.2, rng)
+    people, rows = estimate_population(linear, seen, noise, start=MEAN + 0.5, prior_deviation=PRIOR)
+    precision = MIX.T @ MIX / 0.2**2 + np.linalg.inv(people.spread)
+    right = seen @ MIX / 0.2**2 + np.linalg.inv(people.spread) @ people.mean
+    expected = np.linalg.solve(precision, right.T).T
+    assert rows.mode == pytest.approx(expected, abs=1e-3)
+    assert rows.mean == pytest.approx(expected, abs=0.12)  # 400 draws
+    deviation = np.sqrt(np.diag(np.linalg.inv(precision)))
+    assert rows.deviation.mean(axis=0) == pytest.approx(deviation, rel=0.05)
+    assert rows.effective.min() > 100
+
+
+def test_population_is_recovered_with_honest_errors(rng):
+    _theta, seen, noise = cohort(linear, 400, 0.15, rng)
+    people, _rows = estimate_population(linear, seen, noise, start=MEAN - 0.5, prior_deviation=PRIOR)
+    assert np.abs(people.mean - MEAN) == pytest.approx(np.zeros(3), abs=4 * people.mean_error.max())
+    assert people.deviation == pytest.approx(np.sqrt(np.diag(SPREAD)), rel=0.2)
+    # Of n people without any noise the mean's error is deviation / sqrt(n): with noise it is a little more.
+    least = np.sqrt(np.diag(SPREAD) / 400)
+    assert (people.mean_error > 0.8 * least).all()
+    assert (people.mean_error < 2.0 * least).all()
+
+
+def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
+    theta, seen, noise = cohort(curved, 400, 0.15, rng)
+    _, rows = estimate_population(curved, seen, noise, start=MEAN + 0.2, prior_deviation=PRIOR)
+    inside = (theta > rows.low) & (theta < rows.high)
+    # 400 rows at 95 %: three deviations of the count are 3.3 %; the draws' own graininess adds some.
+    assert inside.mean(axis=0) == pytest.approx(np.full(3, 0.95), abs=0.045)
+
+
+def test_rows_without_information_are_the_population(rng):
+    _theta, seen, noise = cohort(linear, 60, 0.1, rng)
+    noise[0] *= 1e8
+    people, rows = estimate_population(linear, seen, noise, start=MEAN, prior_deviation=PRIOR)
+    assert rows.shrinkage[0].min() > 0.8
+    assert rows.shrinkage[1:].max() < 0.6
+    assert rows.mode[0] == pytest.approx(people.mean, abs=0.02)
+
+
+def test_one_who_is_unlike_the_others_stands_out(rng):
+    _theta, seen, noise = cohort(linear, 80, 0.1, rng)
+    seen[5] += 2.5
+    _, rows = estimate_population(linear, seen, noise, start=MEAN, prior_deviation=PRIOR)
+    assert rows.misfit.argmax() == 5
+    assert np.median(np.delete(rows.misfit, 5)) == pytest.approx(2.37, abs=1.0)  # chi-squared, 3 free
+
+
+def test_rows_do_not_depend_on_each_other_under_a_given_population(rng):
+    _theta, seen, noise = cohort(curved, 30, 0.1, rng)
+    every = row_modes(curved, seen, noise, MEAN, SPREAD)
+    one = row_modes(curved, seen[3:4], noise[3:4], MEAN, SPREAD)
+    assert every[3:4] == pytest.approx(one, abs=1e-4)

@@ -1,0 +1,189 @@
+"""What is wrong with a table of a cohort is told, each with its own words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from limbcli.measurement.cohort_checks import checked_cohort
+from limbcli.measurement.edge_noise import gaussian_part, layer_noise
+from tests.cohort_rows import FACE, row, written
+
+
+def good(n: int = 12) -> list[dict[str, str]]:
+    """Plausible rows without any noise."""
+    rng = np.random.default_rng(7)
+    found = []
+    for k in range(n):
+        thickness = np.array([1.5, 8.0 + k % 3, 30.0 + k])
+        shortened = 0.2 * thickness * rng.uniform(0.8, 1.2, 3)
+        pressure = 0.01 * rng.uniform(0.8, 1.2)
+        slope = pressure / shortened.sum() / 1.05
+        found.append(row(f"P{k:02d}", "LL_P", pressure * FACE, thickness, shortened, slope))
+    return found
+
+
+def told(tmp_path, rows) -> str:
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    errors = [str(each) for each in problems if each.severity == "error"]
+    assert (table is None) == bool(errors)
+    return "\n".join(errors)
+
+
+def changed(rows, k: int = 3, **cells: object):
+    rows[k] |= {name: str(value) for name, value in cells.items()}
+    return rows
+
+
+def scaled(rows, name: str, factor: float):
+    for each in rows:
+        each[name] = str(float(each[name]) * factor)
+    return rows
+
+
+def test_a_good_table_has_no_problem_and_keeps_its_numbers(tmp_path):
+    rows = good()
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    assert table is not None
+    assert problems == []
+    assert table.force == pytest.approx([float(each["max_force_n"]) for each in rows])
+    assert table.compliance == pytest.approx([1 / float(each["stiffness_mpa_per_mm"]) for each in rows])
+    strain = np.array([float(each["total_strain"]) for each in rows])
+    assert table.depth == pytest.approx(strain * table.whole)
+
+
+def test_layers_that_do_not_add_up(tmp_path):
+    words = told(tmp_path, changed(good(), thickness_mm=55.0))
+    assert "the layers add up to 42.50 mm, thickness_mm is 55.00" in words
+    assert "line 5" in words
+
+
+def test_layers_without_skin(tmp_path):
+    for value in ("", "0"):
+        assert "no skin" in told(tmp_path, changed(good(), skin_mm=value))
+
+
+def test_a_layer_that_grows_beyond_noise(tmp_path):
+    rows = good()
+    grown = rows[3]
+    parts = np.array(
+        [float(grown[f"{each}_strain"]) * float(grown[f"{each}_mm"]) for each in ("skin", "fat", "muscle")]
+    )
+    parts[1], parts[2] = -2.0, parts[2] + parts[1] + 2.0
+    rows[3] = row(
+        "P03",
+        "LL_P",
+        float(grown["max_force_n"]),
+        np.array([1.5, 8.0, 33.0]),
+        parts,
+        float(grown["stiffness_mpa_per_mm"]),
+    )
+    words = told(tmp_path, rows)
+    assert "the fat grows by 2.00 mm under load" in words
+
+
+def test_growth_within_noise_is_no_error(tmp_path):
+    rows = good()
+    thickness = np.array([1.5, 8.0, 33.0])
+    rows[3] = row("P03", "LL_P", 6.0, thickness, np.array([-0.1, 1.5, 6.0]), 6.0 / FACE / 7.4)
+    assert told(tmp_path, rows) == ""
+
+
+def test_interfaces_that_cross_at_rest_and_under_load(tmp_path):
+    assert "interfaces cross at first contact" in told(tmp_path, changed(good(), fat_mm=-2.0))
+    assert "interfaces cross under load: the fat" in told(tmp_path, changed(good(), fat_strain=1.1))
+
+
+def test_layers_that_shorten_otherwise_than_the_whole(tmp_path):
+    assert "the layers shorten by" in told(tmp_path, changed(good(), total_strain=0.35))
+
+
+def test_a_circumference_smaller_than_the_layers(tmp_path):
+    rows = [{**each, "circumference_mm": "300"} for each in good()]
+    assert told(tmp_path, rows) == ""
+    assert "a circumference of 100 mm is smaller" in told(tmp_path, changed(rows, circumference_mm=100))
+
+
+@pytest.mark.parametrize("name", ["subject", "location", "skin_mm", "fat_strain", "stiffness_mpa_per_mm"])
+def test_a_missing_column_is_named_with_what_it_holds(tmp_path, name):
+    rows = [{key: value for key, value in each.items() if key != name} for each in good()]
+    assert f"column {name!r} is missing" in told(tmp_path, rows)
+
+
+def test_a_missing_face(tmp_path):
+    rows = [{key: value for key, value in each.items() if key != "face_mm2"} for each in good()]
+    assert "the probe's face is not known" in told(tmp_path, rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("stiffness_mpa_per_mm", 1000.0, "stiffness_mpa_per_mm is"),
+        ("max_force_n", 1e-3, "max_force_n is"),
+        ("face_mm2", 0.01, "the probe's face is"),
+    ],
+)
+def test_units_that_look_wrong(tmp_path, name, factor, words):
+    found = told(tmp_path, scaled(good(), name, factor))
+    assert words in found
+    assert "looks wrong" in found
+    assert "more rows like these" in found
+
+
+def test_centimetres_metres_and_percent_look_wrong(tmp_path):
+    rows = good()
+    for name in ("thickness_mm", "skin_mm", "fat_mm", "muscle_mm"):
+        scaled(rows, name, 0.001)
+    assert "thickness_mm is 0.0" in told(tmp_path, rows)
+    rows = good()
+    for name in ("total_strain", "skin_strain", "fat_strain", "muscle_strain"):
+        scaled(rows, name, 100.0)
+    assert "a strain is" in told(tmp_path, rows)
+
+
+def test_duplicated_rows_and_numbered_trials(tmp_path):
+    rows = [*good(), dict(good()[3])]
+    assert "person P03, site LL_P stands in line 5 already" in told(tmp_path, rows)
+    numbered = [{**each, "trial": "1"} for each in good()]
+    assert told(tmp_path, [*numbered, {**good()[3], "trial": "2"}]) == ""
+
+
+def test_incomplete_rows_are_left_out_and_unknown_columns_told(tmp_path):
+    rows = changed([{**each, "sexx": "f"} for each in good()], muscle_mm="")
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    assert table is not None
+    assert (len(table), table.n_incomplete) == (11, 1)
+    assert any("did you mean 'sex'" in str(each) for each in problems)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.02, 0.3))
+def test_noise_scales_with_the_marks(seed, sigma):
+    rng = np.random.default_rng(seed)
+    values = rng.exponential(1.0, 400) + rng.normal(0, sigma, 400)
+    assert gaussian_part(3.0 * values) == pytest.approx(3.0 * gaussian_part(values), rel=0.02)
+
+
+def test_noise_of_an_edge_is_found_and_borrowed():
+    rng = np.random.default_rng(7)
+    n = 3000
+    skin = rng.exponential(0.1, n) + rng.normal(0, 0.06, n)
+    fat = rng.exponential(1.0, n) + rng.normal(0, 0.15, n)
+    noise = layer_noise(np.column_stack([skin, fat, rng.uniform(3, 8, n)]))
+    assert noise.from_data.tolist() == [True, True, False]
+    assert noise.shortened == pytest.approx([0.06, 0.15, noise.shortened[1]], rel=0.2)
+    assert noise.edge == pytest.approx(noise.shortened / 2)
+
+
+def test_the_real_table_can_be_read(shared):
+    path = shared / "data" / "multis" / "indentations.csv"
+    if not path.is_file():
+        pytest.skip("needs data/multis of the reference data")
+    table, problems = checked_cohort(path)
+    assert table is not None
+    assert (len(table), table.n_incomplete, len(table.people)) == (752, 8, 95)
+    assert all(each.severity == "warning" for each in problems)
+    assert set(np.round(table.face).tolist()) == {360.0, 675.0}
+    assert (layer_noise(table.shortened).edge < 0.2).all()

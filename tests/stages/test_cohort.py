@@ -1,0 +1,175 @@
+"""A cohort from table to page; its tissue against the truth, made by solves on another mesh."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from limbcli.cli.app import main
+from limbcli.errors import MeasurementError
+from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
+from limbcli.inference.layered_family import is_inside, layered_family
+from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
+from limbcli.stages.cohort import cohort
+from limbcli.stages.cohort_family import Member, solve_member
+from limbcli.stages.cohort_result import natural
+from tests.cohort_rows import people, written
+
+MEAN = np.log([0.006, 0.010, 4.0])
+SPREAD = np.diag([0.35, 0.3, 0.2]) ** 2
+
+
+@pytest.fixture(scope="module")
+def twelve(tmp_path_factory):
+    """Twelve people's table, truth, and what the command left."""
+    folder = tmp_path_factory.mktemp("cohort")
+    rows, theta = people(12, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(7))
+    table = written(folder / "people.csv", rows)
+    result = cohort(table, out=folder / "out")
+    return theta, folder / "out", result
+
+
+def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
+    _, out, result = twelve
+    data = json.loads((out / "cohort.json").read_text())
+    assert (data["n_rows"], data["n_people"]) == (12, 12)
+    found = data["compliance_left_out"]
+    off = [each["difference_percent"] for each in found["rows"]]
+    assert found["mean_absolute_difference_percent"] == pytest.approx(np.mean(off))
+    assert sorted(set(found["folds"].values())) == list(range(10))
+    for each in found["rows"]:
+        assert each["fold"] == found["folds"][each["subject"]]
+        ratio = each["predicted_mm_per_mpa"] / each["measured_mm_per_mpa"]
+        assert each["difference_percent"] == pytest.approx(100 * abs(ratio - 1))
+    with (out / "rows.csv").open() as stream:
+        assert [row["subject"] for row in csv.DictReader(stream)] == [f"P{k:03d}" for k in range(12)]
+    page = (out / "cohort.html").read_text()
+    assert page.count("data:image") == 4
+    assert "Who stands out?" in page
+    assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg"}
+    assert result.summary[0] == "12 rows of 12 people"
+
+
+def test_twelve_people_are_found_where_they_are(twelve):
+    theta, out, _ = twelve
+    data = json.loads((out / "cohort.json").read_text())
+    truth = natural(theta.copy())
+    for j, key in enumerate(("c_muscle_kpa", "c_fat_kpa", "m")):
+        inside = [
+            row[f"{key}_low"] <= truth[k, j] <= row[f"{key}_high"] for k, row in enumerate(data["rows"])
+        ]
+        assert sum(inside) >= 10, key  # of 12 at 95 %: fewer than 10 has a probability of 2 %
+    own = data["sites"]["LL_P"]["population"]
+    assert own["c_muscle_kpa"]["low"] < 6.0 < own["c_muscle_kpa"]["high"]
+    assert own["m"]["mean_shrinkage"] > own["c_muscle_kpa"]["mean_shrinkage"]
+
+
+def test_few_people_have_no_folds_and_all_else(tmp_path):
+    rows, _ = people(7, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(8))
+    result = cohort(written(tmp_path / "t.csv", rows), out=tmp_path / "out")
+    found = result.data["compliance_left_out"]
+    assert found["mean_absolute_difference_percent"] is None
+    assert "7 people are too few for 10 folds" in found["reason"]
+    assert any("too few" in each for each in result.warnings)
+    assert len(result.data["rows"]) == 7
+    with pytest.raises(MeasurementError, match="no site has 5 complete rows"):
+        cohort(written(tmp_path / "few.csv", rows[:4]), out=tmp_path / "out2")
+
+
+def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
+    rows, _ = people(6, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(9))
+    rows[2]["thickness_mm"] = "12"
+    table = written(tmp_path / "t.csv", rows)
+    with pytest.raises(SystemExit) as stop:
+        main(["cohort", str(table), "--out", str(tmp_path / "out"), "--quiet"])
+    assert stop.value.code == 3
+    assert "the layers add up to" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def solves(mesh: str):
+    """Rows of the file of solves, as numbers."""
+    with FILE.open(newline="") as stream:
+        return [
+            {k: v if k == "mesh" else float(v) for k, v in row.items()}
+            for row in csv.DictReader(stream)
+            if row["mesh"] == mesh
+        ]
+
+
+def test_tissue_is_recovered_from_solves_on_another_mesh():
+    """c_muscle within what mesh and emulator may do; c_fat too, which is read from the layers."""
+    members: dict[float, list[dict]] = {}
+    for each in solves("fine"):
+        members.setdefault(each["member"], []).append(each)
+    chosen = [each for each in members.values() if len(each) == 3]
+    assert len(chosen) >= 3
+    face, c = 500.0, 0.007
+    root = np.sqrt(face)
+    thickness, strain, force, slope, shortened, truth = [], [], [], [], [], []
+    for rows in chosen:
+        last = rows[-1]
+        e = np.array([0.0, *(row["strain"] for row in rows)])
+        f = np.array([0.0, *(row["force"] * row["strain"] for row in rows)]) * c * face
+        whole, skin = last["thickness"] * root, last["skin"] * root
+        fat = last["fat_share"] * (whole - skin)
+        depth = e[-1] * whole
+        at = np.linspace(0, e[-1], 400)
+        fine = np.interp(at, e, f)
+        thickness.append([skin, fat, whole - skin - fat])
+        strain.append(e[-1])
+        force.append(f[-1])
+        slope.append(np.sum(fine * at) / np.sum(at * at) / whole / face)
+        shortened.append(
+            depth
+            * np.array([1 - last["below_skin"], last["below_skin"] - last["below_fat"], last["below_fat"]])
+        )
+        truth.append(np.log([c, c * last["ratio"], last["m"]]))
+    thickness, strain, shortened, truth = map(np.array, (thickness, strain, shortened, truth))
+    family, faces = layered_family(), np.full(len(chosen), face)
+    model = CohortModel.of(family, thickness, faces, strain)
+    seen = readings(np.array(force), faces, thickness.sum(axis=1), shortened, np.array(slope))
+    exact = np.full(3, 0.01)  # mm: these marks have no noise
+    found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
+    apart = found - truth
+    keep = is_inside(model.shape)
+    # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;
+    # of a thin slab with fat a sixth as stiff as muscle it says little and the prior decides: so the median.
+    assert np.sqrt(np.mean(apart[keep, 0] ** 2)) < 0.25
+    assert np.median(np.abs(apart[keep, 1])) < 0.4
+
+
+def test_a_member_of_the_file_is_solved_again():
+    """The shallow strains of one small member, as the file has them: same mesh, same law, same solver."""
+    rows = [row for row in solves("family") if row["member"] == 1]
+    member = Member(*(rows[0][name] for name in ("thickness", "fat_share", "skin", "ratio", "m")))
+    again = solve_member(member, strains=[row["strain"] for row in rows[:2]], gradients=False)
+    # The file keeps six digits and its solves were converged to 1e-3 of the forces at play.
+    assert again.force == pytest.approx([row["force"] for row in rows[:2]], rel=5e-3)
+    assert again.below_fat == pytest.approx([row["below_fat"] for row in rows[:2]], rel=5e-3)
+
+
+def test_the_file_fills_the_family():
+    x = read_solved(FILE, "family").x
+    reach = np.ptp(x, axis=0) / (HIGH - LOW)
+    assert (reach[:5] > 0.85).all()
+    assert (x[:, 5].min(), x[:, 5].max()) == pytest.approx((0.05, 0.4))
+
+
+@pytest.mark.slow
+def test_the_lower_leg_of_the_real_table(shared, tmp_path):
+    path = shared / "data" / "multis" / "indentations.csv"
+    if not path.is_file():
+        pytest.skip("needs data/multis of the reference data")
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["location"] in ("LL_A", "LL_P")]
+    data = cohort(written(tmp_path / "legs.csv", rows), out=tmp_path / "out").data
+    assert (data["n_rows"], data["n_people"]) == (187, 95)
+    assert data["identification_processor_s_per_row"] < 0.5
+    found = data["compliance_left_out"]
+    assert found["mean_absolute_difference_percent"] < found["same_folds"]["sites_mean_percent"]
+    assert found["repeatability"]["percent_from_trials"] is None
+    assert found["repeatability"]["percent_from_marks_and_slope_alone"] < 10
