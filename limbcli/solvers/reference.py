@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import limbcli
+from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
@@ -128,4 +129,4 @@ def prepare(
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
-    return Analysis(model, Settings(tolerance=tolerance, linear=linear, threads=threads), progress)
+    return Analysis(model, Settings(tolerance=tolerance, linear=linear, threads=at_most(threads)), progress)

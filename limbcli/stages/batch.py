@@ -2,79 +2,29 @@
 
 One site's or one case's failure never stops the others: it is kept as
 `error.json` in the stage's folder, the report shows it, and the batch says so at
-its end.
+its end. A case's work falls into parts, `CaseRun.first`, `site` (of several, side by
+side if need be) and `last`.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
-from limbcli.files import atomic_file, sha256
+from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, plain, read_result, stage_folder
+from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.asked import in_words, options_of
+from limbcli.stages.batch_outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
 from limbcli.stages.chain import Chain
 from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
-ERROR_FILE = "error.json"
-
-
-@dataclass(frozen=True)
-class BatchOptions:
-    """What the stages are told: `element` None is the case's own; `force` redoes everything.
-
-    defaults : stages forget what they were asked for by hand; else each is called as it was last called
-    """
-
-    element: str | None = None
-    solver: str = "auto"
-    febio: Path | None = None
-    templates: Path | None = None
-    force: bool = False
-    defaults: bool = False
-
-
-@dataclass(frozen=True)
-class Failure:
-    stage: str
-    site: str | None
-    error: LimbError
-
-
-@dataclass
-class CaseOutcome:
-    """How one case went: what ran, what was fresh, what failed, and its report.
-
-    kept : options that a stage was called with by hand and is called with again, in words
-    """
-
-    case: Path
-    out: Path
-    ran: list[str] = field(default_factory=list)
-    fresh: list[str] = field(default_factory=list)
-    kept: dict[str, str] = field(default_factory=dict)
-    failures: list[Failure] = field(default_factory=list)
-    report: Path | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "case": str(self.case),
-            "out": str(self.out),
-            "ran": self.ran,
-            "fresh": self.fresh,
-            "kept": self.kept,
-            "failures": [
-                {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
-            ],
-            "report": str(self.report) if self.report else None,
-        }
+SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 
 
 def batch(
@@ -87,29 +37,61 @@ def batch(
     CaseError
         If there is no such folder.
     """
+    case = opened(folder, out)
+    if isinstance(case, CaseOutcome):
+        return case
+    run = CaseRun(case, out, options or BatchOptions(), progress)
+    begun = run.first()
+    keys = [run.site(site.name, begun.key) for site in case.sites] if begun.done else []
+    run.last(begun.key, keys)
+    return run.outcome
+
+
+def opened(folder: Path, out: Path) -> Case | CaseOutcome:
+    """The case; where it cannot be read, how it went: a page that says so.
+
+    Raises
+    ------
+    CaseError
+        If there is no such folder.
+    """
     from limbcli.stages.report_failure import report_failure
 
     try:
-        case = Case.open(folder)
+        return Case.open(folder)
     except CaseError as error:
         if not folder.is_dir():
             raise
         page = report_failure(folder, error, out=out).path("page")
         return CaseOutcome(folder, out, failures=[Failure("check", None, error)], report=page)
-    return _Run(case, out, options or BatchOptions(), progress).all()
 
 
-class _Run:
-    """One case on its way through the stages."""
+@dataclass(frozen=True)
+class Begun:
+    """key : of what the sites' stages rest on; done : whether they can be run"""
 
-    def __init__(self, case: Case, out: Path, options: BatchOptions, progress: Progress):
+    key: str
+    done: bool
+
+
+class CaseRun:
+    """One case on its way through the stages.
+
+    outcome : how it went so far; parts that ran elsewhere are added to it
+    """
+
+    def __init__(
+        self, case: Case, out: Path, options: BatchOptions, progress: Progress,
+        outcome: CaseOutcome | None = None,
+    ):  # fmt: skip
         self.case, self.out, self.options, self.progress = case, out, options, progress
-        self.outcome = CaseOutcome(case.folder, out)
+        self.outcome = outcome or CaseOutcome(case.folder, out)
         self.memory = Memory(out, case.subject)
+        self._of_sites: dict[str, Memory] = {}
         self.chain = Chain(case, out)
 
-    def all(self) -> CaseOutcome:
-        from limbcli.stages.report import report
+    def first(self) -> Begun:
+        """What all sites share."""
         from limbcli.stages.segment import edited_labels, segment
 
         raw, images = self.case.raw, self.case.imaging
@@ -118,16 +100,33 @@ class _Run:
         wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
         key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *_parts(wishes))
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
-        keys = [self._site(site.name, key) for site in self.case.sites] if done else []
         if not done:
             for site in self.case.sites:
-                self._skip(("mesh", "build-feb", "run", "fit"), site.name, because="segment")
+                self._skip(SITE_STAGES, site.name, because="segment")
+        return Begun(key, done)
+
+    def last(self, first: str, keys: Sequence[str]) -> None:
+        """What needs all sites: fits made on demand, and the report; by the keys of the parts before."""
+        from limbcli.stages.report import report
+
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
-        keys += [*made, *(sha256(path) for path in shown_only(self.case, self.out))]
-        everything = key_of(key, *keys, raw, [str(each.error) for each in self.outcome.failures])
+        shown = [sha256(path) for path in shown_only(self.case, self.out)]
+        failed = [str(each.error) for each in self.outcome.failures]
+        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed)
         if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
-        return self.outcome
+
+    def keep(self, failure: Failure) -> None:
+        """See that a failure is on the page, also where its process was lost and could leave nothing."""
+        stage, site = failure.stage, failure.site
+        if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
+            return
+        keep_error(self.out, stage, site, failure.error)
+        if site is None:
+            for each in self.case.sites if stage == "segment" else ():
+                self._skip(SITE_STAGES, each.name, because=stage)
+        elif stage in SITE_STAGES:
+            self._skip(SITE_STAGES[SITE_STAGES.index(stage) + 1 :], site, because=stage)
 
     def _extra(self, extra: Extra, keys: Sequence[str]) -> str:
         """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
@@ -144,13 +143,22 @@ class _Run:
             self._stage(extra.stage, extra.site, key, extra.redo, keep_result=True)
         return sha256(folder)
 
+    def _memory(self, stage: str, site: str | None) -> Memory:
+        """Each site has its own, as parts of a case may run side by side."""
+        if site is None or stage not in SITE_STAGES:
+            return self.memory
+        if site not in self._of_sites:
+            self._of_sites[site] = Memory(self.out, self.case.subject, site=site)
+        return self._of_sites[site]
+
     def _asked(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
         """Options of the stage's last call by hand; kept, and said.
 
         without : those that something stronger stands in for (the batch's own option)
         """
-        asked = {} if self.options.defaults else self.memory.asked(stage, site)
-        self.memory.keep_asked(stage, site, asked)
+        memory = self._memory(stage, site)
+        asked = {} if self.options.defaults else memory.asked(stage, site)
+        memory.keep_asked(stage, site, asked)
         asked = {key: value for key, value in asked.items() if key not in without}
         if asked:
             label, words = f"{stage} {site}" if site else stage, in_words(asked)
@@ -163,7 +171,7 @@ class _Run:
     def _common(self) -> dict[str, Any]:
         return {"out": self.out, "progress": self.progress}
 
-    def _site(self, name: str, key: str) -> str:
+    def site(self, name: str, key: str) -> str:
         """The stages of one site; returns the key of the last, for the report."""
         from limbcli.stages.build_feb import TissueOptions, build_feb
         from limbcli.stages.fit import FitOptions, fit
@@ -209,7 +217,7 @@ class _Run:
         for k, (stage, parts, work) in enumerate(steps):
             key = key_of(key, *parts)
             if stage == "fit" and self._fit_is_there(name):
-                self.memory.remember(stage, name, key)
+                self._memory(stage, name).remember(stage, name, key)
             if not self._stage(stage, name, key, work):
                 self._skip([each for each, _, _ in steps[k + 1 :]], name, because=stage)
                 break
@@ -217,7 +225,7 @@ class _Run:
 
     def _fit_is_there(self, site: str) -> bool:
         """Whether a fit made by hand is what this batch would make."""
-        made = self.memory.made_since("fit", site) and not self.options.defaults
+        made = self._memory("fit", site).made_since("fit", site) and not self.options.defaults
         return made and made_by_hand(self.case, self.out, site, solver=self.options.solver)
 
     def _skip(
@@ -237,7 +245,8 @@ class _Run:
     ) -> bool:
         """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays)."""
         label = f"{stage} {site}" if site else stage
-        if not self.options.force and self.memory.is_fresh(stage, site, key) and self._holds(stage, site):
+        memory = self._memory(stage, site)
+        if not self.options.force and memory.is_fresh(stage, site, key) and self._holds(stage, site):
             self.outcome.fresh.append(label)
             self.progress.event("note", text=f"{label}: nothing changed")
             return True
@@ -249,7 +258,7 @@ class _Run:
             keep_error(self.out, stage, site, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")
             return False
-        self.memory.remember(stage, site, key)
+        memory.remember(stage, site, key)
         self.outcome.ran.append(label)
         return True
 
@@ -275,28 +284,3 @@ def _parts(asked: Mapping[str, Any]) -> tuple[object, ...]:
 
 def _path(text: str | None) -> Path | None:
     return Path(text) if text else None
-
-
-def keep_error(
-    out: Path, stage: str, site: str | None, error: LimbError, *, keep_result: bool = False
-) -> None:
-    """Leave a stage's failure where the report finds it; the stale result no longer counts.
-
-    keep_result : it stays beside the failure, to tell another time how to make it again
-    """
-    folder = stage_folder(out, stage, site)
-    if not keep_result:
-        (folder / f"{stage}.json").unlink(missing_ok=True)
-    with atomic_file(folder / ERROR_FILE) as path:
-        path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
-
-
-def error_json(error: LimbError) -> dict[str, Any]:
-    return {
-        "error": type(error).__name__,
-        "exit_code": error.exit_code,
-        "what": error.what,
-        "where": error.where,
-        "fix": error.fix,
-        "facts": json.loads(json.dumps(plain(error.facts), default=str)),
-    }

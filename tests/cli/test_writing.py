@@ -100,11 +100,11 @@ def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Pa
     """Its holder left between our opening the file and our locking it."""
     lock, calls = writing._try, []
 
-    def late(stream):
+    def late(stream, **how):
         if not calls:
             (tmp_path / LOCK).unlink()
         calls.append(stream)
-        return lock(stream)
+        return lock(stream, **how)
 
     monkeypatch.setattr(writing, "_try", late)
     with one_writer(tmp_path):
