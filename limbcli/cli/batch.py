@@ -159,19 +159,32 @@ def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
         print(index.page)
 
 
-@dataclass
-class _Entry:
-    """How one case went, for the end: content of --json, exit code, and (place, what, fix) of what failed."""
+@dataclass(frozen=True)
+class _Told:
+    """What failed (stage and site), and its error."""
 
-    content: dict[str, Any]
-    code: int
-    failures: list[tuple[str, str, str]]
+    place: str
+    error: LimbError
 
     def lines(self) -> list[str]:
-        found = [str(self.content["case"])]
-        for place, what, fix in self.failures:
-            found += [f"  {place}: {what}" if place else f"  {what}", f"    fix: {fix}"]
-        return found
+        what = f"{self.place}: {self.error.what}" if self.place else self.error.what
+        return [f"  {what}", f"    where: {self.error.where}", f"    fix:   {self.error.fix}"]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """How one case went, for the end: content of --json, and what failed."""
+
+    content: dict[str, Any]
+    failures: list[_Told]
+
+    @property
+    def code(self) -> int:
+        """For the shell."""
+        return max((each.error.exit_code for each in self.failures), default=0)
+
+    def lines(self) -> list[str]:
+        return [str(self.content["case"]), *(line for each in self.failures for line in each.lines())]
 
 
 class _Way:
@@ -196,7 +209,9 @@ class _Way:
             told = in_words(error, target)
             report_error(told, as_json=False)
             content = {"case": str(case), "out": str(target), "error": told.what}
-            return _Entry(content, told.exit_code, [("", told.what, told.fix)])
+            return _Entry(content, [_Told("", told)])
+        for failure in outcome.failures:
+            report_error(failure.error, as_json=False)
         return self._entry(case, target, outcome)
 
     def together(self, pairs: list[tuple[Path, Path]], *, scheduler: str | None, jobs: int) -> list[_Entry]:
@@ -210,38 +225,37 @@ class _Way:
         return [self._entry(*pair, outcome) for pair, outcome in zip(pairs, outcomes, strict=True)]
 
     def _entry(self, case: Path, target: Path, outcome: CaseOutcome) -> _Entry:
-        from limbcli.cli.app import report_error
-
-        for failure in outcome.failures:
-            report_error(failure.error, as_json=False)
-        failures = [(each.place, each.error.what, each.error.fix) for each in outcome.failures]
-        code = max((each.error.exit_code for each in outcome.failures), default=0)
+        failures = [_Told(each.place, each.error) for each in outcome.failures]
         content = outcome.to_json() | {"case": str(case), "out": str(target)}
         if self.expect:
-            expected, more = self._expected(case, target)
-            content["expected"], failures = expected, failures + more
-            code = code or (FitError.exit_code if more else 0)
+            content["expected"], unlike = self._expected(case, target)
+            failures += unlike
         if not self.as_json and outcome.report:
             print(outcome.report)
-        return _Entry(content, code, failures)
+        return _Entry(content, failures)
 
-    def _expected(self, case: Path, target: Path) -> tuple[list[dict[str, Any]], list[tuple[str, str, str]]]:
+    def _expected(self, case: Path, target: Path) -> tuple[list[dict[str, Any]], list[_Told]]:
         """What was compared with expected.toml, and what of it does not hold."""
         from limbcli.stages.expect import EXPECTED_FILE, compare
 
-        if not (case / EXPECTED_FILE).is_file():
+        file = case / EXPECTED_FILE
+        if not file.is_file():
             self.progress.event("note", text=f"{case}: no {EXPECTED_FILE}, nothing to compare with")
             return [], []
         try:
             found = compare(case, target)
         except LimbError as error:
-            return [], [(EXPECTED_FILE, error.what, error.fix)]
+            return [], [_Told(EXPECTED_FILE, error)]
         if not self.as_json:
             for each in found:
                 print(each)
-        fix = f"look at the report; if the new value is right, write it into {case / EXPECTED_FILE}"
-        wrong = [
-            ("expected", f"{each.name} is {each.found}, expected {each.expected}", fix)
-            for each in found if not each.holds
-        ]  # fmt: skip
-        return [{**vars(each), "expected": each.expected} for each in found], wrong
+        fix = "look at the report; if the new value is right, write it there"
+        unlike = [
+            _Told(
+                "",
+                FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
+            )
+            for each in found
+            if not each.holds
+        ]
+        return [{**vars(each), "expected": each.expected} for each in found], unlike

@@ -92,8 +92,9 @@ class _Together:
     def _submit(self, way: Way, part: Part) -> Future:
         """Parts of earlier cases go first, so that cases end one after the other."""
         way.n_open += 1
-        # several of one name, such as two patients' in folders of the same name, are told apart
-        key = f"{part.kind}-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"
+        # Dask takes parts of a kind for a group by what stands before the number: those of a large group wait
+        # with the scheduler, not with a worker that may be lost.
+        key = f"{part.kind}-0-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"
         future = self.client.submit(
             work, part, self.call, key=key, pure=False, priority=-way.place, workers=self._usable(),
         )  # fmt: skip

@@ -15,16 +15,18 @@ import platform
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from limbcli import __version__
 from limbcli.config import THREADS
 from limbcli.errors import ToolError
 from limbcli.progress import Progress
+from limbcli.scratch import scratch_folder
 from limbcli.stages.freshness import code_hash
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 EXTRA = "cluster"
 _GB_A_WORKER = 2.0  # of memory: what a large series takes in `segment`
@@ -102,19 +104,13 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
             where="--scheduler" if scheduler else "--jobs",
             fix=f"pip install 'limbcli[{EXTRA}]', or leave the option out: one case after the other, here",
         )
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by the batch
     with contextlib.ExitStack() as stack:
         if scheduler is None:
-            environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
-            cluster = stack.enter_context(
-                LocalCluster(
-                    n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-                )
-            )  # fmt: skip
-            client = stack.enter_context(Client(cluster))
+            folder = stack.enter_context(scratch_folder())
+            client = stack.enter_context(Client(stack.enter_context(_local(jobs, folder))))
         else:
             client = stack.enter_context(_at(scheduler))
         refuse_unlike(client)
@@ -122,6 +118,20 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
         text = f"{len(workers)} worker processes" if workers else "no worker yet: waiting for the first"
         progress.event("note", text=f"{text}; dashboard: {client.dashboard_link}")
         yield client
+
+
+def _local(jobs: int, folder: Path) -> LocalCluster:
+    """Processes on this computer; what waits does so with the scheduler, and is not lost with a process."""
+    import dask
+    from distributed import LocalCluster
+
+    environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
+    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
+        return LocalCluster(
+            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+            dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
+            local_directory=str(folder),
+        )  # fmt: skip
 
 
 def _at(scheduler: str) -> Client:

@@ -3,10 +3,11 @@
     python -m tests.benchmarks.load [--cases 100] [--workers 2] [--together] [--seed 7] [--folder DIR]
 
 Every worker is one `limbcli batch` with its share of the cases (small_case.py, each with other depths), all
-into one folder; with `--together` one `limbcli batch --jobs` gives work to so many processes. Resident memory of the workers and of what they start is sampled all the time; memory "at
-50 %" is the most seen while the tenth of the cases before was worked on, the slope is of the most seen from
-case to case. Stray are processes that live on and temporary files. Ends with 1 where a batch fails, a case
-has no report, or anything is stray. The first samples hold the compilation of kernels, once per machine.
+into one folder; with `--together` one `limbcli batch --jobs` gives work to so many processes. Resident
+memory of the workers and of what they start is sampled all the time; memory "at 50 %" is the most seen
+while the tenth of the cases before was worked on, the slope is of the most seen from case to case. Stray
+are processes that live on and temporary files. Ends with 1 where a batch fails, a case has no report, or
+anything is stray. The first samples hold the compilation of kernels, once per machine.
 """
 
 from __future__ import annotations
@@ -154,6 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--together", action="store_true", help="one batch that gives work to the workers")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--folder", type=Path, help="to work in; default: one that is removed")
     options = parser.parse_args()
@@ -161,7 +163,7 @@ def main() -> None:
         parser.error(f"--workers {options.workers}: give 1 to {options.cases} (as many as there are cases)")
     with tempfile.TemporaryDirectory(prefix="load-") as scratch:
         folder = (options.folder or Path(scratch)).resolve()
-        found = load(options.cases, options.workers, options.seed, folder)
+        found = load(options.cases, options.workers, options.seed, folder, together=options.together)
         for k, code in enumerate(found.codes):
             if code:
                 said = (folder / f"worker-{k}.log").read_text(errors="replace")

@@ -1,4 +1,4 @@
-"""Stages that leave a small result at once, in the place of the real ones: a preload of Dask workers in tests.
+"""Stages that leave a small result at once, in the place of the real ones: a preload of Dask workers.
 
 What befalls them is said by empty files in the case folder: `fail-mesh-p2` (an error that was foreseen),
 `fault-mesh-p2` (one that was not), `wait-mesh-p2` (the first process that gets there stays for a minute, its
@@ -61,7 +61,8 @@ def quick(stage: str) -> Any:
             with open_stage(out, stage, subject=case.subject, site=site) as writer:
                 writer.file("half", "half.txt").write_text("the first half")
                 befalls(case.folder, label)
-                writer.file("text", FILES.get(stage, "a.txt")).write_text(f"whole {label}")
+                name = "page" if stage == "report" else "text"
+                writer.file(name, FILES.get(stage, "a.txt")).write_text(f"whole {label}")
                 writer.data["threads"] = os.environ.get("OMP_NUM_THREADS")
                 note_case(writer, case, ["probe"])
                 if stage in EARLIER:

@@ -20,6 +20,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
+import dask
 from distributed import Client, LocalCluster
 
 from limbcli.cli import batch_cluster
@@ -36,10 +37,13 @@ ALL = sorted(["segment", "report", *OF_SITES])
 @pytest.fixture(scope="module")
 def workers() -> Iterator[LocalCluster]:
     """Two processes; a part that two of them do not survive is given up."""
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
-        preload=[PRELOAD], silence_logs=50, scheduler_kwargs={"allowed_failures": 1},
-    ) as started:  # fmt: skip
+    with (
+        dask.config.set({"distributed.scheduler.worker-saturation": 1.0}),
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
+            preload=[PRELOAD], silence_logs=50, scheduler_kwargs={"allowed_failures": 1},
+        ) as started,
+    ):  # fmt: skip
         yield started
 
 
@@ -48,7 +52,9 @@ def cases(folder: Path, *names: str) -> list[Path]:
 
 
 def batch(workers: LocalCluster, *words: str | Path) -> int:
-    """Exit code of `limbcli batch` on these workers."""
+    """Exit code of `limbcli batch` on these workers, after all are there (again)."""
+    with Client(workers) as client:
+        client.wait_for_workers(2)
     try:
         main(["batch", *map(str, words), "--scheduler", workers.scheduler_address])
     except SystemExit as stop:
@@ -62,7 +68,7 @@ def left(out: Path) -> list[str]:
     for path in out.glob("*/**/*.json"):
         result = json.loads(path.read_text())
         if path.stem == result.get("stage"):
-            text = path.parent / result["files"]["text"]
+            text = path.parent / (result["files"].get("text") or result["files"]["page"])
             assert text.read_text() == f"whole {' '.join(path.parent.relative_to(out).parts)}"
             found.append(str(path.parent.relative_to(out)))
     return sorted(found)
@@ -136,7 +142,7 @@ def test_who_failed_where_and_why_is_listed_and_stops_nobody(workers, tmp_path: 
     told = capsys.readouterr().err
     listed = told[told.index("cases failed:") :]
     assert told.count("5 of 6 cases failed") == 1
-    assert "mesh p2: no skin under the probe\n      fix: move it" in listed
+    assert "mesh p2: no skin under the probe\n      where: mesh p2\n      fix:   move it" in listed
     assert "of all things" in listed
     assert "mesh p1: every process that worked on it was lost (2 in turn)" in listed
     assert "p1.csv" in listed
