@@ -36,6 +36,9 @@ ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, also 
 DefaultsOpt = Annotated[
     bool, typer.Option("--defaults", help="Forget the options that stages were called with by hand.")
 ]
+DiagnoseOpt = Annotated[
+    bool, typer.Option("--diagnose", help="Diagnose every place, too (minutes each), once it is fitted.")
+]
 ExpectOpt = Annotated[
     bool, typer.Option("--expect", help="Compare with the expected.toml of each case that has one.")
 ]
@@ -64,6 +67,7 @@ def command(
     templates: TemplatesOpt = None,
     force: ForceOpt = False,
     defaults: DefaultsOpt = False,
+    diagnose: DiagnoseOpt = False,
     expect: ExpectOpt = False,
     jobs: JobsOpt = None,
     scheduler: SchedulerOpt = None,
@@ -85,7 +89,7 @@ def command(
 
     options = BatchOptions(
         element=element, solver=solver, febio=_absolute(febio), templates=_absolute(templates), force=force,
-        defaults=defaults,
+        defaults=defaults, diagnose=diagnose,
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
     pairs = _folders(cases, out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import threading
 import time
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from limbcli.cli.batch_task import FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
+from limbcli.cli.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
 from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
@@ -20,6 +21,7 @@ from limbcli.stages.cluster import Standing, WorkerRefused, connected, lost_work
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+_TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
 _SAME = "call the same batch again: what is done is not done again"
 
 
@@ -30,7 +32,8 @@ class Way:
     place: int
     outcome: CaseOutcome
     first: Done | None = None
-    keys: dict[str, str] = field(default_factory=dict)
+    keys: dict[str, str] = field(default_factory=dict)  # by site, where it has ended
+    places: list[tuple[str, ...]] = field(default_factory=list)  # that are still to be diagnosed
     n_open: int = 0  # parts that are in work
 
     @property
@@ -50,11 +53,28 @@ def together(
         If no scheduler answers, a worker has other code, or the scheduler is lost on the way.
     """
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
+        n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
         call = Call(
-            client=Standing.own(), command=tuple(sys.argv), topic=f"limbcli-{uuid.uuid4().hex}", wait=wait,
-            options=options, threads=threads_of(jobs) if scheduler is None else 1,
+            client=Standing.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            threads=threads_of(jobs) if scheduler is None else 1, topic=f"limbcli-{uuid.uuid4().hex}",
+            tell_s=max(_TELL_S, n_workers / 2), wait=wait, options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()
+
+
+def asked(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
+    """Of a command line all but the cases and the output folder, which are a part's own.
+
+    >>> asked(["limbcli", "batch", "a", "b", "--out", "out", "--element", "tet4"], [Path("a"), Path("b")])
+    ('--element', 'tet4')
+    """
+    own = {str(each.absolute()) for each in cases}
+    found: list[str] = []
+    for before, word in itertools.pairwise(["", *command[2:]]):
+        is_out = before in ("--out", "-o") or word in ("--out", "-o") or word.startswith("--out=")
+        is_case = not word.startswith("-") and str(Path(word).absolute()) in own
+        found += [] if is_out or is_case else [word]
+    return tuple(found)
 
 
 class _Together:
@@ -133,7 +153,8 @@ class _Together:
         if part.kind == SITE:
             assert part.site is not None
             way.keys[part.site] = done.key
-            return self._last(way) if way.n_open == 0 else []
+        if part.kind in (SITE, DIAGNOSIS):
+            return self._diagnoses(way) or (self._last(way) if way.n_open == 0 else [])
         return self._ended(way)
 
     def _after_first(self, way: Way, done: Done) -> list[Future]:
@@ -142,18 +163,30 @@ class _Together:
         if done.is_all or not (done.sites or segmented):
             return self._ended(way)
         sites = done.sites if done.begun.done else ()
-        self.n_parts += len(sites) + 1
+        way.places = list(done.begun.places)
+        self.n_parts += len(sites) + len(way.places) + 1
         if not sites:
             return self._last(way)
         case, out = way.outcome.case, way.outcome.out
-        return [self._submit(way, Part(case, out, SITE, site=site, begun=done.begun)) for site in sites]
+        return [self._submit(way, Part(case, out, SITE, (site,), done.begun)) for site in sites]
+
+    def _diagnoses(self, way: Way) -> list[Future]:
+        """Of the places whose sites have all ended."""
+        ready = [place for place in way.places if way.keys.keys() >= set(place)]
+        way.places = [place for place in way.places if place not in ready]
+        assert way.first is not None
+        outcome, begun = way.outcome, way.first.begun
+        keys = [tuple(way.keys[name] for name in place) for place in ready]
+        return [
+            self._submit(way, Part(outcome.case, outcome.out, DIAGNOSIS, place, begun, own, outcome))
+            for place, own in zip(ready, keys, strict=True)
+        ]
 
     def _last(self, way: Way) -> list[Future]:
         assert way.first is not None
         keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
         outcome, begun = way.outcome, way.first.begun
-        part = Part(outcome.case, outcome.out, LAST, begun=begun, keys=keys, outcome=outcome)
-        return [self._submit(way, part)]
+        return [self._submit(way, Part(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
 
     def _ended(self, way: Way) -> list[Future]:
         self.n_cases_done += 1
@@ -195,7 +228,7 @@ class _Together:
         else:
             text = f"the cluster gave it up ({type(error).__name__}: {error})"
             told = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
-        stage = self.stages.get(_label(part.case, part.site), FIRST_STAGE[part.kind])
+        stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
         outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, told)])
         return Done(outcome, is_all=part.kind == LAST)
 
@@ -211,13 +244,13 @@ class _Together:
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
         """What a worker tells (in Dask's own thread)."""
-        facts = dict(event[1])
-        part, kind = facts.pop("part"), facts.pop("kind")
-        if kind == "stage":
-            self.stages[part] = facts["name"]
-            self._count(f"{part}: {facts['name']}")
-        elif str(facts.get("text", "")).startswith("waiting"):
+        facts = event[1]
+        part, stage = facts["part"], facts["stage"]
+        if facts["text"]:
             self._say("note", text=f"{part}: {facts['text']}")
+            return
+        self.stages[part] = stage
+        self._count(f"{part}: {stage}")
 
     def _count(self, now: str) -> None:
         left = self._left()
@@ -237,7 +270,3 @@ class _Together:
     def _say(self, kind: str, **facts: Any) -> None:
         with self._speaking:
             self.progress.event(kind, **facts)
-
-
-def _label(case: Path, site: str | None) -> str:
-    return Part(case, case, SITE, site=site).name

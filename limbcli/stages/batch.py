@@ -2,14 +2,14 @@
 
 One site's or one case's failure never stops the others: it is kept as
 `error.json` in the stage's folder, the report shows it, and the batch says so at
-its end. A case's work falls into parts, `CaseRun.first`, `site` (of several, side by
-side if need be) and `last`.
+its end. A case's work falls into parts, `CaseRun.first`, `site`, `diagnosis` (each of
+several, side by side if need be) and `last`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,14 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
-from limbcli.stages.asked import in_words, options_of
+from limbcli.stages.asked import in_words
 from limbcli.stages.batch_outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
+from limbcli.stages.batch_steps import SITE_STAGES, parts_of, site_steps
 from limbcli.stages.chain import Chain
 from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
-SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+DIAGNOSE = "diagnose"
 
 
 def batch(
@@ -42,8 +43,10 @@ def batch(
         return case
     run = CaseRun(case, out, options or BatchOptions(), progress)
     begun = run.first()
-    keys = [run.site(site.name, begun.key) for site in case.sites] if begun.done else []
-    run.last(begun.key, keys)
+    keys = {site.name: run.site(site.name, begun.key) for site in case.sites} if begun.done else {}
+    for place in begun.places:
+        run.diagnosis(place, [keys[name] for name in place])
+    run.last(begun.key, list(keys.values()))
     return run.outcome
 
 
@@ -68,10 +71,13 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
 @dataclass(frozen=True)
 class Begun:
-    """key : of what the sites' stages rest on; done : whether they can be run"""
+    """key : of what the sites' stages rest on; done : whether they can be run
+    places : sites that are to be diagnosed together, by name
+    """
 
     key: str
     done: bool
+    places: tuple[tuple[str, ...], ...] = ()
 
 
 class CaseRun:
@@ -98,12 +104,42 @@ class CaseRun:
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *_parts(wishes))
+        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes))
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
         if not done:
             for site in self.case.sites:
                 self._skip(SITE_STAGES, site.name, because="segment")
-        return Begun(key, done)
+        return Begun(key, done, self._places() if done and self.options.diagnose else ())
+
+    def _places(self) -> tuple[tuple[str, ...], ...]:
+        from limbcli.stages.diagnose import places
+
+        found = places(self.case, self.case.sites, out=self.out)
+        return tuple(tuple(site.name for site in place) for place in found)
+
+    def diagnosis(self, names: Sequence[str], keys: Sequence[str]) -> None:
+        """Of sites that share a place, by their keys; one made by hand stays as long as it holds."""
+        from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+
+        key = key_of(DIAGNOSE, *names, *keys)
+        for failure in self.outcome.failures:
+            if failure.site in names and failure.stage != SITE_STAGES[-1]:
+                for name in names:
+                    self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
+                return
+        memories = [self._memory(DIAGNOSE, name) for name in names]
+        if all(
+            memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
+            for name, memory in zip(names, memories, strict=True)
+        ):
+            for name, memory in zip(names, memories, strict=True):
+                memory.remember(DIAGNOSE, name, key)
+        options = DiagnoseOptions(templates=self.options.templates)
+
+        def work() -> object:
+            return diagnose(self.case, sites=list(names), options=options, **self._common())
+
+        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:])
 
     def last(self, first: str, keys: Sequence[str]) -> None:
         """What needs all sites: fits made on demand, and the report; by the keys of the parts before."""
@@ -145,7 +181,7 @@ class CaseRun:
 
     def _memory(self, stage: str, site: str | None) -> Memory:
         """Each site has its own, as parts of a case may run side by side."""
-        if site is None or stage not in SITE_STAGES:
+        if site is None or stage not in (*SITE_STAGES, DIAGNOSE):
             return self.memory
         if site not in self._of_sites:
             self._of_sites[site] = Memory(self.out, self.case.subject, site=site)
@@ -173,53 +209,16 @@ class CaseRun:
 
     def site(self, name: str, key: str) -> str:
         """The stages of one site; returns the key of the last, for the report."""
-        from limbcli.stages.build_feb import TissueOptions, build_feb
-        from limbcli.stages.fit import FitOptions, fit
-        from limbcli.stages.mesh import mesh
-        from limbcli.stages.run import RunOptions, run
-
-        raw, options, common = self.case.raw, self.options, self._common()
-        site = self.case.site(name)
-        meshed = self._asked("mesh", name, without=("element",) if options.element else ())
-        own = ("templates",) if options.templates else ()
-        tissue, ran, fitted = (self._asked(each, name, without=own) for each in ("build-feb", "run", "fit"))
-        if options.element:
-            meshed["element"] = options.element
-        templates = options.templates or _path(tissue.get("templates"))
-        fit_options = replace(options_of(FitOptions, fitted), **({"templates": templates} if own else {}))
-        table = next(each for each in raw["site"] if each["name"] == name)
-        solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
-        measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
-        study = stage_folder(self.out, "mesh-study", name) / "mesh-study.json"
-        steps: list[tuple[str, tuple[object, ...], Callable[[], object]]] = [
-            (
-                "mesh",
-                (raw["probe"], raw.get("model"), table, *_parts(meshed)),
-                lambda: mesh(self.case, sites=[name], **meshed, **common),
-            ),
-            (
-                "build-feb",
-                (*measured, *([templates] if templates else []), *_parts(tissue)),
-                lambda: build_feb(
-                    self.case, sites=[name], options=options_of(TissueOptions, tissue), templates=templates,
-                    **common,
-                ),
-            ),
-            (
-                "run", (*solver.items(), *_parts(ran)),
-                lambda: run(self.case, sites=[name], options=options_of(RunOptions, ran), **solver, **common),
-            ),
-            (
-                "fit", (*([study] if study.is_file() else []), *_parts(fitted)),
-                lambda: fit(self.case, sites=[name], options=fit_options, **solver, **common),
-            ),
-        ]  # fmt: skip
-        for k, (stage, parts, work) in enumerate(steps):
-            key = key_of(key, *parts)
+        own = ("templates",) if self.options.templates else ()
+        without = {"mesh": ("element",) if self.options.element else ()}
+        asked = {each: self._asked(each, name, without=without.get(each, own)) for each in SITE_STAGES}
+        steps = site_steps(self.case, name, self.options, asked, out=self.out, progress=self.progress)
+        for k, step in enumerate(steps):
+            stage, key = step.stage, key_of(key, *step.parts)
             if stage == "fit" and self._fit_is_there(name):
                 self._memory(stage, name).remember(stage, name, key)
-            if not self._stage(stage, name, key, work):
-                self._skip([each for each, _, _ in steps[k + 1 :]], name, because=stage)
+            if not self._stage(stage, name, key, step.work):
+                self._skip(SITE_STAGES[k + 1 :], name, because=stage)
                 break
         return key
 
@@ -241,12 +240,19 @@ class CaseRun:
             keep_error(self.out, stage, site, error, keep_result=keep_result)
 
     def _stage(
-        self, stage: str, site: str | None, key: str, work: Callable[[], object], *, keep_result: bool = False
-    ) -> bool:
-        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays)."""
+        self, stage: str, site: str | None, key: str, work: Callable[[], object], *,
+        keep_result: bool = False, beside: Sequence[str] = (),
+    ) -> bool:  # fmt: skip
+        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays).
+
+        beside : other sites whose results the same work leaves
+        """
         label = f"{stage} {site}" if site else stage
-        memory = self._memory(stage, site)
-        if not self.options.force and memory.is_fresh(stage, site, key) and self._holds(stage, site):
+        memories = {each: self._memory(stage, each) for each in (site, *beside)}
+        if not self.options.force and all(
+            memory.is_fresh(stage, each, key) and self._holds(stage, each)
+            for each, memory in memories.items()
+        ):
             self.outcome.fresh.append(label)
             self.progress.event("note", text=f"{label}: nothing changed")
             return True
@@ -255,10 +261,12 @@ class CaseRun:
             self._pass_on(work())
         except LimbError as error:
             self.outcome.failures.append(Failure(stage, site, error))
-            keep_error(self.out, stage, site, error, keep_result=keep_result)
+            for each in memories:
+                keep_error(self.out, stage, each, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")
             return False
-        memory.remember(stage, site, key)
+        for each, memory in memories.items():
+            memory.remember(stage, each, key)
         self.outcome.ran.append(label)
         return True
 
@@ -275,12 +283,3 @@ class CaseRun:
             if isinstance(each, StageResult):
                 for line in (*each.summary, *(f"warning: {text}" for text in each.warnings)):
                     self.progress.event("note", text=line)
-
-
-def _parts(asked: Mapping[str, Any]) -> tuple[object, ...]:
-    """What a key sees of options that were asked for."""
-    return (sorted(asked.items()),) if asked else ()
-
-
-def _path(text: str | None) -> Path | None:
-    return Path(text) if text else None

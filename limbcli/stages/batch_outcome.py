@@ -19,6 +19,7 @@ class BatchOptions:
     """What the stages are told: `element` None is the case's own; `force` redoes everything.
 
     defaults : stages forget what they were asked for by hand; else each is called as it was last called
+    diagnose : every place is diagnosed, too, once its sites are fitted
     """
 
     element: str | None = None
@@ -27,6 +28,7 @@ class BatchOptions:
     templates: Path | None = None
     force: bool = False
     defaults: bool = False
+    diagnose: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,13 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from limbcli.case import Case
+from limbcli.case import Case, Site
 from limbcli.errors import MeshError
 from limbcli.results import open_stage, read_result
 from limbcli.stages.chain_inputs import note_case
@@ -29,7 +30,14 @@ EARLIER = {"mesh": "segment", "build-feb": "mesh", "run": "build-feb", "fit": "r
 
 @dataclass(frozen=True)
 class Options:
-    """Of any stage: none."""
+    """Of any stage."""
+
+    templates: Path | None = None
+
+
+def in_one_place(case: Case, sites: Sequence[Site], *, out: Path) -> list[list[Site]]:
+    """All of them, unless the case has a file `apart`."""
+    return [[each] for each in sites] if (case.folder / "apart").exists() else [list(sites)]
 
 
 def told(case: Path, word: str, label: str) -> None:
@@ -80,3 +88,6 @@ def dask_setup(worker: Any) -> None:
         own = {name: quick(stage), "edited_labels": lambda out: None}
         options = {"FitOptions": Options, "TissueOptions": Options, "RunOptions": Options}
         sys.modules[f"limbcli.stages.{name}"] = SimpleNamespace(**own, **options)  # type: ignore[assignment]
+    sys.modules["limbcli.stages.diagnose"] = SimpleNamespace(  # type: ignore[assignment]
+        diagnose=quick("diagnose"), places=in_one_place, DiagnoseOptions=Options
+    )

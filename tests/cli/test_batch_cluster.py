@@ -10,7 +10,9 @@ import json
 import os
 import re
 import signal
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -21,6 +23,7 @@ import pytest
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
 import dask
+from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
 
 from limbcli.cli import batch_cluster
@@ -55,8 +58,11 @@ def batch(workers: LocalCluster, *words: str | Path) -> int:
     """Exit code of `limbcli batch` on these workers, after all are there (again)."""
     with Client(workers) as client:
         client.wait_for_workers(2)
+    arguments = ["batch", *map(str, words), "--scheduler", workers.scheduler_address]
     try:
-        main(["batch", *map(str, words), "--scheduler", workers.scheduler_address])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["limbcli", *arguments])
+            main(arguments)
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
@@ -96,7 +102,9 @@ def test_every_part_is_done_once_by_two_processes_and_then_nothing(workers, tmp_
     assert str(os.getpid()) not in processes
     result = json.loads((tmp_path / "out" / "a" / "fit" / "p1" / "fit.json").read_text())
     assert result["data"]["threads"] == "1"
-    assert result["provenance"]["command"] == " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    out, scheduler = tmp_path / "out" / "a", workers.scheduler_address
+    command = f"limbcli batch {several[0]} --out {out} --scheduler {scheduler}"
+    assert result["provenance"]["command"] == command
     before = contents(tmp_path / "out")
     assert batch(workers, *several, "--out", tmp_path / "out") == 0
     assert "nothing changed" in capsys.readouterr().err
@@ -106,6 +114,21 @@ def test_every_part_is_done_once_by_two_processes_and_then_nothing(workers, tmp_
     }
     assert all(set(log(case).values()) == {1} for case in several)
     assert not strays(tmp_path / "out", tmp_path / "none")
+
+
+def test_local_processes_share_the_cores_and_leave_nothing_behind(tmp_path: Path, capsys, monkeypatch):
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    several = cases(tmp_path, "a", "b")
+    with dask.config.set({"distributed.worker.preload": [PRELOAD]}):
+        main(["batch", *map(str, several), "--out", str(tmp_path / "out"), "--jobs", "2"])
+    assert "2 worker processes; dashboard: http://127.0.0.1:" in capsys.readouterr().err
+    result = json.loads((tmp_path / "out" / "a" / "fit" / "p1" / "fit.json").read_text())
+    assert result["data"]["threads"] == str(max(1, CPU_COUNT // 2))
+    assert [left(tmp_path / "out" / each.name) for each in several] == [ALL, ALL]
+    assert not strays(tmp_path / "out", tmp_path / "scratch")
+    numbers = {line.split()[-1] for case in several for line in (case / "log.txt").read_text().splitlines()}
+    assert not [each for each in numbers if Path(f"/proc/{each}").exists()]
 
 
 def test_what_a_killed_process_was_at_is_done_by_another(workers, tmp_path: Path, capsys):
@@ -129,6 +152,58 @@ def test_what_a_killed_process_was_at_is_done_by_another(workers, tmp_path: Path
     assert set(log(several[1]).values()) == {1}
     assert [left(tmp_path / "out" / each.name) for each in several] == [ALL, ALL]
     assert not strays(tmp_path / "out", tmp_path / "none")
+
+
+def test_every_place_is_diagnosed_once_its_sites_are_fitted(workers, tmp_path: Path, capsys):
+    together, apart, fails = several = cases(tmp_path, "together", "apart", "fails")
+    (apart / "apart").touch()
+    (fails / "fail-run-p1").touch()
+    out = tmp_path / "out"
+    assert batch(workers, *several, "--diagnose", "--out", out) == 5
+    diagnosed = sorted([*ALL, "diagnose/p1", "diagnose/p2"])
+    assert [left(out / each.name) for each in (together, apart)] == [diagnosed, diagnosed]
+    for case in (together, apart):
+        lines = [line.rpartition(" ")[0] for line in (case / "log.txt").read_text().splitlines()]
+        for site in ("p1", "p2"):
+            assert lines.count(f"begin diagnose {site}") == 1
+            assert lines.index(f"end fit {site}") < lines.index(f"begin diagnose {site}")
+    assert not [each for each in left(out / "fails") if "diagnose" in each]
+    kept = json.loads((out / "fails" / "diagnose" / "p2" / "error.json").read_text())
+    assert "because `run p1` failed" in kept["what"]
+    capsys.readouterr()
+    assert batch(workers, together, apart, "--diagnose", "--out", out) == 0
+    assert capsys.readouterr().err.count("nothing changed") == 2
+
+
+def test_an_interrupted_batch_ends_at_once_and_leaves_no_process(tmp_path: Path):
+    """As Ctrl-C on a terminal: all of its processes hear of it."""
+    case, out = two_sites(tmp_path / "a"), tmp_path / "out"
+    (case / "wait-run-p2").touch()
+    (tmp_path / "scratch").mkdir()
+    environment = {
+        **os.environ,
+        "DASK_DISTRIBUTED__WORKER__PRELOAD": PRELOAD,
+        "TMPDIR": str(tmp_path / "scratch"),
+    }
+    words = ["batch", str(case), "--out", str(out), "--jobs", "2"]
+    command = [sys.executable, "-m", "limbcli", *words]
+    process = subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    at = case / "at-run-p2"
+    while not at.exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    begun = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    told = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "interrupted; nothing half-written was kept" in told
+    assert "Traceback" not in told
+    assert time.monotonic() - begun < 30, "nobody waits for the part to end"
+    assert not Path(f"/proc/{at.read_text()}").exists()
+    assert "run/p2" not in left(out)
+    assert not list((tmp_path / "scratch").iterdir())
 
 
 def test_who_failed_where_and_why_is_listed_and_stops_nobody(workers, tmp_path: Path, capsys):
