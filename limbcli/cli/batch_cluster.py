@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import itertools
 import sys
 import threading
@@ -97,11 +99,10 @@ class _Together:
             running = as_completed(futures)
             for future in running:
                 running.update(self._next(future))
-        except BaseException:
-            self.client.cancel(list(self.parts), force=True)
-            raise
         finally:
-            self.client.unsubscribe_topic(self.call.topic)
+            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to tell
+                self.client.cancel(list(self.parts), force=True)
+                self.client.unsubscribe_topic(self.call.topic)
         lost = lost_workers(self.client) - before
         if lost > 0:
             self._say("note", text=f"worker processes lost on the way: {lost}; their work was done by others")
@@ -112,6 +113,7 @@ class _Together:
     def _submit(self, way: Way, part: Part) -> Future:
         """Parts of earlier cases go first, so that cases end one after the other."""
         way.n_open += 1
+        part = copy.deepcopy(part)  # the case's outcome goes on changing here
         # Dask takes parts of a kind for a group by what stands before the number: those of a large group wait
         # with the scheduler, not with a worker that may be lost.
         key = f"{part.kind}-0-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"

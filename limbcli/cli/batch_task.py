@@ -117,7 +117,7 @@ class _Told:
 
 def done(part: Part, call: Call, tell: Tell) -> Done:
     """The same in this process; `tell` hears of its progress."""
-    heard = _Heard(FIRST_STAGE[part.kind])
+    heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
     progress = Progress(heard, tell)
     outcome = CaseOutcome(part.case, part.out)
     try:

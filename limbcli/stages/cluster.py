@@ -12,6 +12,7 @@ import importlib.util
 import logging
 import os
 import platform
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -130,8 +131,13 @@ def _local(jobs: int, folder: Path) -> LocalCluster:
         return LocalCluster(
             n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
             dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-            local_directory=str(folder),
+            local_directory=str(folder), preload=[*dask.config.get("distributed.worker.preload"), __name__],
         )  # fmt: skip
+
+
+def dask_setup(_worker: Any) -> None:
+    """Called by Dask in a local process before it takes work: Ctrl-C is for the batch, which ends them all."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _at(scheduler: str) -> Client:
