@@ -127,16 +127,17 @@ def _local(jobs: int, folder: Path) -> LocalCluster:
     from distributed import LocalCluster
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
+    asked = dask.config.get("distributed.worker.preload")
     with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
         return LocalCluster(
             n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
             dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-            local_directory=str(folder), preload=[*dask.config.get("distributed.worker.preload"), __name__],
+            local_directory=str(folder), preload=[*([asked] if isinstance(asked, str) else asked), __name__],
         )  # fmt: skip
 
 
 def dask_setup(_worker: Any) -> None:
-    """Called by Dask in a local process before it takes work: Ctrl-C is for the batch, which ends them all."""
+    """Called by Dask in a local process at its beginning: Ctrl-C is for the batch, which ends them all."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
