@@ -16,7 +16,6 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from limbcli import __version__
@@ -32,6 +31,12 @@ if TYPE_CHECKING:
 EXTRA = "cluster"
 _GB_A_WORKER = 2.0  # of memory: what a large series takes in `segment`
 _WAIT_S = 30  # for a scheduler to answer
+# Of local processes: no part waits with one that may be lost; where none is left, parts fail after a while.
+_LOCAL = {
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.no-workers-timeout": "5 minutes",
+    "distributed.comm.timeouts.connect": "2 minutes",
+}
 _LIBRARY_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -105,12 +110,14 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
             where="--scheduler" if scheduler else "--jobs",
             fix=f"pip install 'limbcli[{EXTRA}]', or leave the option out: one case after the other, here",
         )
+    import dask
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by the batch
     with contextlib.ExitStack() as stack:
         if scheduler is None:
-            folder = stack.enter_context(scratch_folder())
+            folder = str(stack.enter_context(scratch_folder()))
+            stack.enter_context(dask.config.set({"temporary-directory": folder}))
             client = stack.enter_context(Client(stack.enter_context(_local(jobs, folder))))
         else:
             client = stack.enter_context(_at(scheduler))
@@ -121,18 +128,18 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
         yield client
 
 
-def _local(jobs: int, folder: Path) -> LocalCluster:
+def _local(jobs: int, folder: str) -> LocalCluster:
     """Processes on this computer; what waits does so with the scheduler, and is not lost with a process."""
     import dask
     from distributed import LocalCluster
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
     asked = dask.config.get("distributed.worker.preload")
-    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0}):
+    with dask.config.set(_LOCAL):
         return LocalCluster(
             n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
             dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-            local_directory=str(folder), preload=[*([asked] if isinstance(asked, str) else asked), __name__],
+            local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
         )  # fmt: skip
 
 

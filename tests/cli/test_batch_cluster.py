@@ -41,7 +41,7 @@ ALL = sorted(["segment", "report", *OF_SITES])
 def workers() -> Iterator[LocalCluster]:
     """Two processes; a part that two of them do not survive is given up."""
     with (
-        dask.config.set({"distributed.scheduler.worker-saturation": 1.0}),
+        dask.config.set(cluster._LOCAL),
         LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
             preload=[PRELOAD], silence_logs=50, scheduler_kwargs={"allowed_failures": 1},
@@ -188,8 +188,9 @@ def test_an_interrupted_batch_ends_at_once_and_leaves_no_process(tmp_path: Path)
     words = ["batch", str(case), "--out", str(out), "--jobs", "2"]
     command = [sys.executable, "-m", "limbcli", *words]
     process = subprocess.Popen(
-        command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # not so in the background
+    )  # fmt: skip
     at = case / "at-run-p2"
     while not at.exists():
         assert process.poll() is None
