@@ -8,6 +8,7 @@ from pathlib import Path
 from limbcli.errors import ToolError
 
 _PACKAGE = Path(__file__).resolve().parent
+THREADS = "LIMBCLI_THREADS"  # in the environment: the most threads of one simulation
 
 
 def templates_folder(override: Path | None = None) -> Path:
@@ -43,3 +44,12 @@ def default_out(case_folder: Path) -> Path:
     """Output folder of a case where none is named: `out/<name of the case folder>` here."""
     base = os.environ.get("LIMBCLI_OUT", "out")
     return Path(base) / case_folder.resolve().name
+
+
+def at_most(threads: int) -> int:
+    """So many threads, or as many as the environment's LIMBCLI_THREADS allows, if those are fewer.
+
+    A batch whose processes share the cores sets it for each of them.
+    """
+    allowed = os.environ.get(THREADS, "")
+    return max(1, min(threads, int(allowed))) if allowed.isdigit() else threads

@@ -14,6 +14,8 @@ no skin under the probe
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class LimbError(Exception):
     """Whatever limbcli can foresee going wrong.
@@ -34,6 +36,16 @@ class LimbError(Exception):
         self.where = where
         self.fix = fix
         self.facts = facts
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it travels from one process to another."""
+        return _arrived, (type(self), self.what, self.where, self.fix, self.facts)
+
+
+def _arrived(family: type[LimbError], what: str, where: str, fix: str, facts: dict[str, Any]) -> LimbError:
+    error = family.__new__(family)
+    LimbError.__init__(error, what, where=where, fix=fix, **facts)
+    return error
 
 
 class CaseError(LimbError):

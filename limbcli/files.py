@@ -11,6 +11,7 @@ import gzip
 import hashlib
 import io
 import os
+import platform
 import shutil
 import tempfile
 import time
@@ -23,6 +24,8 @@ from numpy.typing import NDArray
 from limbcli.faults import PARTIAL, told
 
 _OLD = "-old-"
+_NAME_LENGTH = 60  # of a computer's name within a file's
+_ABANDONED_S = 24 * 3600.0
 _PLY_HEAD = 20_000  # bytes that a PLY's header may have
 _SIDES = ("triangle", "quad")
 # What a library may raise on a damaged file: meshio's own ReadError, and some of its readers call sys.exit.
@@ -43,7 +46,7 @@ def atomic_file(target: Path) -> Iterator[Path]:
     with told(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            prefix=f"{PARTIAL}{os.getpid()}-", suffix=target.suffix, dir=target.parent
+            prefix=f"{PARTIAL}{_maker()}-", suffix=target.suffix, dir=target.parent
         )
         os.close(handle)
         partial = Path(name)
@@ -64,7 +67,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     with told(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
-        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{os.getpid()}-", dir=target.parent))
+        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{_maker()}-", dir=target.parent))
         partial.chmod(0o755)
         try:
             yield partial
@@ -75,7 +78,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
 def _put_in_place(partial: Path, target: Path) -> None:
     """The folder takes the target's place; what was there comes back if that fails."""
-    retired = target.parent / f"{PARTIAL}{os.getpid()}{_OLD}{target.name}"
+    retired = target.parent / f"{PARTIAL}{_maker()}{_OLD}{target.name}"
     try:
         if target.exists():
             os.replace(target, retired)
@@ -90,11 +93,11 @@ def _put_in_place(partial: Path, target: Path) -> None:
 def clear_partial(folder: Path) -> None:
     """Remove partial files and folders whose maker is no longer running.
 
+    Of a maker on another computer, which cannot be looked at from here, those that lie untouched for a day.
     A folder that was on its way out when its maker was killed comes back where nothing took its place.
     """
     for path in folder.glob(f"{PARTIAL}*"):
-        pid = path.name.removeprefix(PARTIAL).split("-")[0]
-        if pid.isdigit() and _is_alive(int(pid)):
+        if _is_in_work(path):
             continue
         before = path.name.partition(_OLD)[2]
         if before and not (folder / before).exists():
@@ -103,6 +106,30 @@ def clear_partial(folder: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+
+def _maker() -> str:
+    """This process, as the names of its partial files tell it: its number, and the computer."""
+    return f"{os.getpid()}@{_computer()}"
+
+
+def _computer() -> str:
+    return platform.node().replace("-", "_")[:_NAME_LENGTH]
+
+
+def _is_in_work(partial: Path) -> bool:
+    number, _, computer = partial.name.removeprefix(PARTIAL).split("-")[0].partition("@")
+    if computer in ("", _computer()):
+        return number.isdigit() and _is_alive(int(number))
+    try:
+        return time.time() - _last_touched(partial) < _ABANDONED_S
+    except FileNotFoundError:  # ended meanwhile
+        return True
+
+
+def _last_touched(path: Path) -> float:
+    """When the file, or anything in the folder, was last changed (s since the epoch)."""
+    return max(each.lstat().st_mtime for each in (path, *path.rglob("*")))
 
 
 def _is_alive(pid: int) -> bool:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
+from limbcli import files
 from limbcli.files import atomic_file, atomic_folder, clear_partial, sha256
 from limbcli.results import open_stage, read_result
 
@@ -47,6 +49,25 @@ def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path:
     (tmp_path / f".partial-{os.getpid()}-x").mkdir()
     clear_partial(tmp_path)
     assert os.listdir(tmp_path) == [f".partial-{os.getpid()}-x"]
+
+
+def test_what_another_computer_has_in_work_is_left_alone_for_a_day(tmp_path: Path):
+    process = subprocess.Popen(["true"])
+    process.wait()
+    names = {each: f".partial-{process.pid}@{each}-x" for each in ("elsewhere", files._computer())}
+    for name in names.values():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text("half")
+    clear_partial(tmp_path)
+    assert os.listdir(tmp_path) == [names["elsewhere"]]
+    old = time.time() - 25 * 3600
+    os.utime(tmp_path / names["elsewhere"], (old, old))
+    clear_partial(tmp_path)
+    assert os.listdir(tmp_path) == [names["elsewhere"]], "a file in it is still written"
+    os.utime(tmp_path / names["elsewhere"] / "a.txt", (old, old))
+    os.utime(tmp_path / names["elsewhere"], (old, old))
+    clear_partial(tmp_path)
+    assert not os.listdir(tmp_path)
 
 
 def test_hash_of_a_folder_sees_names_and_contents(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 The lock is the system's own on a file in the folder: it ends with the process that holds it, however
 that ends, so a dead holder's lock needs no clearing. What stands in the file only says who holds it.
+Those who write one site each hold the folder's lock together, and the site's alone.
 """
 
 from __future__ import annotations
@@ -38,29 +39,50 @@ def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) 
     CaseError
         If another writes there and `wait` is not given, or the folder cannot be written to.
     """
+    with _held(folder, LOCK, wait=wait, progress=progress):
+        yield
+
+
+@contextlib.contextmanager
+def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progress = SILENT) -> Iterator[None]:
+    """The only limbcli that writes this site's results; those of other sites may be written meanwhile.
+
+    Raises
+    ------
+    CaseError
+        As `one_writer`.
+    """
+    together = _held(folder, LOCK, wait=wait, progress=progress, alone=False)
+    with together, _held(folder, f"{LOCK}-{site}", wait=wait, progress=progress):
+        yield
+
+
+@contextlib.contextmanager
+def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool = True) -> Iterator[None]:
     is_new = not folder.exists()
     with told(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        stream = _locked(folder, wait=wait, progress=progress)
+        stream = _locked(folder, name, wait=wait, progress=progress, alone=alone)
     try:
         yield
     finally:
         with contextlib.suppress(OSError):
-            (folder / LOCK).unlink(missing_ok=True)  # whoever waits for this very file looks again
+            if alone or _try(stream, alone=True):  # the last of several puts out the light
+                (folder / name).unlink(missing_ok=True)  # whoever waits for this very file looks again
         stream.close()
         if is_new:
             with contextlib.suppress(OSError):
                 folder.rmdir()  # only if nothing was left in it
 
 
-def _locked(folder: Path, *, wait: bool, progress: Progress) -> TextIO:
+def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool) -> TextIO:
     """The lock's file, held; a file that another has removed meanwhile does not count."""
     is_told = False
     while True:
         folder.mkdir(parents=True, exist_ok=True)
-        stream = (folder / LOCK).open("a+", encoding="utf-8")
-        if _try(stream):
-            if _is_still(stream, folder / LOCK):
+        stream = (folder / name).open("a+", encoding="utf-8")
+        if _try(stream, alone=alone):
+            if _is_still(stream, folder / name):
                 _sign(stream)
                 return stream
             stream.close()
@@ -80,9 +102,9 @@ def _locked(folder: Path, *, wait: bool, progress: Progress) -> TextIO:
         time.sleep(_LOOK_S)
 
 
-def _try(stream: TextIO) -> bool:
+def _try(stream: TextIO, *, alone: bool = True) -> bool:
     try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(stream, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import limbcli
+from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
@@ -129,5 +130,5 @@ def prepare(
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
-    settings = Settings(tolerance=tolerance, linear=linear, threads=threads, stalled=stalled)
+    settings = Settings(tolerance=tolerance, linear=linear, threads=at_most(threads), stalled=stalled)
     return Analysis(model, settings, progress)

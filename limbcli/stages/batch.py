@@ -2,79 +2,30 @@
 
 One site's or one case's failure never stops the others: it is kept as
 `error.json` in the stage's folder, the report shows it, and the batch says so at
-its end.
+its end. A case's work falls into parts, `CaseRun.first`, `site`, `diagnosis` (each of
+several, side by side if need be) and `last`.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
-from limbcli.files import atomic_file, sha256
+from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, plain, read_result, stage_folder
-from limbcli.stages.asked import in_words, options_of
+from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.stages.asked import in_words
+from limbcli.stages.batch_outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
+from limbcli.stages.batch_steps import SITE_STAGES, parts_of, site_steps
 from limbcli.stages.chain import Chain
 from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
 
-ERROR_FILE = "error.json"
-
-
-@dataclass(frozen=True)
-class BatchOptions:
-    """What the stages are told: `element` None is the case's own; `force` redoes everything.
-
-    defaults : stages forget what they were asked for by hand; else each is called as it was last called
-    """
-
-    element: str | None = None
-    solver: str = "auto"
-    febio: Path | None = None
-    templates: Path | None = None
-    force: bool = False
-    defaults: bool = False
-
-
-@dataclass(frozen=True)
-class Failure:
-    stage: str
-    site: str | None
-    error: LimbError
-
-
-@dataclass
-class CaseOutcome:
-    """How one case went: what ran, what was fresh, what failed, and its report.
-
-    kept : options that a stage was called with by hand and is called with again, in words
-    """
-
-    case: Path
-    out: Path
-    ran: list[str] = field(default_factory=list)
-    fresh: list[str] = field(default_factory=list)
-    kept: dict[str, str] = field(default_factory=dict)
-    failures: list[Failure] = field(default_factory=list)
-    report: Path | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "case": str(self.case),
-            "out": str(self.out),
-            "ran": self.ran,
-            "fresh": self.fresh,
-            "kept": self.kept,
-            "failures": [
-                {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
-            ],
-            "report": str(self.report) if self.report else None,
-        }
+DIAGNOSE = "diagnose"
 
 
 def batch(
@@ -87,47 +38,131 @@ def batch(
     CaseError
         If there is no such folder.
     """
+    case = opened(folder, out)
+    if isinstance(case, CaseOutcome):
+        return case
+    run = CaseRun(case, out, options or BatchOptions(), progress)
+    begun = run.first()
+    keys = {site.name: run.site(site.name, begun.key) for site in case.sites} if begun.done else {}
+    for place in begun.places:
+        run.diagnosis(place, [keys[name] for name in place])
+    run.last(begun.key, list(keys.values()))
+    return run.outcome
+
+
+def opened(folder: Path, out: Path) -> Case | CaseOutcome:
+    """The case; where it cannot be read, how it went: a page that says so.
+
+    Raises
+    ------
+    CaseError
+        If there is no such folder.
+    """
     from limbcli.stages.report_failure import report_failure
 
     try:
-        case = Case.open(folder)
+        return Case.open(folder)
     except CaseError as error:
         if not folder.is_dir():
             raise
         page = report_failure(folder, error, out=out).path("page")
         return CaseOutcome(folder, out, failures=[Failure("check", None, error)], report=page)
-    return _Run(case, out, options or BatchOptions(), progress).all()
 
 
-class _Run:
-    """One case on its way through the stages."""
+@dataclass(frozen=True)
+class Begun:
+    """key : of what the sites' stages rest on; done : whether they can be run
+    places : sites that are to be diagnosed together, by name
+    """
 
-    def __init__(self, case: Case, out: Path, options: BatchOptions, progress: Progress):
+    key: str
+    done: bool
+    places: tuple[tuple[str, ...], ...] = ()
+
+
+class CaseRun:
+    """One case on its way through the stages.
+
+    outcome : how it went so far; parts that ran elsewhere are added to it
+    """
+
+    def __init__(
+        self, case: Case, out: Path, options: BatchOptions, progress: Progress,
+        outcome: CaseOutcome | None = None,
+    ):  # fmt: skip
         self.case, self.out, self.options, self.progress = case, out, options, progress
-        self.outcome = CaseOutcome(case.folder, out)
+        self.outcome = outcome or CaseOutcome(case.folder, out)
         self.memory = Memory(out, case.subject)
+        self._of_sites: dict[str, Memory] = {}
         self.chain = Chain(case, out)
 
-    def all(self) -> CaseOutcome:
-        from limbcli.stages.report import report
+    def first(self) -> Begun:
+        """What all sites share."""
         from limbcli.stages.segment import edited_labels, segment
 
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *_parts(wishes))
+        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes))
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
-        keys = [self._site(site.name, key) for site in self.case.sites] if done else []
         if not done:
             for site in self.case.sites:
-                self._skip(("mesh", "build-feb", "run", "fit"), site.name, because="segment")
+                self._skip(SITE_STAGES, site.name, because="segment")
+        return Begun(key, done, self._places() if done and self.options.diagnose else ())
+
+    def _places(self) -> tuple[tuple[str, ...], ...]:
+        from limbcli.stages.diagnose import places
+
+        found = places(self.case, self.case.sites, out=self.out)
+        return tuple(tuple(site.name for site in place) for place in found)
+
+    def diagnosis(self, names: Sequence[str], keys: Sequence[str]) -> None:
+        """Of sites that share a place, by their keys; one made by hand stays as long as it holds."""
+        from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+
+        key = key_of(DIAGNOSE, *names, *keys)
+        for failure in self.outcome.failures:
+            if failure.site in names and failure.stage != SITE_STAGES[-1]:
+                for name in names:
+                    self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
+                return
+        memories = [self._memory(DIAGNOSE, name) for name in names]
+        if all(
+            memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
+            for name, memory in zip(names, memories, strict=True)
+        ):
+            for name, memory in zip(names, memories, strict=True):
+                memory.remember(DIAGNOSE, name, key)
+        options = DiagnoseOptions(templates=self.options.templates)
+
+        def work() -> object:
+            return diagnose(self.case, sites=list(names), options=options, **self._common())
+
+        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:])
+
+    def last(self, first: str, keys: Sequence[str]) -> None:
+        """What needs all sites: fits made on demand, and the report; by the keys of the parts before."""
+        from limbcli.stages.report import report
+
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
-        keys += [*made, *(sha256(path) for path in shown_only(self.case, self.out))]
-        everything = key_of(key, *keys, raw, [str(each.error) for each in self.outcome.failures])
+        shown = [sha256(path) for path in shown_only(self.case, self.out)]
+        failed = [str(each.error) for each in self.outcome.failures]
+        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed)
         if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
-        return self.outcome
+
+    def keep(self, failure: Failure) -> None:
+        """See that a failure is on the page, also where its process was lost and could leave nothing."""
+        stage, site = failure.stage, failure.site
+        if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
+            return
+        keep_error(self.out, stage, site, failure.error)
+        if site is None:
+            for each in self.case.sites if stage == "segment" else ():
+                self._skip(SITE_STAGES, each.name, because=stage)
+        elif stage in SITE_STAGES:
+            self._skip(SITE_STAGES[SITE_STAGES.index(stage) + 1 :], site, because=stage)
 
     def _extra(self, extra: Extra, keys: Sequence[str]) -> str:
         """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
@@ -144,13 +179,22 @@ class _Run:
             self._stage(extra.stage, extra.site, key, extra.redo, keep_result=True)
         return sha256(folder)
 
+    def _memory(self, stage: str, site: str | None) -> Memory:
+        """Each site has its own, as parts of a case may run side by side."""
+        if site is None or stage not in (*SITE_STAGES, DIAGNOSE):
+            return self.memory
+        if site not in self._of_sites:
+            self._of_sites[site] = Memory(self.out, self.case.subject, site=site)
+        return self._of_sites[site]
+
     def _asked(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
         """Options of the stage's last call by hand; kept, and said.
 
         without : those that something stronger stands in for (the batch's own option)
         """
-        asked = {} if self.options.defaults else self.memory.asked(stage, site)
-        self.memory.keep_asked(stage, site, asked)
+        memory = self._memory(stage, site)
+        asked = {} if self.options.defaults else memory.asked(stage, site)
+        memory.keep_asked(stage, site, asked)
         asked = {key: value for key, value in asked.items() if key not in without}
         if asked:
             label, words = f"{stage} {site}" if site else stage, in_words(asked)
@@ -163,61 +207,24 @@ class _Run:
     def _common(self) -> dict[str, Any]:
         return {"out": self.out, "progress": self.progress}
 
-    def _site(self, name: str, key: str) -> str:
+    def site(self, name: str, key: str) -> str:
         """The stages of one site; returns the key of the last, for the report."""
-        from limbcli.stages.build_feb import TissueOptions, build_feb
-        from limbcli.stages.fit import FitOptions, fit
-        from limbcli.stages.mesh import mesh
-        from limbcli.stages.run import RunOptions, run
-
-        raw, options, common = self.case.raw, self.options, self._common()
-        site = self.case.site(name)
-        meshed = self._asked("mesh", name, without=("element",) if options.element else ())
-        own = ("templates",) if options.templates else ()
-        tissue, ran, fitted = (self._asked(each, name, without=own) for each in ("build-feb", "run", "fit"))
-        if options.element:
-            meshed["element"] = options.element
-        templates = options.templates or _path(tissue.get("templates"))
-        fit_options = replace(options_of(FitOptions, fitted), **({"templates": templates} if own else {}))
-        table = next(each for each in raw["site"] if each["name"] == name)
-        solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
-        measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
-        study = stage_folder(self.out, "mesh-study", name) / "mesh-study.json"
-        steps: list[tuple[str, tuple[object, ...], Callable[[], object]]] = [
-            (
-                "mesh",
-                (raw["probe"], raw.get("model"), table, *_parts(meshed)),
-                lambda: mesh(self.case, sites=[name], **meshed, **common),
-            ),
-            (
-                "build-feb",
-                (*measured, *([templates] if templates else []), *_parts(tissue)),
-                lambda: build_feb(
-                    self.case, sites=[name], options=options_of(TissueOptions, tissue), templates=templates,
-                    **common,
-                ),
-            ),
-            (
-                "run", (*solver.items(), *_parts(ran)),
-                lambda: run(self.case, sites=[name], options=options_of(RunOptions, ran), **solver, **common),
-            ),
-            (
-                "fit", (*([study] if study.is_file() else []), *_parts(fitted)),
-                lambda: fit(self.case, sites=[name], options=fit_options, **solver, **common),
-            ),
-        ]  # fmt: skip
-        for k, (stage, parts, work) in enumerate(steps):
-            key = key_of(key, *parts)
+        own = ("templates",) if self.options.templates else ()
+        without = {"mesh": ("element",) if self.options.element else ()}
+        asked = {each: self._asked(each, name, without=without.get(each, own)) for each in SITE_STAGES}
+        steps = site_steps(self.case, name, self.options, asked, out=self.out, progress=self.progress)
+        for k, step in enumerate(steps):
+            stage, key = step.stage, key_of(key, *step.parts)
             if stage == "fit" and self._fit_is_there(name):
-                self.memory.remember(stage, name, key)
-            if not self._stage(stage, name, key, work):
-                self._skip([each for each, _, _ in steps[k + 1 :]], name, because=stage)
+                self._memory(stage, name).remember(stage, name, key)
+            if not self._stage(stage, name, key, step.work):
+                self._skip(SITE_STAGES[k + 1 :], name, because=stage)
                 break
         return key
 
     def _fit_is_there(self, site: str) -> bool:
         """Whether a fit made by hand is what this batch would make."""
-        made = self.memory.made_since("fit", site) and not self.options.defaults
+        made = self._memory("fit", site).made_since("fit", site) and not self.options.defaults
         return made and made_by_hand(self.case, self.out, site, solver=self.options.solver)
 
     def _skip(
@@ -233,11 +240,19 @@ class _Run:
             keep_error(self.out, stage, site, error, keep_result=keep_result)
 
     def _stage(
-        self, stage: str, site: str | None, key: str, work: Callable[[], object], *, keep_result: bool = False
-    ) -> bool:
-        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays)."""
+        self, stage: str, site: str | None, key: str, work: Callable[[], object], *,
+        keep_result: bool = False, beside: Sequence[str] = (),
+    ) -> bool:  # fmt: skip
+        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays).
+
+        beside : other sites whose results the same work leaves
+        """
         label = f"{stage} {site}" if site else stage
-        if not self.options.force and self.memory.is_fresh(stage, site, key) and self._holds(stage, site):
+        memories = {each: self._memory(stage, each) for each in (site, *beside)}
+        if not self.options.force and all(
+            memory.is_fresh(stage, each, key) and self._holds(stage, each)
+            for each, memory in memories.items()
+        ):
             self.outcome.fresh.append(label)
             self.progress.event("note", text=f"{label}: nothing changed")
             return True
@@ -246,10 +261,12 @@ class _Run:
             self._pass_on(work())
         except LimbError as error:
             self.outcome.failures.append(Failure(stage, site, error))
-            keep_error(self.out, stage, site, error, keep_result=keep_result)
+            for each in memories:
+                keep_error(self.out, stage, each, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")
             return False
-        self.memory.remember(stage, site, key)
+        for each, memory in memories.items():
+            memory.remember(stage, each, key)
         self.outcome.ran.append(label)
         return True
 
@@ -266,37 +283,3 @@ class _Run:
             if isinstance(each, StageResult):
                 for line in (*each.summary, *(f"warning: {text}" for text in each.warnings)):
                     self.progress.event("note", text=line)
-
-
-def _parts(asked: Mapping[str, Any]) -> tuple[object, ...]:
-    """What a key sees of options that were asked for."""
-    return (sorted(asked.items()),) if asked else ()
-
-
-def _path(text: str | None) -> Path | None:
-    return Path(text) if text else None
-
-
-def keep_error(
-    out: Path, stage: str, site: str | None, error: LimbError, *, keep_result: bool = False
-) -> None:
-    """Leave a stage's failure where the report finds it; the stale result no longer counts.
-
-    keep_result : it stays beside the failure, to tell another time how to make it again
-    """
-    folder = stage_folder(out, stage, site)
-    if not keep_result:
-        (folder / f"{stage}.json").unlink(missing_ok=True)
-    with atomic_file(folder / ERROR_FILE) as path:
-        path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
-
-
-def error_json(error: LimbError) -> dict[str, Any]:
-    return {
-        "error": type(error).__name__,
-        "exit_code": error.exit_code,
-        "what": error.what,
-        "where": error.where,
-        "fix": error.fix,
-        "facts": json.loads(json.dumps(plain(error.facts), default=str)),
-    }

@@ -19,7 +19,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.asked import options_of
 from limbcli.stages.chain import Chain
-from limbcli.stages.fit import FitOptions
+from limbcli.stages.fit_options import FitOptions
 
 SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
@@ -205,11 +206,11 @@ class FileCurve:
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Cores that this process may use, and a batch leaves to it."""
     try:
-        return len(os.sched_getaffinity(0))
+        return at_most(len(os.sched_getaffinity(0)))
     except AttributeError:  # not on this system
-        return os.cpu_count() or 1
+        return at_most(os.cpu_count() or 1)
 
 
 def shares(n_runs: int, cores: int) -> tuple[int, int]:

@@ -19,7 +19,7 @@ from limbcli.errors import CaseError
 from limbcli.files import atomic_file, sha256
 from limbcli.results import read_result, stage_folder
 
-MEMORY = ".batch.json"
+MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"
 
 
 @cache
@@ -51,17 +51,16 @@ class Memory:
 
     And what stages were asked for by hand before it (see `asked`). What was done for another subject
     is forgotten.
+
+    site : whose stages are meant; each has a file of its own, as sites may be worked on side by side
     """
 
-    def __init__(self, out: Path, subject: str = ""):
-        self._path = out / MEMORY
+    def __init__(self, out: Path, subject: str = "", *, site: str | None = None):
+        self._path = out / (f"{MEMORY_OF_SITE}{site}.json" if site else MEMORY)
         self._out, self._subject = out, subject
-        try:
-            self._done: dict[str, Any] = json.loads(self._path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            self._done = {}
-        if not isinstance(self._done, dict) or self._done.get(_SUBJECT, subject) != subject:
-            self._done = {}
+        self._done = _remembered(self._path, subject)
+        if site and not self._path.exists():  # an earlier version kept them with those of the case
+            self._done = _of_site(_remembered(out / MEMORY, subject), site)
         self._done.setdefault(_ASKED, {})
         self._done[_SUBJECT] = subject
 
@@ -100,6 +99,22 @@ class Memory:
     def _write(self) -> None:
         with atomic_file(self._path) as path:
             path.write_text(json.dumps(self._done, indent=1), encoding="utf-8")
+
+
+def _remembered(path: Path, subject: str) -> dict[str, Any]:
+    """Nothing where the file is absent, damaged, or of another subject."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    usable = isinstance(found, dict) and isinstance(found.get(_ASKED, {}), dict)
+    return found if usable and found.get(_SUBJECT, subject) == subject else {}
+
+
+def _of_site(done: Mapping[str, Any], site: str) -> dict[str, Any]:
+    ending = f"/{site}"
+    asked = {name: each for name, each in done.get(_ASKED, {}).items() if name.endswith(ending)}
+    return {**{name: each for name, each in done.items() if name.endswith(ending)}, _ASKED: asked}
 
 
 def _name(stage: str, site: str | None) -> str:

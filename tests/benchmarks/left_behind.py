@@ -71,7 +71,7 @@ def halves(out: Path, before: Content, after: Content, itself: Set[str]) -> list
         temporary = any(part.startswith(_NEVER_LEFT) for part in Path(name).parts)
         if temporary or name in itself or content in (before.get(name), after.get(name)):
             continue
-        if Path(name).name == ".batch.json" and not _unreadable(out / name):
+        if Path(name).match(".batch*.json") and not _unreadable(out / name):
             continue  # what was done so far; it grows
         found.append(name)
     return found

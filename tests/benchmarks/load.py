@@ -1,12 +1,13 @@
 """Many small cases through `limbcli batch`: time, memory over time, and what is left at the end.
 
-    python -m tests.benchmarks.load [--cases 100] [--workers 2] [--seed 7] [--folder DIR]
+    python -m tests.benchmarks.load [--cases 100] [--workers 2] [--together] [--seed 7] [--folder DIR]
 
 Every worker is one `limbcli batch` with its share of the cases (small_case.py, each with other depths), all
-into one folder. Resident memory of the workers and of what they start is sampled all the time; memory "at
-50 %" is the most seen while the tenth of the cases before was worked on, the slope is of the most seen from
-case to case. Stray are processes that live on and temporary files. Ends with 1 where a batch fails, a case
-has no report, or anything is stray. The first samples hold the compilation of kernels, once per machine.
+into one folder; with `--together` one `limbcli batch --jobs` gives work to so many processes. Resident
+memory of the workers and of what they start is sampled all the time; memory "at 50 %" is the most seen
+while the tenth of the cases before was worked on, the slope is of the most seen from case to case. Stray
+are processes that live on and temporary files. Ends with 1 where a batch fails, a case has no report, or
+anything is stray. The first samples hold the compilation of kernels, once per machine.
 """
 
 from __future__ import annotations
@@ -106,7 +107,25 @@ def reports(out: Path) -> int:
     return len(list(out.glob("*/report/report.json")))
 
 
-def load(n_cases: int, workers: int, seed: int, folder: Path) -> Load:
+def calls(cases: Sequence[Path], workers: int, out: Path, *, together: bool) -> list[list[str]]:
+    """The words of each `limbcli batch`.
+
+    >>> calls([Path("a"), Path("b"), Path("c")], 2, Path("out"), together=True)[0][:6]
+    ['batch', 'a', 'b', 'c', '--out', 'out']
+    >>> [each[1:5] for each in calls([Path("a"), Path("b")], 2, Path("out"), together=False)]
+    [['a', '--out', 'out/a', '--jobs'], ['b', '--out', 'out/b', '--jobs']]
+    """
+    found = []
+    for k in range(1 if together else workers):
+        mine = [str(each) for each in (cases if together else cases[k::workers])]
+        # With several cases --out holds a folder for each; with one it is that case's own.
+        target = out / Path(mine[0]).name if len(mine) == 1 else out
+        jobs = str(workers if together else 1)
+        found.append(["batch", *mine, "--out", str(target), "--jobs", jobs, "--quiet", *COMMANDS["batch"]])
+    return found
+
+
+def load(n_cases: int, workers: int, seed: int, folder: Path, *, together: bool = False) -> Load:
     """Write the cases, let the workers have them, watch."""
     rng, mark, out = np.random.default_rng(seed), f"load-{os.getpid()}", folder / "out"
     cases = [
@@ -116,11 +135,7 @@ def load(n_cases: int, workers: int, seed: int, folder: Path) -> Load:
     scratch = folder / "scratch"
     begun = time.perf_counter()
     running: list[subprocess.Popen[bytes]] = []
-    for k in range(workers):
-        mine = [str(each) for each in cases[k::workers]]
-        # With several cases --out holds a folder for each; with one it is that case's own.
-        target = out / Path(mine[0]).name if len(mine) == 1 else out
-        words = ["batch", *mine, "--out", str(target), "--quiet", *COMMANDS["batch"]]
+    for k, words in enumerate(calls(cases, workers, out, together=together)):
         running.append(start(words, scratch=scratch, mark=mark, log=folder / f"worker-{k}.log"))
     samples: list[Sample] = []
     while any(each.poll() is None for each in running):
@@ -140,6 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--together", action="store_true", help="one batch that gives work to the workers")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--folder", type=Path, help="to work in; default: one that is removed")
     options = parser.parse_args()
@@ -147,7 +163,7 @@ def main() -> None:
         parser.error(f"--workers {options.workers}: give 1 to {options.cases} (as many as there are cases)")
     with tempfile.TemporaryDirectory(prefix="load-") as scratch:
         folder = (options.folder or Path(scratch)).resolve()
-        found = load(options.cases, options.workers, options.seed, folder)
+        found = load(options.cases, options.workers, options.seed, folder, together=options.together)
         for k, code in enumerate(found.codes):
             if code:
                 said = (folder / f"worker-{k}.log").read_text(errors="replace")

@@ -14,7 +14,7 @@ import pytest
 
 from limbcli.cli import writing
 from limbcli.cli.app import main
-from limbcli.cli.writing import LOCK, one_writer
+from limbcli.cli.writing import LOCK, one_writer, site_writer
 from limbcli.errors import CaseError
 from limbcli.progress import Progress
 from tests.stages.chain_case import write_case
@@ -100,11 +100,11 @@ def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Pa
     """Its holder left between our opening the file and our locking it."""
     lock, calls = writing._try, []
 
-    def late(stream):
+    def late(stream, **how):
         if not calls:
             (tmp_path / LOCK).unlink()
         calls.append(stream)
-        return lock(stream)
+        return lock(stream, **how)
 
     monkeypatch.setattr(writing, "_try", late)
     with one_writer(tmp_path):
@@ -119,6 +119,19 @@ def test_a_folder_that_got_nothing_is_not_left(tmp_path: Path):
     with one_writer(tmp_path / "out"):
         (tmp_path / "out" / "mine").write_text("kept")
     assert os.listdir(tmp_path / "out") == ["mine"]
+
+
+def test_sites_are_written_side_by_side_and_the_whole_case_by_none_beside_them(tmp_path: Path):
+    with site_writer(tmp_path, "p1", wait=False), site_writer(tmp_path, "p2", wait=False):
+        for beside in (one_writer(tmp_path, wait=False), site_writer(tmp_path, "p1", wait=False)):
+            with pytest.raises(CaseError, match="is writing"), beside:
+                pass
+        assert (tmp_path / LOCK).is_file(), "whoever left did not take the others' lock away"
+    assert not list(tmp_path.iterdir())
+    with one_writer(tmp_path, wait=False):
+        with pytest.raises(CaseError, match="is writing"), site_writer(tmp_path, "p1", wait=False):
+            pass
+        assert (tmp_path / LOCK).is_file()
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,18 @@ def test_stage_is_fresh_until_its_key_or_its_files_change(tmp_path: Path):
     assert not Memory(tmp_path).is_fresh("mesh", "p1", "key")
 
 
+def test_sites_remember_side_by_side(tmp_path: Path):
+    """Each has a file of its own: what two processes remember at once is not lost."""
+    make(tmp_path)
+    Memory(tmp_path).remember("mesh", "p1", "of an earlier version")
+    first, second = Memory(tmp_path, site="p1"), Memory(tmp_path, site="p2")
+    assert first.is_fresh("mesh", "p1", "of an earlier version")
+    first.remember("mesh", "p1", "key")
+    second.keep_asked("mesh", "p2", {"size": 3.0})
+    assert Memory(tmp_path, site="p1").is_fresh("mesh", "p1", "key")
+    assert Memory(tmp_path, site="p2").asked("mesh", "p2") == {"size": 3.0}
+
+
 def test_damaged_memory_only_means_more_work(tmp_path: Path):
     make(tmp_path)
     (tmp_path / ".batch.json").write_text("{")

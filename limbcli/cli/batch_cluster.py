@@ -1,0 +1,274 @@
+"""A batch that several processes share: which part of which case may begin, and how all went."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import itertools
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from limbcli.cli.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
+from limbcli.errors import LimbError, ToolError
+from limbcli.progress import Progress
+from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.cluster import Standing, WorkerRefused, connected, lost_workers, threads_of
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
+_SAME = "call the same batch again: what is done is not done again"
+
+
+@dataclass
+class Way:
+    """One case on its way: what its parts left so far."""
+
+    place: int
+    outcome: CaseOutcome
+    first: Done | None = None
+    keys: dict[str, str] = field(default_factory=dict)  # by site, where it has ended
+    places: list[tuple[str, ...]] = field(default_factory=list)  # that are still to be diagnosed
+    n_open: int = 0  # parts that are in work
+
+    @property
+    def name(self) -> str:
+        return self.outcome.case.name
+
+
+def together(
+    cases: Sequence[tuple[Path, Path]], options: BatchOptions, *, scheduler: str | None, jobs: int,
+    wait: bool, progress: Progress,
+) -> list[CaseOutcome]:  # fmt: skip
+    """Run all (case, output folder) on a cluster, or in so many local processes; outcomes in their order.
+
+    Raises
+    ------
+    ToolError
+        If no scheduler answers, a worker has other code, or the scheduler is lost on the way.
+    """
+    with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
+        n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        call = Call(
+            client=Standing.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            threads=threads_of(jobs) if scheduler is None else 1, topic=f"limbcli-{uuid.uuid4().hex}",
+            tell_s=max(_TELL_S, n_workers / 2), wait=wait, options=options,
+        )  # fmt: skip
+        return _Together(client, call, cases, progress).all()
+
+
+def asked(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
+    """Of a command line all but the cases and the output folder, which are a part's own.
+
+    >>> asked(["limbcli", "batch", "a", "b", "--out", "out", "--element", "tet4"], [Path("a"), Path("b")])
+    ('--element', 'tet4')
+    """
+    own = {str(each.absolute()) for each in cases}
+    found: list[str] = []
+    for before, word in itertools.pairwise(["", *command[2:]]):
+        is_out = before in ("--out", "-o") or word in ("--out", "-o") or word.startswith("--out=")
+        is_case = not word.startswith("-") and str(Path(word).absolute()) in own
+        found += [] if is_out or is_case else [word]
+    return tuple(found)
+
+
+class _Together:
+    def __init__(self, client: Client, call: Call, cases: Sequence[tuple[Path, Path]], progress: Progress):
+        self.client, self.call, self.progress = client, call, progress
+        self.ways = [Way(k, CaseOutcome(case, out)) for k, (case, out) in enumerate(cases)]
+        self.parts: dict[Any, tuple[Way, Part]] = {}
+        self.stages: dict[str, str] = {}  # part: the stage it was at when it was last heard of
+        self.refused: set[str] = set()  # addresses of workers
+        self.n_parts, self.n_done, self.n_cases_done = len(self.ways), 0, 0
+        self._begun, self._speaking = time.monotonic(), threading.Lock()
+
+    def all(self) -> list[CaseOutcome]:
+        from distributed import as_completed
+
+        before = lost_workers(self.client)
+        self.client.subscribe_topic(self.call.topic, self._hear)
+        futures = [self._submit(way, Part(way.outcome.case, way.outcome.out, FIRST)) for way in self.ways]
+        try:
+            running = as_completed(futures)
+            for future in running:
+                running.update(self._next(future))
+        finally:
+            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to tell
+                self.client.cancel(list(self.parts), force=True)
+                self.client.unsubscribe_topic(self.call.topic)
+        lost = lost_workers(self.client) - before
+        if lost > 0:
+            self._say("note", text=f"worker processes lost on the way: {lost}; their work was done by others")
+        return [way.outcome for way in self.ways]
+
+    # ------------------------------------------------------------ parts
+
+    def _submit(self, way: Way, part: Part) -> Future:
+        """Parts of earlier cases go first, so that cases end one after the other."""
+        way.n_open += 1
+        part = copy.deepcopy(part)  # the case's outcome goes on changing here
+        # Dask takes parts of a kind for a group by what stands before the number: those of a large group wait
+        # with the scheduler, not with a worker that may be lost.
+        key = f"{part.kind}-0-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"
+        future = self.client.submit(
+            work, part, self.call, key=key, pure=False, priority=-way.place, workers=self._usable(),
+        )  # fmt: skip
+        self.parts[future] = way, part
+        return future
+
+    def _usable(self) -> list[str] | None:
+        """None: any worker; else those that did not refuse."""
+        if not self.refused:
+            return None
+        there = set(self.client.scheduler_info(n_workers=-1)["workers"]) - self.refused
+        if not there:
+            raise ToolError(
+                f"all workers refused the work: {', '.join(sorted(self.refused))}",
+                where=self.client.scheduler.address,
+                fix="give them the limbcli of this computer (the same files), and start them anew",
+            )
+        return sorted(there)
+
+    def _next(self, future: Future) -> list[Future]:
+        """Note how a part went; the parts that may begin now."""
+        way, part = self.parts.pop(future)
+        way.n_open -= 1
+        try:
+            done = future.result()
+        except WorkerRefused as error:
+            self._refuse(error)
+            return [self._submit(way, part)]
+        except Exception as error:  # the part itself tells what it foresaw
+            done = self._without_answer(way, part, error)
+        future.release()
+        self.n_done += 1
+        way.outcome.add(done.outcome)
+        if part.kind == FIRST:
+            return self._after_first(way, done)
+        if part.kind == SITE:
+            assert part.site is not None
+            way.keys[part.site] = done.key
+        if part.kind in (SITE, DIAGNOSIS):
+            return self._diagnoses(way) or (self._last(way) if way.n_open == 0 else [])
+        return self._ended(way)
+
+    def _after_first(self, way: Way, done: Done) -> list[Future]:
+        way.first = done
+        segmented = any(each.stage == FIRST_STAGE[FIRST] for each in done.outcome.failures)
+        if done.is_all or not (done.sites or segmented):
+            return self._ended(way)
+        sites = done.sites if done.begun.done else ()
+        way.places = list(done.begun.places)
+        self.n_parts += len(sites) + len(way.places) + 1
+        if not sites:
+            return self._last(way)
+        case, out = way.outcome.case, way.outcome.out
+        return [self._submit(way, Part(case, out, SITE, (site,), done.begun)) for site in sites]
+
+    def _diagnoses(self, way: Way) -> list[Future]:
+        """Of the places whose sites have all ended."""
+        ready = [place for place in way.places if way.keys.keys() >= set(place)]
+        way.places = [place for place in way.places if place not in ready]
+        assert way.first is not None
+        outcome, begun = way.outcome, way.first.begun
+        keys = [tuple(way.keys[name] for name in place) for place in ready]
+        return [
+            self._submit(way, Part(outcome.case, outcome.out, DIAGNOSIS, place, begun, own, outcome))
+            for place, own in zip(ready, keys, strict=True)
+        ]
+
+    def _last(self, way: Way) -> list[Future]:
+        assert way.first is not None
+        keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
+        outcome, begun = way.outcome, way.first.begun
+        return [self._submit(way, Part(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
+
+    def _ended(self, way: Way) -> list[Future]:
+        self.n_cases_done += 1
+        failures = way.outcome.failures
+        how = "; ".join(f"{each.place} failed: {each.error.what}" for each in failures) or "done"
+        if not failures and not way.outcome.ran:
+            how = "nothing changed"
+        self._say("note", text=f"{way.name}: {how}")
+        self._count("")
+        return []
+
+    # ------------------------------------------------------------ what goes wrong
+
+    def _refuse(self, error: WorkerRefused) -> None:
+        address = str(error.facts["worker"])
+        if address not in self.refused:
+            self.refused.add(address)
+            self._say("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
+
+    def _without_answer(self, way: Way, part: Part, error: Exception) -> Done:
+        """The part as failed, where Dask gave it up.
+
+        Raises
+        ------
+        ToolError
+            If the scheduler is gone.
+        """
+        from distributed import KilledWorker
+
+        if not isinstance(error, KilledWorker) and self.client.status != "running":
+            raise self._no_scheduler(error) from error
+        told: LimbError
+        if isinstance(error, KilledWorker):
+            told = ToolError(
+                f"every process that worked on it was lost ({1 + error.allowed_failures} in turn)",
+                where=part.name,
+                fix="look whether the memory suffices (fewer --jobs, more memory a worker); " + _SAME,
+            )
+        else:
+            text = f"the cluster gave it up ({type(error).__name__}: {error})"
+            told = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
+        stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
+        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, told)])
+        return Done(outcome, is_all=part.kind == LAST)
+
+    def _no_scheduler(self, error: Exception) -> ToolError:
+        return ToolError(
+            f"the scheduler was lost when {self.n_cases_done} of {len(self.ways)} cases were done "
+            f"({type(error).__name__})",
+            where="--scheduler",
+            fix=f"look at its log, start it anew, and {_SAME}",
+        )
+
+    # ------------------------------------------------------------ progress
+
+    def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
+        """What a worker tells (in Dask's own thread)."""
+        facts = event[1]
+        part, stage = facts["part"], facts["stage"]
+        if facts["text"]:
+            self._say("note", text=f"{part}: {facts['text']}")
+            return
+        self.stages[part] = stage
+        self._count(f"{part}: {stage}")
+
+    def _count(self, now: str) -> None:
+        left = self._left()
+        self._say(
+            "task", name=", ".join(each for each in ("cases", now, left) if each),
+            done=self.n_cases_done, total=len(self.ways),
+        )  # fmt: skip
+
+    def _left(self) -> str:
+        """Of time, by the parts done so far; nothing before there are some."""
+        if not self.n_done or self.n_done >= self.n_parts:
+            return ""
+        each = (time.monotonic() - self._begun) / self.n_done
+        minutes = each * (self.n_parts - self.n_done) / 60
+        return f"about {minutes:.0f} min left" if minutes >= 1 else "less than a minute left"
+
+    def _say(self, kind: str, **facts: Any) -> None:
+        with self._speaking:
+            self.progress.event(kind, **facts)

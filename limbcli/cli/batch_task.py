@@ -1,0 +1,212 @@
+"""What one process does of a batch that several share: one part of one case."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from limbcli.errors import LimbError
+from limbcli.progress import Progress
+from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
+from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batch_steps import SITE_STAGES
+from limbcli.stages.cluster import Standing, as_called, refuse_other
+
+FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
+FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
+WAITING = "waiting"  # how a note begins that another's lock is waited for
+NOT_BEGUN = Begun("", done=False)
+Tell = Callable[[str, dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Call:
+    """What all parts of a batch share.
+
+    client : the code that calls; asked : the options as they were typed; threads : of each process
+    topic : of Dask's events, for progress, of which one comes every `tell_s` at least
+    """
+
+    client: Standing
+    asked: tuple[str, ...]
+    threads: int
+    topic: str
+    tell_s: float
+    wait: bool
+    options: BatchOptions
+
+
+@dataclass(frozen=True)
+class Part:
+    """A case's first or last part, or one of its sites', or the diagnosis of sites that share a place.
+
+    begun, keys : what the parts before left; outcome : how the case went so far, for those that ask
+    """
+
+    case: Path
+    out: Path
+    kind: str
+    sites: tuple[str, ...] = ()
+    begun: Begun = NOT_BEGUN
+    keys: tuple[str, ...] = ()
+    outcome: CaseOutcome | None = None
+
+    @property
+    def name(self) -> str:
+        return " ".join(each for each in (self.case.name, "+".join(self.sites)) if each)
+
+    @property
+    def site(self) -> str | None:
+        """The first of them."""
+        return self.sites[0] if self.sites else None
+
+
+@dataclass(frozen=True)
+class Done:
+    """sites : of the case, after its first part; key : of what a site's part left
+    is_all : nothing follows
+    """
+
+    outcome: CaseOutcome
+    begun: Begun = NOT_BEGUN
+    sites: tuple[str, ...] = ()
+    key: str = ""
+    is_all: bool = False
+
+
+def work(part: Part, call: Call) -> Done:
+    """One part, on a worker; whatever goes wrong with it is in its outcome.
+
+    Raises
+    ------
+    WorkerRefused
+        If this worker's code is not the client's.
+    """
+    from distributed import get_worker
+
+    refuse_other(call.client)
+    worker = get_worker()
+
+    told = _Told(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
+    command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.asked]
+    with as_called(command, call.threads):
+        return done(part, call, told)
+
+
+class _Told:
+    """Passes on each stage once, that another's lock is waited for, and now and then that work goes on."""
+
+    def __init__(self, part: str, every_s: float, send: Callable[[dict[str, Any]], None]):
+        self._part, self._every_s, self._send = part, every_s, send
+        self._stage, self._last = "", 0.0
+
+    def __call__(self, kind: str, facts: dict[str, Any]) -> None:
+        if kind == "stage":
+            is_new, self._stage = facts["name"] != self._stage, str(facts["name"])
+        else:
+            is_new = kind == "note" and str(facts.get("text", "")).startswith(WAITING)
+        if is_new or time.monotonic() - self._last > self._every_s:
+            self._last = time.monotonic()
+            text = facts["text"] if is_new and kind == "note" else ""
+            self._send({"part": self._part, "stage": self._stage, "text": text})
+
+
+def done(part: Part, call: Call, tell: Tell) -> Done:
+    """The same in this process; `tell` hears of its progress."""
+    heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
+    progress = Progress(heard, tell)
+    outcome = CaseOutcome(part.case, part.out)
+    try:
+        return _KINDS[part.kind](part, call, progress)
+    except Exception as error:  # one part's fault never stops the others
+        outcome.failures.append(Failure(heard.stage, part.site, in_words(error, part.out)))
+    return Done(outcome, is_all=not part.case.is_dir())
+
+
+def in_words(error: Exception, out: Path) -> LimbError:
+    """The error that a person reads; what nobody foresaw leaves a file in the output folder."""
+    from limbcli.cli.last_net import unforeseen
+    from limbcli.faults import in_words as in_words_of_system
+
+    if isinstance(error, LimbError):
+        return error
+    known = in_words_of_system(error, out) if isinstance(error, OSError) else None
+    return known or unforeseen(error, out if out.is_dir() else None)
+
+
+@dataclass
+class _Heard:
+    """Listens for the stage that is on."""
+
+    stage: str
+
+    def __call__(self, kind: str, facts: dict[str, Any]) -> None:
+        if kind == "stage":
+            self.stage = str(facts["name"])
+
+
+def _first(part: Part, call: Call, progress: Progress) -> Done:
+    from limbcli.cli.writing import one_writer
+
+    turn = one_writer(part.out, wait=call.wait, progress=progress)
+    with turn if part.case.is_dir() else nullcontext():
+        case = opened(part.case, part.out)
+        if isinstance(case, CaseOutcome):
+            return Done(case, is_all=True)
+        run = CaseRun(case, part.out, call.options, progress)
+        begun = run.first()
+    return Done(run.outcome, begun, tuple(site.name for site in case.sites))
+
+
+def _site(part: Part, call: Call, progress: Progress) -> Done:
+    from limbcli.case import Case
+    from limbcli.cli.writing import site_writer
+
+    assert part.site is not None
+    with site_writer(part.out, part.site, wait=call.wait, progress=progress):
+        run = CaseRun(Case.open(part.case), part.out, call.options, progress)
+        key = run.site(part.site, part.begun.key)
+    return Done(run.outcome, part.begun, key=key)
+
+
+def _diagnosis(part: Part, call: Call, progress: Progress) -> Done:
+    from limbcli.case import Case
+    from limbcli.cli.writing import site_writer
+
+    own = _so_far(part)
+    with ExitStack() as turns:
+        for site in sorted(part.sites):  # in one order, so that nobody waits for each other
+            turns.enter_context(site_writer(part.out, site, wait=call.wait, progress=progress))
+        CaseRun(Case.open(part.case), part.out, call.options, progress, own).diagnosis(part.sites, part.keys)
+    return Done(_only_new(part, own), part.begun)
+
+
+def _last(part: Part, call: Call, progress: Progress) -> Done:
+    from limbcli.case import Case
+    from limbcli.cli.writing import one_writer
+
+    own = _so_far(part)
+    with one_writer(part.out, wait=call.wait, progress=progress):
+        run = CaseRun(Case.open(part.case), part.out, call.options, progress, own)
+        for each in list(own.failures):
+            run.keep(each)
+        run.last(part.begun.key, part.keys)
+    return Done(_only_new(part, own), part.begun, is_all=True)
+
+
+def _so_far(part: Part) -> CaseOutcome:
+    """An outcome of its own that knows what failed before."""
+    failures = [] if part.outcome is None else list(part.outcome.failures)
+    return CaseOutcome(part.case, part.out, failures=failures)
+
+
+def _only_new(part: Part, own: CaseOutcome) -> CaseOutcome:
+    del own.failures[: len(_so_far(part).failures)]
+    return own
+
+
+_KINDS = {FIRST: _first, SITE: _site, DIAGNOSIS: _diagnosis, LAST: _last}

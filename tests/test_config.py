@@ -1,0 +1,18 @@
+"""The environment's limit on threads holds for whoever asks for more."""
+
+from __future__ import annotations
+
+import pytest
+
+from limbcli.config import THREADS, at_most
+from limbcli.stages.fit_curves import available_cores
+
+
+def test_threads_are_at_most_those_that_the_environment_allows(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv(THREADS, raising=False)
+    assert at_most(2) == 2
+    for said, allowed in (("1", 1), ("8", 2), ("0", 1), ("many", 2), ("", 2)):
+        monkeypatch.setenv(THREADS, said)
+        assert at_most(2) == allowed
+    monkeypatch.setenv(THREADS, "1")
+    assert available_cores() == 1
