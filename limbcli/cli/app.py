@@ -28,6 +28,8 @@ app = typer.Typer(
 
 # In the order a newcomer meets them. Each module defines a function `command`.
 COMMANDS = {
+    "doctor": "doctor",
+    "new": "new",
     "check": "check",
     "measure": "measure",
     "segment": "segment",

@@ -66,7 +66,7 @@ def command(
     from limbcli.config import default_out
     from limbcli.stages.segment import segment
 
-    opened, target = Case.open(case), out or default_out(case)
+    opened, target = Case.open_images(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):
         result = segment(

@@ -127,9 +127,9 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             fix="export the images again, not only their headers or a DICOMDIR",
         )
     raise CaseError(
-        f"there is no DICOM file among the {len(paths)} files",
+        f"there is no DICOM file among the {len(paths)} files" if paths else "the folder is still empty",
         where=str(folder),
-        fix="[imaging] mri must name the folder that holds one DICOM series",
+        fix="put the files of one DICOM series there; [imaging] mri names the folder",
     )
 
 
