@@ -47,14 +47,16 @@ COMMANDS = {
 
 def _print_version(value: bool) -> None:
     if value:
-        print(f"limbcli {__version__}")
+        from limbcli.stages.doctor import solver_versions
+
+        print(f"limbcli {__version__}", *solver_versions(), sep="\n")
         raise typer.Exit
 
 
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions, of the solvers too.")
     ] = False,
 ) -> None:
     pass
