@@ -273,5 +273,9 @@ def _unfilled(name: str, key: str, rule: Key, file: str) -> Problem:
     write `width_mm = ...`: mm, without the quotes
     """
     is_text = rule.check("text") is None or "|" in rule.kind
-    fix = f'write `{key} = "..."`: {rule.kind}' if is_text else f"write `{key} = ...`: {rule.kind}, without the quotes"
+    fix = (
+        f'write `{key} = "..."`: {rule.kind}'
+        if is_text
+        else f"write `{key} = ...`: {rule.kind}, without the quotes"
+    )
     return Problem(f"{name}.{key} is still to be filled in", file, fix)

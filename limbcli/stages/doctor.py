@@ -167,7 +167,10 @@ def _computer() -> list[Finding]:
     if memory < _USUAL_MEMORY_GB * _GB:
         fix = "mesh coarser (limbcli mesh --size-mm 4), or use a computer with more memory"
         state: State = "missing" if memory < _LEAST_MEMORY_GB * _GB else "note"
-        return [*findings, Finding("computer", "memory", state, f"{words}; usual is {_USUAL_MEMORY_GB:g}", fix)]
+        return [
+            *findings,
+            Finding("computer", "memory", state, f"{words}; usual is {_USUAL_MEMORY_GB:g}", fix),
+        ]
     return [*findings, Finding("computer", "memory", "good", words)]
 
 

@@ -19,7 +19,19 @@ import numpy as np
 from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.materials import ogden_type
 from limbcli.meshing.regions import facets, quadratic
-from limbcli.model import Array, Block, Curve, Domain, IntArray, LimbModel, LogRecord, Mesh, Step, Support, Surface
+from limbcli.model import (
+    Array,
+    Block,
+    Curve,
+    Domain,
+    IntArray,
+    LimbModel,
+    LogRecord,
+    Mesh,
+    Step,
+    Support,
+    Surface,
+)
 from limbcli.progress import SILENT, Progress
 from limbcli.scratch import scratch_folder
 from limbcli.solvers.base import Solver
@@ -64,7 +76,7 @@ def self_test(solver: Solver, *, progress: Progress = SILENT) -> SelfTest:
         solver.run(feb, progress=progress, time_limit_s=120.0)
         found = solver.read(feb)
     squeezed = float(np.mean(found.nodes["top.csv"].column("uz")[-1]))
-    expected = -SIDE**2 * nominal_stress(1.0 + squeezed / HEIGHT)
+    expected = -(SIDE**2) * nominal_stress(1.0 + squeezed / HEIGHT)
     return SelfTest(
         solver.name, found.version, float(found.probe_force()[-1]), expected, time.monotonic() - began
     )

@@ -42,7 +42,9 @@ def test_check_asks_for_every_value_and_file_that_is_to_come(tmp_path: Path):
     assert texts.count("position_mm is still to be filled in") == 2
     assert "the folder is still empty" in texts
     assert texts.count("a header but no rows") == 2
-    n_marks = sum(FILL_IN in line.partition("#")[0] for line in (folder / "case.toml").read_text().splitlines())
+    n_marks = sum(
+        FILL_IN in line.partition("#")[0] for line in (folder / "case.toml").read_text().splitlines()
+    )
     assert len(problems) == n_marks + 1 + 2, "a place for every value, the images, both measurements"
 
 
@@ -63,7 +65,9 @@ def test_every_key_that_the_comments_offer_is_understood(tmp_path: Path):
     text = "\n".join(offered).replace("marker = 1 ", "")
     tomllib.loads(text)
     (folder / "case.toml").write_text(text)
-    assert not [each.what for each in read_case(folder)[1] if "unknown" in each.what or "plausible" in each.what]
+    assert not [
+        each.what for each in read_case(folder)[1] if "unknown" in each.what or "plausible" in each.what
+    ]
 
 
 def test_segment_can_begin_before_places_and_probe_are_known(tmp_path: Path):
