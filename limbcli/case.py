@@ -186,14 +186,14 @@ def _read_imaging(
     file = str(files.folder / CASE_FILE)
     problems: list[Problem] = []
     if present and not any(table.get(key) for key in ("mri", "labels", "skin")):
-        fix = 'add `mri = "folder"`, `labels = "file"`, or `skin` and `bones`'
+        fix = 'add `mri = "folder or file"`, `labels = "file"`, or `skin` and `bones`'
         problems.append(Problem("[imaging] names no geometry", file, fix))
     if table.get("bones") and not table.get("skin"):
         problems.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
     if table.get("mri") and table.get("skin"):
         problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", True), ("labels", False), ("skin", False)):
+    for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     bones = []

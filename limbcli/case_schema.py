@@ -136,7 +136,7 @@ SUBJECT = {
     "limb": Key("left | right", one_of("left", "right"), required=True),
 }
 IMAGING = {
-    "mri": Key("folder", text),
+    "mri": Key("folder of DICOM files, or a NIfTI or NRRD file", text),
     "labels": Key("file", text),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),

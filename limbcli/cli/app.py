@@ -13,6 +13,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from limbcli import __version__
+from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.errors import CaseError, LimbError, ToolError
 from limbcli.faults import in_words
@@ -69,7 +70,7 @@ def _root(
 
 
 for _name, _module in COMMANDS.items():
-    app.command(_name)(import_module(f"limbcli.cli.{_module}").command)
+    app.command(_name, epilog=f"Example: {EXAMPLES[_name]}")(import_module(f"limbcli.cli.{_module}").command)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
 from limbcli.reporting.reportlet import Cell, Mood
-from limbcli.reporting.sections.parameters import flagged, interval_words
+from limbcli.reporting.sections.parameters import interval_words, said
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,27 @@ class IndexRow:
     view: FitView | None = None
 
     @property
+    def word(self) -> str:
+        """The state in a word or two."""
+        if self.mood in ("fine", "warning"):
+            return "poor fit" if self.view is not None and self.view.poor else "fitted"
+        return "failed" if self.mood == "failed" else "not fitted"
+
+    @property
     def cells(self) -> tuple[Cell, ...]:
         """c, m with interval, κ′, R2 and misfit of the Ogden type; dashes carry the state as their reason."""
         step = self.view.last if self.view else None
         if self.view is None or step is None:
             return (Cell(DASH, reason=self.state, span=6),)
-        m, f_kappa = step.estimate("m"), step.estimate("f_κ")
+        m = step.estimate("m")
         interval = Cell(DASH, reason="not computed")
         if m is not None and (m.low is not None or m.high is not None):
             interval = Cell(interval_words(m))
         return (
             cell(step.c_kpa),
-            flagged(cell(step.m), m),
+            said(cell(step.m), m),
             interval,
-            flagged(cell(step.kappa_kpa), f_kappa),
+            said(cell(step.kappa_kpa), step.kappa),
             cell(step.r2, digits=4),
             cell(step.rmse_n, digits=2),
         )

@@ -256,11 +256,11 @@ def test_parameter_table_is_laid_out_as_in_the_papers(whole):
         "p1",
         "10.1",
         "2.00",
-        "810 fκ: weak",
+        "above 525 κ′: weak",
         "0.9810",
         "10.1",
         "4.10",
-        "810 fκ: weak",
+        "above 525 κ′: weak",
         "0.9987",
     ]
     assert table[3] == ["p2", "– the fit has not been run", "– the fit has not been run"]
@@ -272,6 +272,29 @@ def test_open_intervals_are_said_in_words(whole):
     row = next(row for row in rows if "fκ" in row)
     assert "above 52.0" in row
     assert "fκ is not identifiable from these data" in row[-1]
+
+
+def test_headlines_of_what_is_open_are_words(whole):
+    _, page = whole
+    head = page.text.split("What the numbers mean")[0]
+    assert "above 52.0" in head
+    assert "80.0" not in head, "where the search ended is no result"
+    assert "4.10" in head
+
+
+def test_a_poor_fit_is_told_before_anything_else(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    words = "poor fit: it misses the measured force by 3 N (RMSE), 6 times what its noise explains; R2 0.61"
+    content["data"]["misfit"] = {"poor": True, "words": words}
+    path.write_text(json.dumps(content))
+    glance = overview(gather(case, out=out))
+    assert glance.sentence.startswith("Poor fit at p1")
+    assert glance.mood == "failed"
+    assert glance.sites[0].facts[0].remark.startswith("poor fit")
+    assert glance.sites[0].sentence.startswith("Poor fit: it misses")
 
 
 def test_failed_and_missing_stages_have_their_place(whole):
