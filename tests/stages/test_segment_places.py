@@ -90,9 +90,9 @@ def test_check_of_images_alone_refuses_sites_outside_and_turned_ones():
         return [(each.what, each.fix) for each in found]
 
     assert said(on) == []
-    (outside,) = said(on + [500.0, 0.0, 0.0])
+    (outside,) = said(on + np.array([500.0, 0.0, 0.0]))
     assert "nearest point" in outside[0]
     assert "position_mm = [" in outside[1]
-    (turned,) = said(on * [-1, -1, 1])
+    (turned,) = said(on * np.array([-1, -1, 1]))
     assert "RAS, not LPS" in turned[0]
     assert str(round(float(on[0]), 1)) in turned[1]
