@@ -105,7 +105,9 @@ NO_MEMORY = ToolError(
 
 
 def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
-    report_error(error, as_json="--json" in arguments)
+    from limbcli.cli.fixes import for_command_line
+
+    report_error(for_command_line(error, arguments), as_json="--json" in arguments)
     sys.exit(error.exit_code)
 
 

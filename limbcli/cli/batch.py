@@ -111,6 +111,7 @@ def _one(
     from limbcli.cli.last_net import unforeseen
     from limbcli.errors import FitError, LimbError
     from limbcli.faults import in_words
+    from limbcli.pasting import pasted
     from limbcli.stages.batch import batch
     from limbcli.stages.expect import compare
 
@@ -121,7 +122,7 @@ def _one(
             outcome = batch(case, out=target, options=options, progress=progress)
         comparisons = compare(case, target) if expect else []
     except LimbError as error:
-        report_error(error, as_json=False)
+        report_error(pasted(error, case, target), as_json=False)
         return {"case": str(case), "out": str(target), "error": error.what}, error.exit_code
     except Exception as error:  # one case's fault never stops the others
         known = in_words(error, target) if isinstance(error, OSError) else None
@@ -130,7 +131,7 @@ def _one(
         return {"case": str(case), "out": str(target), "error": told.what}, told.exit_code
     code = max((each.error.exit_code for each in outcome.failures), default=0)
     for failure in outcome.failures:
-        report_error(failure.error, as_json=False)
+        report_error(pasted(failure.error, case, target), as_json=False)
     if not all(each.holds for each in comparisons):
         code = code or FitError.exit_code
     if not as_json:

@@ -16,6 +16,7 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.files import atomic_file, sha256
+from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, read_result, stage_folder
 from limbcli.stages.asked import in_words, options_of
@@ -244,7 +245,8 @@ class _Run:
         self.progress.event("stage", name=stage, site=site)
         try:
             self._pass_on(work())
-        except LimbError as error:
+        except LimbError as raised:
+            error = pasted(raised, self.case.folder, self.out)
             self.outcome.failures.append(Failure(stage, site, error))
             keep_error(self.out, stage, site, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")

@@ -96,7 +96,7 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     n_warnings = int(report.data.get("n_warnings", 0))
     name = out.resolve().name
     if failures:
-        state = f"{failures[0]['stage']} failed: {failures[0]['what']}"
+        state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
         return IndexRow(name, report.subject, site, "failed", state, n_warnings, link)
     try:
         view = read_fit_view(read_result(out, "fit", site=site))
@@ -112,7 +112,7 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     state = error.what
     for path in sorted(out.glob("**/error.json")):
         try:
-            state = f"{path.parent.relative_to(out)} failed: {json.loads(path.read_text())['what']}"
+            state = f"{path.parent.relative_to(out)} failed: {json.loads(path.read_text())['what'].splitlines()[0]}"
             break
         except (ValueError, KeyError, TypeError):
             continue

@@ -19,6 +19,7 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
 from limbcli.stages.report import report
+from limbcli.stages.report_failure import report_failure
 from limbcli.stages.report_material import gather
 
 CASE_TOML = """\
@@ -295,6 +296,23 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     assert glance.mood == "failed"
     assert glance.sites[0].facts[0].remark.startswith("poor fit")
     assert glance.sites[0].sentence.startswith("Poor fit: it misses")
+
+
+def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
+    folder = tmp_path / "S 9"
+    folder.mkdir()
+    (folder / "case.toml").write_text("format = 1\n[subject]\nlimb = 'middle'\n")
+    with pytest.raises(CaseError) as caught:
+        Case.open(folder)
+    result = report_failure(folder, caught.value, out=tmp_path / "out")
+    page = Page(result.path("page").read_text(encoding="utf-8"))
+    n = len(caught.value.facts["problems"])
+    assert n > 3
+    assert len([each for each in page.all("div") if each.get("class") == "problem"]) == n
+    assert f"{n} problems:" in page.text
+    assert page.text.count("[subject] lacks 'id'") == 1, "not once more in one long line"
+    assert f"limbcli check '{folder}'" in page.text
+    assert "CASE" not in page.text
 
 
 def test_failed_and_missing_stages_have_their_place(whole):

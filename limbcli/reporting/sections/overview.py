@@ -120,7 +120,7 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     if result is None:
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
-            sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.what})."
+            sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.headline})."
             return SiteGlance(site.name, site.place, "failed", sentence, (), pills)
         following = next(each for each in stages if each.status != "done")
         sentence = f"No parameters yet: {following.stage} has not been run."
