@@ -112,8 +112,9 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     state = error.what
     for path in sorted(out.glob("**/error.json")):
         try:
-            state = f"{path.parent.relative_to(out)} failed: {json.loads(path.read_text())['what'].splitlines()[0]}"
+            what = json.loads(path.read_text())["what"].splitlines()[0]
+            state = f"{path.parent.relative_to(out)} failed: {what}"
             break
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, IndexError):
             continue
     return IndexRow(out.resolve().name, out.resolve().name, "", "failed", str(plain(state)), 0, "")
