@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
@@ -19,6 +20,7 @@ class Picture:
 
     name : file name without ending; alt : what a reader who cannot see it must know
     vector : whether the page shows the SVG (lines) rather than the PNG (many facets)
+    scene : a view that can be turned (`figures.scene`); the picture stands where there is no WebGL
     """
 
     name: str
@@ -26,6 +28,7 @@ class Picture:
     figure: Figure | None = None
     source: Path | None = None
     vector: bool = True
+    scene: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
