@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from limbcli.reporting.figures.study import StudyRow
 from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.outcome import Failure
 from limbcli.reporting.reportlet import Cell, Mood
 from limbcli.reporting.sections.parameters import interval_words, said
 
@@ -24,6 +27,7 @@ class IndexRow:
     n_warnings: int
     link: str
     view: FitView | None = None
+    failures: tuple[Failure, ...] = ()
 
     @property
     def word(self) -> str:
@@ -50,6 +54,21 @@ class IndexRow:
             cell(step.r2, digits=4),
             cell(step.rmse_n, digits=2),
         )
+
+
+def study_rows(rows: Sequence[IndexRow]) -> list[StudyRow]:
+    """What is known of c, m and kappa' at every site that was fitted."""
+    found = []
+    for row in rows:
+        step = row.view.last if row.view else None
+        if step is None:
+            continue
+        c = next((each for each in step.estimates if each.name == "c"), None)
+        known = {"c": c, "m": step.estimate("m"), "κ′": step.kappa}
+        own = f" ({row.folder})" if row.folder != row.subject else ""
+        label = f"{row.subject}{own} {row.site}".strip()
+        found.append(StudyRow(label, {name: each for name, each in known.items() if each is not None}))
+    return found
 
 
 HEADINGS = (

@@ -329,6 +329,34 @@ def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
     assert "CASE" not in page.text
 
 
+def test_summary_says_what_to_measure_next(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", noise="assumed")
+    (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert any(f"limbcli diagnose {case.folder} --site p1 --out {out}" in each for each in steps)
+    assert any("Repeat one level" in each for each in steps)
+    assert not any("Press deeper" in each for each in steps), "m is identified"
+    with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
+        menu = [{"name": "larger", "sentence": "press with a larger probe"}, {"name": "b", "sentence": "x"}]
+        writer.data["next_measurement"] = {
+            "recommended": "larger", "power_for_its_worst_pair": 0.83, "menu": menu
+        }  # fmt: skip
+    (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert steps[0].startswith("Press with a larger probe (it tells the explanations apart in 83 of 100")
+    assert not any("limbcli diagnose" in each for each in steps)
+
+
+def test_every_cell_of_a_table_has_its_columns_words_for_narrow_screens(whole):
+    out, page = whole
+    cells = page.all("td")
+    assert len(cells) > 50
+    assert all(attrs.get("data-label") or "colspan" in attrs for attrs in cells)
+    labels = {attrs.get("data-label") for attrs in cells}
+    assert {"Ogden type: m [–]", "Mooney-Rivlin type (m = 2): c [kPa]"} <= labels
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "@media screen and (max-width: 40rem)" in html
+
+
 def test_failed_and_missing_stages_have_their_place(whole):
     _, page = whole
     assert "mesh p3 failed" in page.text

@@ -9,6 +9,7 @@ from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Mood
+from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
 
 
@@ -42,6 +43,7 @@ class SiteGlance:
     command: str = ""
     weak: tuple[str, ...] = ()
     poor: str = ""
+    next_steps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,15 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     step = view.last
     weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
     return SiteGlance(
-        site.name, site.place, mood, _site_sentence(view), facts, pills, weak=weak, poor=view.poor
+        site.name,
+        site.place,
+        mood,
+        _site_sentence(view),
+        facts,
+        pills,
+        weak=weak,
+        poor=view.poor,
+        next_steps=next_steps(page, site, view),
     )
 
 
