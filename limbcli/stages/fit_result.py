@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.identify import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
@@ -107,7 +108,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
         for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
     ]
     measured = MeasuredCurve(found.data.depth, found.data.force, site.noise.depth, site.noise.force)
-    force_depth(measured, curves).savefig(writer.file("picture", "fit.png"))
+    save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
     if not found.intervals:
         return
     profiles = [
@@ -116,7 +117,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
             found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
         )
     ]
-    profile_figure(profiles).savefig(writer.file("profiles", "profiles.png"))
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
 
 
 def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:

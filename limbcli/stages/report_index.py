@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from limbcli.drawing import data_file, write_data
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
 from limbcli.progress import SILENT, Progress
@@ -82,9 +83,10 @@ def _picture(rows: list[IndexRow], folder: Path) -> str:
     if not known:
         return ""
     svg = folder / "study.svg"
-    figure = study_figure(known)
-    with style(), atomic_file(svg) as path:
+    with style(), atomic_file(svg) as path, atomic_file(data_file(svg)) as table:
+        figure = study_figure(known)
         figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "limbcli"})
+        write_data(figure, table)
     return data_uri(svg)
 
 

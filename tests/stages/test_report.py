@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import importlib.util
 import json
 import re
@@ -440,7 +441,14 @@ def test_figures_are_files_too(whole):
     for name in ("force-depth-p1", "wave-speed-p1", "section-p1", "skin-p1", "convergence-p1"):
         assert (figures / f"{name}.png").stat().st_size > 1000
         assert (figures / f"{name}.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+        assert len((figures / f"{name}-data.csv").read_text(encoding="utf-8").splitlines()) > 5
     assert (figures / "segmentation.png").is_file()
+    with (figures / "force-depth-p1-data.csv").open(newline="", encoding="utf-8") as stream:
+        drawn = [
+            (float(row["x"]), float(row["y"])) for row in csv.DictReader(stream) if row["kind"] == "line"
+        ]
+    for depth, force in zip(DEPTH, FORCE, strict=True):
+        assert min(abs(x - depth) + abs(y - force) for x, y in drawn) < 1e-3, "every level is in the table"
 
 
 def test_every_caption_says_what_bad_looks_like(whole):

@@ -51,6 +51,7 @@ def test_every_subject_has_a_row_and_a_link_that_leads_to_its_page(tmp_path):
     assert html.count("<h2>Side by side</h2>") == 1
     assert (tmp_path / "study.svg").read_text().startswith("<?xml")
     assert "What failed, and why" in html
+    assert "κ′" in (tmp_path / "study-data.csv").read_text()
 
 
 def test_study_page_gives_every_failure_its_reasons(tmp_path):
@@ -59,8 +60,8 @@ def test_study_page_gives_every_failure_its_reasons(tmp_path):
     content = json.loads(path.read_text())
     problems = [{"what": f"fault {k}", "where": f"line {k}", "fix": f"mend {k}"} for k in range(3)]
     content["data"]["failures"] = [
-        {"stage": "check", "site": None, "error": "CaseError", "what": "3 problems:\n1. fault 0", "where": "a",
-         "fix": "all", "problems": problems}
+        {"stage": "check", "site": None, "error": "CaseError", "what": "3 problems:\n1. fault 0",
+         "where": "a", "fix": "all", "problems": problems}
     ]  # fmt: skip
     path.write_text(json.dumps(content))
     result = report_index(tmp_path)
