@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from limbcli.model import Array
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.path import Path as Outline
 
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
 _MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
@@ -22,8 +25,7 @@ Row = tuple[object, ...]
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     """Write `path` (a PNG), and beside it the same as SVG, and its data as `<name>-data.csv`."""
-    more = {} if dpi is None else {"dpi": dpi}
-    figure.savefig(path, format="png", metadata={"Software": None}, **more)
+    figure.savefig(path, format="png", metadata={"Software": None}, dpi="figure" if dpi is None else dpi)
     figure.savefig(path.with_suffix(".svg"), format="svg", metadata={"Date": None, "Creator": "limbcli"})
     write_data(figure, data_file(path))
 
@@ -69,22 +71,18 @@ def _collections(axes: Axes) -> Iterator[Row]:
     from matplotlib.collections import PathCollection
 
     for k, each in enumerate(axes.collections):
-        values = each.get_array()
-        values = None if values is None else np.ma.filled(np.ma.asarray(values, dtype=float), np.nan).ravel()
+        array = each.get_array()
+        values = np.zeros(0) if array is None else _plain(array).ravel()
         if isinstance(each, PathCollection):
             places, kind = np.asarray(each.get_offsets(), dtype=float), "points"
         else:
-            paths = each.get_paths()
-            ends = [
-                path.vertices[:-1] if path.codes is not None and len(path) > 2 else path.vertices
-                for path in paths
-            ]
-            if not len(ends) or any(not len(end) for end in ends):
+            ends = [_corners(path) for path in each.get_paths()]
+            if not ends or any(not len(end) for end in ends):
                 continue
             places, kind = np.array([end.mean(axis=0) for end in ends]), "cell"
-        own = values if values is not None and len(values) == len(places) else [None] * len(places)
-        for n, ((x, y), value) in enumerate(zip(places, own, strict=True)):
-            yield kind, _name(each, k), n, x, y, value
+        coloured = len(values) == len(places)
+        for n, (x, y) in enumerate(places):
+            yield kind, _name(each, k), n, x, y, values[n] if coloured else None
 
 
 def _bars(axes: Axes) -> Iterator[Row]:
@@ -97,7 +95,7 @@ def _bars(axes: Axes) -> Iterator[Row]:
 
 def _pixels(axes: Axes) -> Iterator[Row]:
     for k, image in enumerate(axes.images):
-        values = np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
+        values = _plain(image.get_array())
         if values.ndim != 2 or values.size > _MOST_PIXELS:
             continue
         left, right, bottom, top = image.get_extent()
@@ -108,6 +106,17 @@ def _pixels(axes: Axes) -> Iterator[Row]:
         for i, y in enumerate(rows):
             for j, x in enumerate(xs):
                 yield "pixel", _name(image, k), i * n_columns + j, x, y, values[i, j]
+
+
+def _corners(path: Outline) -> Array:
+    """Its corners (n, 2); a closed one names the first twice, or ends with a stop that is no corner."""
+    corners = np.asarray(path.vertices, dtype=float)
+    return corners[:-1] if path.codes is not None and len(corners) > 2 else corners
+
+
+def _plain(array: Any) -> Array:
+    """NaN where a masked array hides what it has."""
+    return np.asarray(np.ma.filled(np.ma.asarray(array, dtype=float), np.nan), dtype=np.float64)
 
 
 def _name(artist: Any, k: int) -> str:

@@ -169,7 +169,10 @@ def _failed_run(folder: Path, stage: str) -> Failure | None:
     path = folder.with_name(folder.name + "-failed") / f"{stage}.json"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
-        return Failure(*(str(content.get(name) or "–") for name in ("error", "what", "where", "fix")))
+        error, what, where, fix = (
+            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
+        )
+        return Failure(error, what, where, fix)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
@@ -180,9 +183,10 @@ def _failure(path: Path) -> Failure | None:
         return None
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        texts = {name: str(content.get(name) or "–") for name in ("error", "what", "where", "fix")}
-        return Failure(**texts, problems=problems_of(content.get("facts")))
+        error, what, where, fix = (
+            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
+        )
+        return Failure(error, what, where, fix, problems_of(content.get("facts")))
     except (ValueError, AttributeError, UnicodeDecodeError):
-        texts = {"error": "unknown", "what": "the stage failed; its note cannot be read"}
-        texts |= {"where": str(path), "fix": "run the stage again"}
-    return Failure(**texts)
+        what = "the stage failed; its note cannot be read"
+        return Failure("unknown", what, str(path), "run the stage again")

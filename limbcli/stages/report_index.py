@@ -128,8 +128,8 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
 
 
 def _failure(content: Mapping[str, Any]) -> Failure:
-    texts = {key: str(content.get(key) or "–") for key in ("error", "what", "where", "fix")}
-    return Failure(**texts, problems=problems_of(content) or problems_of(content.get("facts")))
+    error, what, where, fix = (str(content.get(key) or "–") for key in ("error", "what", "where", "fix"))
+    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
 
 
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
