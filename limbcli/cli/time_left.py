@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import weakref
@@ -65,7 +66,8 @@ def keep_alive(listener: Quiet, *, silence_s: float = SILENCE_S) -> None:
             if found is None:
                 return
             if found.silent_s() >= silence_s:
-                found.alive()
+                with contextlib.suppress(OSError, ValueError):  # nobody reads any more
+                    found.alive()
             del found
 
     threading.Thread(target=watch, daemon=True, name="limbcli-sign-of-life").start()
