@@ -16,5 +16,5 @@ EXAMPLES = {
     "report": "limbcli report S12 --out results/S12",
     "batch": "limbcli batch S12 S13 --out results",
     "phantom": "limbcli phantom subject --seed 7 --max-force-n 10",
-    "synth": "limbcli synth S12 S12-known --c-kpa 8 --m 6 --noise 0",
+    "synth": "limbcli synth S12 --out-case S12-known --c-kpa 8 --m 6 --noise 0",
 }
