@@ -122,7 +122,11 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
     if np.abs(told / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
         what = f"the {noun} tells two voxel sizes: {told.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
         raise CaseError(what, where=str(path), fix=fix)
-    qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]
+    try:
+        qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]
+    except (ValueError, HeaderDataError) as error:
+        what = f"the {noun}'s place (qform) cannot be read ({error})"
+        raise CaseError(what, where=str(path), fix=fix) from error
     if qform is not None and sform is not None:
         ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
         ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
