@@ -10,6 +10,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,25 @@ class Case:
             With every problem of case.toml and every file missing.
         """
         return checked(*read_case(folder), CaseError)
+
+    @staticmethod
+    def open_images(folder: Path) -> Case:
+        """The case as far as its images go: the probe, places and measurements may still be to come.
+
+        The sites are those that are whole; of a probe that is not, every size is NaN.
+
+        Raises
+        ------
+        CaseError
+            With every problem of [subject] and [imaging].
+        """
+        case, problems = read_case(folder)
+        if case is not None:
+            return case
+        raw, unread = _read_toml(folder)
+        if raw is None:
+            return checked(None, unread, CaseError)
+        return checked(*_read_images(raw, folder, problems), CaseError)
 
     def site(self, name: str) -> Site:
         """One site by name.
@@ -125,13 +145,32 @@ def _assemble(
     )
 
 
+def _read_images(
+    raw: Mapping[str, Any], folder: Path, problems: list[Problem]
+) -> tuple[Case | None, list[Problem]]:
+    """The case without what is wrong with probe and sites; all problems where others are left."""
+    file, files = str(folder / CASE_FILE), CaseFiles.of(raw, folder)
+    subject, found = schema.check_table(raw.get("subject", {}), schema.SUBJECT, name="subject", file=file)
+    table, wrong = schema.check_table(raw.get("imaging", {}), schema.IMAGING, name="imaging", file=file)
+    imaging, missing = _read_imaging(table, files, present=True)
+    found += [*wrong, *missing]
+    if found or raw.get("format") != 1:
+        return None, problems
+    sizes, probe_wrong = schema.check_table(raw.get("probe", {}), schema.PROBE, name="probe", file=file)
+    if probe_wrong:
+        sizes = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}
+    model, _ = schema.check_table(raw.get("model", {}), schema.MODEL, name="model", file=file)
+    parts = {"subject": subject, "probe": sizes, "model": model}
+    return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), files)[0]), []
+
+
 def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     path = folder / CASE_FILE
     if not folder.is_dir():
         fix = "name a folder that holds a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
     if not path.is_file():
-        fix = "write one (see `limbcli phantom DIR` for an example), or name the folder that holds it"
+        fix = f"name the folder that holds it; `limbcli new {folder / 'subject'}` writes one to fill in"
         return None, [Problem("the folder holds no case.toml", str(folder), fix)]
     try:
         return tomllib.loads(path.read_text(encoding="utf-8")), []
@@ -147,14 +186,14 @@ def _read_imaging(
     file = str(files.folder / CASE_FILE)
     problems: list[Problem] = []
     if present and not any(table.get(key) for key in ("mri", "labels", "skin")):
-        fix = 'add `mri = "folder"`, `labels = "file"`, or `skin` and `bones`'
+        fix = 'add `mri = "folder or file"`, `labels = "file"`, or `skin` and `bones`'
         problems.append(Problem("[imaging] names no geometry", file, fix))
     if table.get("bones") and not table.get("skin"):
         problems.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
     if table.get("mri") and table.get("skin"):
         problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", True), ("labels", False), ("skin", False)):
+    for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     bones = []

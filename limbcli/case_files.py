@@ -55,12 +55,17 @@ class CaseFiles:
         )
         return None, [problem]
 
-    def existing(self, name: object, label: str, *, is_folder: bool) -> tuple[Path | None, list[Problem]]:
-        """The path of a file or folder that must be there."""
+    def existing(
+        self, name: object, label: str, *, is_folder: bool | None
+    ) -> tuple[Path | None, list[Problem]]:
+        """The path of a file or folder (None: of either) that must be there."""
         path, problems = self.placed(name, label)
-        if path is None or (path.is_dir() if is_folder else path.is_file()):
+        fitting = path is not None and (
+            path.exists() if is_folder is None else path.is_dir() if is_folder else path.is_file()
+        )
+        if path is None or fitting:
             return path, problems
-        kind = "folder" if is_folder else "file"
+        kind = "file or folder" if is_folder is None else "folder" if is_folder else "file"
         if path.exists():
             return None, [Problem(f"{label} is not a {kind}: {name}", str(path), f"name a {kind}")]
         fix = f"put the {kind} there, or correct the name (it is relative to {self.folder})"

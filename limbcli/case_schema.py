@@ -14,6 +14,7 @@ from typing import Any
 from limbcli.problems import Problem, suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
+FILL_IN = "FILL IN"  # what `limbcli new` writes where a value is to be given
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
 
@@ -135,7 +136,7 @@ SUBJECT = {
     "limb": Key("left | right", one_of("left", "right"), required=True),
 }
 IMAGING = {
-    "mri": Key("folder", text),
+    "mri": Key("folder of DICOM files, or a NIfTI or NRRD file", text),
     "labels": Key("file", text),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
@@ -255,9 +256,26 @@ def check_table(
                 )
             continue
         values[key] = table[key]
-        if wrong := rule.check(table[key]):
+        if table[key] == FILL_IN:
+            values[key] = rule.default
+            problems.append(_unfilled(name, key, rule, file))
+        elif wrong := rule.check(table[key]):
             problems.append(
                 Problem(f"{name}.{key} {wrong}", file, f"correct {key} ({rule.kind}) in [{name}]")
             )
             values[key] = rule.default
     return values, problems
+
+
+def _unfilled(name: str, key: str, rule: Key, file: str) -> Problem:
+    """
+    >>> print(_unfilled("probe", "width_mm", PROBE["width_mm"], "case.toml").fix)
+    write `width_mm = ...`: mm, without the quotes
+    """
+    is_text = rule.check("text") is None or "|" in rule.kind
+    fix = (
+        f'write `{key} = "..."`: {rule.kind}'
+        if is_text
+        else f"write `{key} = ...`: {rule.kind}, without the quotes"
+    )
+    return Problem(f"{name}.{key} is still to be filled in", file, fix)

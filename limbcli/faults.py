@@ -24,7 +24,7 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
     >>> print(in_words(OSError(errno.ENOSPC, "No space left on device"), Path("out/mesh")))
     the disk is full (No space left on device)
       where: out/mesh
-      fix:   free space there, or name another --out; the same command then goes on
+      fix:   free space there, or name another output folder; the same command then goes on
     """
     named = str(error.filename or "")
     where = str(place) if place is not None and (not named or PARTIAL in named) else named or "unknown"
@@ -33,19 +33,19 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
         return ToolError(
             f"the disk is full {why}",
             where=where,
-            fix="free space there, or name another --out; the same command then goes on",
+            fix="free space there, or name another output folder; the same command then goes on",
         )
     if error.errno in _REFUSED:
         return CaseError(
             f"a file or folder may not be read or written {why}",
             where=where,
-            fix="give yourself the right to it (chmod, chown), or name another --out",
+            fix="give yourself the right to it (chmod, chown), or name another output folder",
         )
     if error.errno in _IN_THE_WAY:
         return CaseError(
             f"there is a file where a folder is needed, or a folder where a file is {why}",
             where=where,
-            fix="move it away, or name another --out",
+            fix="move it away, or name another output folder",
         )
     if error.errno in _BROKEN:
         return ToolError(

@@ -6,7 +6,8 @@ listener's business.
 
 Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step,
 n_steps, iteration, residual, target, depth, krylov, factorisations), "fit" (iteration, cost, parameters),
-"compile" (what), "alive" (name, seconds, limit_s, time, end_time), "note" (text).
+"compile" (what), "solve" (number, at_most: which of the simulations of a fit begins),
+"alive" (name, seconds, limit_s, time, end_time), "note" (text).
 """
 
 from __future__ import annotations

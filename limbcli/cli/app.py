@@ -13,6 +13,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from limbcli import __version__
+from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.errors import CaseError, LimbError, ToolError
 from limbcli.faults import in_words
@@ -28,6 +29,8 @@ app = typer.Typer(
 
 # In the order a newcomer meets them. Each module defines a function `command`.
 COMMANDS = {
+    "doctor": "doctor",
+    "new": "new",
     "check": "check",
     "measure": "measure",
     "segment": "segment",
@@ -46,21 +49,29 @@ COMMANDS = {
 
 def _print_version(value: bool) -> None:
     if value:
-        print(f"limbcli {__version__}")
+        from limbcli.stages.doctor import solver_versions
+
+        print(f"limbcli {__version__}", *solver_versions(), sep="\n")
         raise typer.Exit
 
 
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the versions, of the solvers too.",
+        ),
     ] = False,
 ) -> None:
     pass
 
 
 for _name, _module in COMMANDS.items():
-    app.command(_name)(import_module(f"limbcli.cli.{_module}").command)
+    app.command(_name, epilog=f"Example: {EXAMPLES[_name]}")(import_module(f"limbcli.cli.{_module}").command)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -95,7 +106,9 @@ NO_MEMORY = ToolError(
 
 
 def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
-    report_error(error, as_json="--json" in arguments)
+    from limbcli.cli.fixes import for_command_line
+
+    report_error(for_command_line(error, arguments), as_json="--json" in arguments)
     sys.exit(error.exit_code)
 
 

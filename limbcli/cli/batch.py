@@ -202,6 +202,7 @@ class _Way:
         """One case in this process; its error is shown, not raised."""
         from limbcli.cli.app import report_error
         from limbcli.cli.batch_task import in_words
+        from limbcli.pasting import pasted
         from limbcli.stages.batch import batch
 
         self.progress.event("stage", name=f"case {case}")
@@ -210,7 +211,7 @@ class _Way:
             with turn if case.is_dir() else nullcontext():
                 outcome = batch(case, out=target, options=self.options, progress=self.progress)
         except Exception as error:  # one case's fault never stops the others
-            told = in_words(error, target)
+            told = pasted(in_words(error, target), case, target)
             report_error(told, as_json=False)
             content = {"case": str(case), "out": str(target), "error": told.what}
             return _Entry(content, [_Told("", told)])

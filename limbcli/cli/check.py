@@ -10,6 +10,7 @@ from limbcli.cli.terminal import emit_json, terminal
 
 def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0) -> None:
     """Validate a case folder: files, units, ranges, missing pieces; lists every problem."""
+    from limbcli.pasting import pasted_text
     from limbcli.stages.check import check
 
     result = check(case, progress=terminal(quiet=quiet, verbose=verbose))
@@ -18,7 +19,7 @@ def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbo
     else:
         print(f"{case}: looked at {', '.join(result.looked_at)}")
         for k, problem in enumerate(result.problems, 1):
-            print(f"{k}. {problem.severity}: {problem}")
+            print(f"{k}. {problem.severity}: {pasted_text(str(problem), case)}")
         n_errors = sum(each.severity == "error" for each in result.problems)
         print("the case is complete" if not n_errors else f"{n_errors} errors to mend")
     raise typer.Exit(result.exit_code)

@@ -58,15 +58,19 @@ def command(
     """MRI or CT series to label map, closed surfaces and markers.
 
     A label map edited by hand in the output folder (labels.nii.gz) wins over the automatic one.
+    A site that does not lie on the skin ends it with an error after everything is written.
     """
     if limb not in (None, "left", "right"):
         raise typer.BadParameter("left or right", param_hint="--limb")
     seeds = [_seed(each) for each in seed or []]
     from limbcli.case import Case
     from limbcli.config import default_out
+    from limbcli.errors import CaseError
+    from limbcli.problems import raise_errors
     from limbcli.stages.segment import segment
+    from limbcli.stages.segment_places import site_errors
 
-    opened, target = Case.open(case), out or default_out(case)
+    opened, target = Case.open_images(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):
         result = segment(
@@ -80,6 +84,7 @@ def command(
             progress=progress,
         )
     emit(result, as_json=json)
+    raise_errors(site_errors(result.data, str(opened.file)), CaseError)
 
 
 def _seed(text: str) -> tuple[str, tuple[float, float, float]]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
+from limbcli.cli.time_left import TimeLeft, keep_alive
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult
 
 _SECONDS_BETWEEN_LINES = 2.0
+_LONGEST = 100  # letters of the work at hand in a sign of life
 
 
 def terminal(*, quiet: bool = False, verbose: int = 0, stream: TextIO | None = None) -> Progress:
@@ -19,29 +22,49 @@ def terminal(*, quiet: bool = False, verbose: int = 0, stream: TextIO | None = N
     if quiet:
         return SILENT
     stream = stream or sys.stderr
-    return Progress(_Lines(stream, verbose=verbose, live=stream.isatty()))
+    lines = _Lines(stream, verbose=verbose, live=stream.isatty())
+    keep_alive(lines)
+    return Progress(lines)
 
 
 class _Lines:
-    """One line an event; on a terminal, repeated tasks rewrite their line."""
+    """One line an event; on a terminal, repeated tasks rewrite their line; never silent for long."""
 
     def __init__(self, stream: TextIO, *, verbose: int, live: bool):
         self._stream, self._verbose, self._live = stream, verbose, live
         self._open = False
-        self._last = 0.0
+        self._last = self._begun = time.monotonic()
+        self._doing = ""
+        self._describe = _Words()
+        self._lock = threading.RLock()
 
     def __call__(self, kind: str, facts: dict[str, Any]) -> None:
-        text, fleeting = _describe(kind, facts)
+        text, fleeting = self._describe(kind, facts)
         if not text:
             return
-        if not fleeting:
-            self._line(text)
-        elif self._live:
-            self._stream.write("\r\x1b[K" + text)
-            self._stream.flush()
-            self._open = True
-        elif self._verbose or time.monotonic() - self._last > _SECONDS_BETWEEN_LINES:
-            self._line(text)
+        with self._lock:
+            self._doing, self._begun = text.strip(), time.monotonic()
+            if not fleeting:
+                self._line(text)
+            elif self._live:
+                self._rewrite(text)
+            elif self._verbose or time.monotonic() - self._last > _SECONDS_BETWEEN_LINES:
+                self._line(text)
+
+    def silent_s(self) -> float:
+        """Seconds since anything was told; none before the first event."""
+        return time.monotonic() - self._last if self._doing else 0.0
+
+    def alive(self) -> None:
+        """Say that the work told of last goes on, and for how long now."""
+        with self._lock:
+            text = f"  {self._doing[:_LONGEST]} ... still at it, {time.monotonic() - self._begun:.0f} s"
+            self._rewrite(text) if self._live else self._line(text)
+
+    def _rewrite(self, text: str) -> None:
+        self._stream.write("\r\x1b[K" + text)
+        self._stream.flush()
+        self._open, self._last = True, time.monotonic()
 
     def _line(self, text: str) -> None:
         if self._open:
@@ -52,22 +75,57 @@ class _Lines:
         self._last = time.monotonic()
 
 
+class _Words:
+    """Events in words, with the time left of what takes long, and the solve that a level belongs to."""
+
+    def __init__(self) -> None:
+        self._solve = ""
+        self._task, self._level = TimeLeft(), TimeLeft()
+
+    def __call__(self, kind: str, facts: dict[str, Any]) -> tuple[str, bool]:
+        """(text, whether the next event may overwrite it)."""
+        match kind:
+            case "stage":
+                self._solve = ""
+                site = f" {facts['site']}" if facts.get("site") else ""
+                return f"{facts['name']}{site}", False
+            case "solve":
+                self._solve = _solve(facts)
+                return f"  {self._solve}", True
+            case "task":
+                name, done, total = facts["name"], facts["done"], facts["total"]
+                left = self._task.words(name, done, total)
+                return f"  {name} {_bar(done, total)}{left}", done < total
+            case "newton":
+                step, n_steps = facts["step"], facts["n_steps"]
+                left = self._level.words((self._solve, n_steps), step, n_steps)
+                return _newton(facts, self._solve) + left, True
+        return _describe(kind, facts)
+
+
+def _solve(facts: dict[str, Any]) -> str:
+    """
+    >>> _solve({"number": 9, "at_most": 20}), _solve({"number": 3})
+    ('solve 9 of at most 20', 'solve 3')
+    """
+    total = f" of at most {facts['at_most']}" if facts.get("at_most") else ""
+    return f"solve {facts['number']}{total}"
+
+
+def _newton(facts: dict[str, Any], solve: str) -> str:
+    depth = f", depth {facts['depth']:.2f} mm" if facts.get("depth") is not None else ""
+    of_solve = f"{solve}, " if solve else ""
+    text = f"  {of_solve}level {facts['step']} of {facts['n_steps']}{depth}, iteration {facts['iteration']}"
+    return f"{text}, residual {facts['residual']:.1e} (target {facts['target']:.0e})"
+
+
 def _describe(kind: str, facts: dict[str, Any]) -> tuple[str, bool]:
-    """(text, whether the next event may overwrite it)."""
+    """(text, whether the next event may overwrite it), of what needs no memory."""
     match kind:
-        case "stage":
-            site = f" {facts['site']}" if facts.get("site") else ""
-            return f"{facts['name']}{site}", False
         case "note":
             return f"  {facts['text']}", False
         case "compile":
             return f"  compiling {facts['what']} (the first time on this machine only)", False
-        case "task":
-            return f"  {facts['name']} {_bar(facts['done'], facts['total'])}", facts["done"] < facts["total"]
-        case "newton":
-            depth = f", depth {facts['depth']:.2f} mm" if facts.get("depth") is not None else ""
-            text = f"  level {facts['step']} of {facts['n_steps']}{depth}, iteration {facts['iteration']}"
-            return f"{text}, residual {facts['residual']:.1e} (target {facts['target']:.0e})", True
         case "alive":
             end = f" of {facts['end_time']:g}" if facts.get("end_time") else ""
             text = f"  {facts['name']} has run for {facts['seconds']:.0f} s, at time {facts['time']:.3g}{end}"

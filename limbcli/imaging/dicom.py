@@ -30,7 +30,7 @@ _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
-_PIXEL, _STEP = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
+PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
 
 
@@ -127,9 +127,9 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             fix="export the images again, not only their headers or a DICOMDIR",
         )
     raise CaseError(
-        f"there is no DICOM file among the {len(paths)} files",
+        f"there is no DICOM file among the {len(paths)} files" if paths else "the folder is still empty",
         where=str(folder),
-        fix="[imaging] mri must name the folder that holds one DICOM series",
+        fix="put the files of one DICOM series there; [imaging] mri names the folder",
     )
 
 
@@ -271,8 +271,8 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
 def _plausible(first: Slice, step: float, folder: Path) -> None:
     """Pixels and slices of a limb's image; others come from a wrong unit or tag."""
     for what, tag, value, (low, high) in (
-        ("Pixel Spacing", "0028,0030", max(first.pixel_spacing), _PIXEL),
-        ("the distance of slices by Image Position", "0020,0032", step, _STEP),
+        ("Pixel Spacing", "0028,0030", max(first.pixel_spacing), PIXEL_MM),
+        ("the distance of slices by Image Position", "0020,0032", step, STEP_MM),
     ):
         if not low <= value <= high:
             raise CaseError(

@@ -17,11 +17,11 @@ from limbcli.errors import CaseError
 from limbcli.files import atomic_file
 from limbcli.imaging.fields import filled_by_slice, largest
 from limbcli.imaging.markers import Marker, number_markers
+from limbcli.imaging.nifti import one_geometry
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
-_ZOOM = 0.02  # voxel sizes of one header that differ by more contradict each other
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
 
 
@@ -67,35 +67,8 @@ def read_labels(path: Path) -> Volume:
         ) from error
     while values.ndim > 3 and values.shape[-1] == 1:
         values = values[..., 0]
-    _one_geometry(image, path)
+    one_geometry(image, path, noun="label map")
     return checked_labels(Volume(values, RAS_FROM_LPS @ affine), path)
-
-
-def _one_geometry(image: object, path: Path) -> None:
-    """A NIfTI header tells voxel sizes and places twice or thrice; they must agree, and be in mm."""
-    header = getattr(image, "header", None)
-    if not isinstance(header, nib.Nifti1Header):
-        return
-    fix = "export it again from 3D Slicer with the MRI series as its reference volume"
-    unit = header.get_xyzt_units()[0]
-    if unit not in ("mm", "unknown"):
-        raise CaseError(f"the label map's unit of length is {unit}, not mm", where=str(path), fix=fix)
-    affine = np.asarray(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
-    sides = np.linalg.norm(affine[:3, :3], axis=0)
-    told = np.array(header.get_zooms()[:3], dtype=np.float64)
-    if np.abs(told / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
-        what = (
-            f"the label map tells two voxel sizes: {told.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
-        )
-        raise CaseError(what, where=str(path), fix=fix)
-    qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]
-    if qform is not None and sform is not None:
-        ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
-        ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
-        off = float(np.linalg.norm(ends @ (qform - sform).T, axis=1).max())
-        if off > sides.max():
-            what = f"the label map tells two places (qform and sform), {off:.1f} mm apart"
-            raise CaseError(what, where=str(path), fix=fix)
 
 
 def checked_labels(labels: Volume, path: Path) -> Volume:

@@ -1,4 +1,4 @@
-"""NRRD volumes, as 3D Slicer writes them (`.nrrd`, `.seg.nrrd`).
+"""NRRD volumes, as 3D Slicer writes them (`.nrrd`, `.seg.nrrd`): label maps and images.
 
 Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, attached data,
 encodings raw, gzip and ascii).
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
 from limbcli.files import gunzip
-from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
 _TYPES = {
@@ -42,36 +42,84 @@ class Nrrd:
     pairs: dict[str, str]
 
 
-def read_nrrd(path: Path) -> Nrrd:
+def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
     """A NRRD file with its data attached.
+
+    noun : what the file is, for the messages
 
     Raises
     ------
     CaseError
         If it is none, or of a kind that cannot be read; the message says what.
     """
+    fields, pairs, data = _parts(path, noun)
+    try:
+        values = _values(data, fields)
+        return Nrrd(values, _affine(fields), pairs)
+    except (KeyError, ValueError, OSError, EOFError, zlib.error) as error:
+        raise _refusal(path, f"cannot be read ({error})", noun) from error
+
+
+def read_nrrd_image(path: Path) -> Volume:
+    """One scalar volume of a NRRD file, in patient LPS.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, holds several volumes or colours, or does not say how it lies; each with a
+        message of its own.
+    """
+    fields, _, _ = _parts(path, "image")
+    kinds = fields.get("kinds", "").lower().split()
+    colours = [each for each in kinds if "color" in each or each.startswith(("rgb", "hsv", "xyz"))]
+    if colours:
+        raise CaseError(
+            f"the image holds colours ({colours[0]}), no signal",
+            where=str(path),
+            fix="export the grey values",
+        )
+    if len(fields.get("sizes", "").split()) > 3:
+        raise CaseError(
+            f"the image holds several volumes ({fields['sizes']}: echoes, time points, directions)",
+            where=str(path),
+            fix="save the T1-weighted volume alone from 3D Slicer, and name that file",
+        )
+    if "space" not in fields or "space directions" not in fields:
+        lacking = "space" if "space" not in fields else "space directions"
+        raise CaseError(
+            f"the image does not say how it lies in the patient (no field `{lacking}`)",
+            where=str(path),
+            fix="save it again from 3D Slicer, or name the DICOM folder itself",
+        )
+    units = {each.strip('" ').lower() for each in fields.get("space units", "mm").split()}
+    if not units <= {"mm", "millimeter", "millimeters"}:
+        what = f"the image's unit of length is {', '.join(sorted(units))}, not mm"
+        raise CaseError(what, where=str(path), fix="save it again in mm")
+    found = read_nrrd(path, noun="image")
+    return Volume(np.asarray(found.values, dtype=np.float32), found.affine)
+
+
+def _parts(path: Path, noun: str) -> tuple[dict[str, str], dict[str, str], bytes]:
+    """Fields and key/value pairs of the header, and the data."""
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise _refusal(path, f"cannot be read ({error.strerror})") from error
+        raise _refusal(path, f"cannot be read ({error.strerror})", noun) from error
     end, skip = content.find(b"\n\n"), 2
     if b"\r\n\r\n" in content[:65536] and (end < 0 or content.find(b"\r\n\r\n") < end):
         end, skip = content.find(b"\r\n\r\n"), 4
     if not content.startswith(b"NRRD000") or end < 0:
-        raise _refusal(path, "is no NRRD file")
+        raise _refusal(path, "is no NRRD file", noun)
     fields, pairs = _header(content[:end].decode("utf-8", "replace"))
     if "data file" in fields or "datafile" in fields:
-        raise _refusal(path, "keeps its data in another file")
-    try:
-        values = _values(content[end + skip :], fields)
-        return Nrrd(values, _affine(fields), pairs)
-    except (KeyError, ValueError, OSError, EOFError, zlib.error) as error:
-        raise _refusal(path, f"cannot be read ({error})") from error
+        raise _refusal(path, "keeps its data in another file", noun)
+    return fields, pairs, content[end + skip :]
 
 
-def _refusal(path: Path, what: str) -> CaseError:
-    fix = "save it again from 3D Slicer as .nrrd or .seg.nrrd (compressed or not), or as NIfTI"
-    return CaseError(f"the label map {what}", where=str(path), fix=fix)
+def _refusal(path: Path, what: str, noun: str) -> CaseError:
+    names = ".nrrd or .seg.nrrd" if noun == "label map" else ".nrrd"
+    fix = f"save it again from 3D Slicer as {names} (compressed or not), or as NIfTI"
+    return CaseError(f"the {noun} {what}", where=str(path), fix=fix)
 
 
 def _header(text: str) -> tuple[dict[str, str], dict[str, str]]:

@@ -137,6 +137,11 @@ class Memory:
         """Simulations run: calls, or what the curve itself counts."""
         return int(getattr(self._curve, "n_solves", self.n_calls))
 
+    def expect(self, more: int) -> None:
+        """Tell a curve that announces its simulations how many more there are at most."""
+        if hasattr(self._curve, "at_most"):
+            self._curve.at_most = self.n_solves + more
+
     @property
     def solved(self) -> list[tuple[Array, Prediction]]:
         return list(self._known.values())

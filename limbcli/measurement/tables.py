@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from limbcli.model import Array
 from limbcli.problems import Problem, suggestion
 
 _SHOWN_PER_FILE = 8
+_COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)  # its line stays, empty: line numbers hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,7 @@ class RawTable:
 def read_table(
     path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = ()
 ) -> tuple[RawTable | None, list[Problem]]:
-    """A comma-separated table with a header line.
+    """A comma-separated table with a header line; lines that begin with # are comments.
 
     required, optional : names of number columns; texts : names of text columns (optional).
     Returns the table, or None where it cannot be read at all, and every problem.
@@ -39,7 +41,7 @@ def read_table(
     content, problems = _read_text(path)
     if content is None:
         return None, problems
-    rows = list(csv.reader(io.StringIO(content)))
+    rows = list(csv.reader(io.StringIO(_COMMENT.sub("", content))))
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
     if not numbered:
         return None, [problem("the file is empty", path, f"write the header {','.join(required)} and rows")]

@@ -13,14 +13,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limbcli.meshing.distance import Field, grid_over, signed_distance
-from limbcli.meshing.frame import FAR_FROM_SKIN, nearest_skin_point
 from limbcli.meshing.mending import Plane, mend
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.problems import Problem
 
 SKIN = "skin"
-MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
 _SKIN_CM3 = (100.0, 2.5e4)  # a child's stump, cut short; a whole thigh and leg
 _LEAST_BONE_CM3 = 0.15  # as the label maps' (imaging.labels)
 _BONE_SHARE = (0.5, 0.8)  # of the limb's volume: unusual, impossible
@@ -154,21 +152,6 @@ def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem
     )
     fix = "correct [subject] limb, or the frame of the images or surfaces (LPS: +x is the patient's left)"
     return [_problem(what, where, fix)]
-
-
-def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) -> list[Problem]:
-    """Sites that do not lie on the skin: too far to be meant so, or moved on to it.
-
-    places : (3,) mm, patient LPS, by the site's name
-    """
-    found = []
-    for name, place in places.items():
-        far = nearest_skin_point(skin, np.asarray(place, float))[2]
-        if far > MOVED_MM:
-            what = f"site {name} lies {far:.0f} mm from the skin"
-            fix = "give position_mm on the skin, in mm, in the frame of the surfaces (patient LPS)"
-            found.append(_problem(what, where, fix, error=far > FAR_FROM_SKIN))
-    return found
 
 
 def _some(points: Array) -> Array:

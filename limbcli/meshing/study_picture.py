@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from limbcli.drawing import save_figure
 from limbcli.meshing.convergence import Extrapolation
 
 
@@ -38,7 +39,7 @@ def study_picture(
     _curve(right, margins, used[1], "tissue kept beyond the probe face, mm", depth)
     right.set_title("flat towards the right: the cut is far enough")
     figure.suptitle(title)
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path, dpi=120)
 
 
 def _curve(axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float) -> None:

@@ -13,6 +13,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from limbcli.config import templates_folder
+from limbcli.drawing import data_file, save_figure
 from limbcli.errors import CaseError
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
@@ -33,7 +34,7 @@ class Shown:
 def save_pictures(reportlets: Sequence[Reportlet], folder: Path) -> dict[str, Path]:
     """Every picture as a file in `folder`; returns by picture name the one the page shows.
 
-    Drawings are saved as PNG and SVG; pictures that a stage made are copied.
+    Drawings are saved as PNG and SVG with their data as CSV; what a stage made is copied.
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown: dict[str, Path] = {}
@@ -48,10 +49,13 @@ def _save(picture: Picture, folder: Path) -> Path:
         assert picture.source is not None
         copy = folder / f"{picture.name}{picture.source.suffix.lower()}"
         copy.write_bytes(picture.source.read_bytes())
+        for beside in (picture.source.with_suffix(".svg"), data_file(picture.source)):
+            if beside.is_file():
+                name = beside.name.replace(picture.source.stem, picture.name, 1)
+                (folder / name).write_bytes(beside.read_bytes())
         return copy
     with style():
-        picture.figure.savefig(png, metadata={"Software": None})
-        picture.figure.savefig(svg, metadata={"Date": None, "Creator": "limbcli"})
+        save_figure(picture.figure, png)
     return svg if picture.vector else png
 
 

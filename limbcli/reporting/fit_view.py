@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from limbcli.reporting.figures.convergence import FitWalk
+from limbcli.reporting.headline import headline
 from limbcli.reporting.numbers import DASH, number
 from limbcli.results import StageResult
 
@@ -34,6 +35,21 @@ class EstimateView:
     def is_sound(self) -> bool:
         return self.flag in ("identified", "fixed")
 
+    @property
+    def headline(self) -> str:
+        """The value, or words where the data do not hold one."""
+        computed = not self.interval_why or self.interval_why.startswith(_OPEN)
+        return headline(self.value, self.low, self.high, self.flag, why=self.words, computed=computed)
+
+    def times(self, factor: float | None, name: str, unit: str) -> EstimateView | None:
+        """What is known of the parameter times a quantity that is held fixed (kappa' = f_kappa c)."""
+        if factor is None:
+            return None
+        value, low, high = (
+            None if each is None else factor * each for each in (self.value, self.low, self.high)
+        )
+        return replace(self, name=name, value=value, unit=unit, low=low, high=high, standard_error=None)
+
 
 @dataclass(frozen=True)
 class StepView:
@@ -58,6 +74,12 @@ class StepView:
         """What is known of a parameter that was searched for."""
         return next((each for each in self.estimates if each.name == name), None)
 
+    @property
+    def kappa(self) -> EstimateView | None:
+        """What is known of kappa', in kPa, from f_kappa."""
+        f_kappa = self.estimate("f_κ")
+        return f_kappa.times(self.c_kpa, "κ′", "kPa") if f_kappa else None
+
 
 @dataclass(frozen=True, eq=False)
 class FitView:
@@ -69,6 +91,7 @@ class FitView:
     steps: tuple[StepView, ...]
     walks: tuple[FitWalk, ...]
     raw: Mapping[str, Any]
+    poor: str = ""
 
     def step(self, key: str) -> StepView | None:
         return next((each for each in self.steps if each.key == key), None)
@@ -101,7 +124,13 @@ def read_fit_view(result: StageResult) -> FitView:
         steps=steps,
         walks=walks,
         raw=data,
+        poor=_poor(data.get("misfit")),
     )
+
+
+def _poor(misfit: object) -> str:
+    """The sentence of a fit that misses its data; nothing where it meets them, or an older result."""
+    return str(misfit.get("words") or "") if isinstance(misfit, Mapping) and misfit.get("poor") else ""
 
 
 _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}
@@ -131,6 +160,7 @@ def read_estimates(parameters: Mapping[str, Any], *, locks: bool) -> tuple[Estim
     return tuple(_estimate(name, each, locks=locks) for name, each in parameters.items())
 
 
+_OPEN = "open to both"  # how the reason of an interval begins that was looked for and has no end
 OF_THE_MESH = "of this tet4 mesh, not of the tissue"
 
 
@@ -146,7 +176,7 @@ def _estimate(name: str, content: Mapping[str, Any], *, locks: bool) -> Estimate
         unit,
         number(content.get("low")),
         number(content.get("high")),
-        str(content.get("interval_reason") or "not computed"),
+        str(content.get("interval_reason", "")),
         flag,
         str(content.get("words") or ""),
         number(content.get("standard_error")),

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from limbcli.reporting.figures.study import StudyRow
 from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.outcome import Failure
 from limbcli.reporting.reportlet import Cell, Mood
-from limbcli.reporting.sections.parameters import flagged, interval_words
+from limbcli.reporting.sections.parameters import interval_words, said
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,14 @@ class IndexRow:
     n_warnings: int
     link: str
     view: FitView | None = None
+    failures: tuple[Failure, ...] = ()
+
+    @property
+    def word(self) -> str:
+        """The state in a word or two."""
+        if self.mood in ("fine", "warning"):
+            return "poor fit" if self.view is not None and self.view.poor else "fitted"
+        return "failed" if self.mood == "failed" else "not fitted"
 
     @property
     def cells(self) -> tuple[Cell, ...]:
@@ -31,18 +42,33 @@ class IndexRow:
         step = self.view.last if self.view else None
         if self.view is None or step is None:
             return (Cell(DASH, reason=self.state, span=6),)
-        m, f_kappa = step.estimate("m"), step.estimate("f_κ")
+        m = step.estimate("m")
         interval = Cell(DASH, reason="not computed")
         if m is not None and (m.low is not None or m.high is not None):
             interval = Cell(interval_words(m))
         return (
             cell(step.c_kpa),
-            flagged(cell(step.m), m),
+            said(cell(step.m), m),
             interval,
-            flagged(cell(step.kappa_kpa), f_kappa),
+            said(cell(step.kappa_kpa), step.kappa),
             cell(step.r2, digits=4),
             cell(step.rmse_n, digits=2),
         )
+
+
+def study_rows(rows: Sequence[IndexRow]) -> list[StudyRow]:
+    """What is known of c, m and kappa' at every site that was fitted."""
+    found = []
+    for row in rows:
+        step = row.view.last if row.view else None
+        if step is None:
+            continue
+        c = next((each for each in step.estimates if each.name == "c"), None)
+        known = {"c": c, "m": step.estimate("m"), "κ′": step.kappa}
+        own = f" ({row.folder})" if row.folder != row.subject else ""
+        label = f"{row.subject}{own} {row.site}".strip()
+        found.append(StudyRow(label, {name: each for name, each in known.items() if each is not None}))
+    return found
 
 
 HEADINGS = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -28,12 +29,37 @@ Status = Literal["done", "failed", "missing"]
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a stage ended without a result: error family, what happened, where, what to do."""
+    """Why a stage ended without a result: error family, what happened, where, what to do.
+
+    problems : the same of each, where there are several
+    """
 
     error: str
     what: str
     where: str
     fix: str
+    problems: tuple[Mapping[str, str], ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """What happened, in a line: of several problems only how many."""
+        return self.what.splitlines()[0] if self.problems else self.what
+
+
+def problems_of(facts: object) -> tuple[Mapping[str, str], ...]:
+    """What, where and fix of each problem that an error carries; nothing where it is but one.
+
+    >>> problems_of({"problems": [{"what": "a", "where": "b", "fix": "c", "family": "case"}] * 2})[1]
+    {'what': 'a', 'where': 'b', 'fix': 'c'}
+    """
+    listed = facts.get("problems") if isinstance(facts, Mapping) else None
+    several = [each for each in listed if isinstance(each, Mapping)] if isinstance(listed, list) else []
+    names = ("what", "where", "fix")
+    return (
+        tuple({name: str(each.get(name, "")) for name in names} for each in several)
+        if len(several) > 1
+        else ()
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +169,10 @@ def _failed_run(folder: Path, stage: str) -> Failure | None:
     path = folder.with_name(folder.name + "-failed") / f"{stage}.json"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
-        return Failure(*(str(content.get(name) or "–") for name in ("error", "what", "where", "fix")))
+        error, what, where, fix = (
+            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
+        )
+        return Failure(error, what, where, fix)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
@@ -154,8 +183,10 @@ def _failure(path: Path) -> Failure | None:
         return None
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        texts = {name: str(content.get(name) or "–") for name in ("error", "what", "where", "fix")}
+        error, what, where, fix = (
+            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
+        )
+        return Failure(error, what, where, fix, problems_of(content.get("facts")))
     except (ValueError, AttributeError, UnicodeDecodeError):
-        texts = {"error": "unknown", "what": "the stage failed; its note cannot be read"}
-        texts |= {"where": str(path), "fix": "run the stage again"}
-    return Failure(**texts)
+        what = "the stage failed; its note cannot be read"
+        return Failure("unknown", what, str(path), "run the stage again")

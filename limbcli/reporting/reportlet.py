@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
@@ -19,6 +20,7 @@ class Picture:
 
     name : file name without ending; alt : what a reader who cannot see it must know
     vector : whether the page shows the SVG (lines) rather than the PNG (many facets)
+    scene : a view that can be turned (`figures.scene`); the picture stands where there is no WebGL
     """
 
     name: str
@@ -26,6 +28,7 @@ class Picture:
     figure: Figure | None = None
     source: Path | None = None
     vector: bool = True
+    scene: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,40 @@ class Table:
     head: tuple[tuple[Cell, ...], ...]
     rows: tuple[tuple[Cell, ...], ...]
     numeric: bool = True
+
+    @property
+    def labelled(self) -> tuple[tuple[tuple[Cell, str], ...], ...]:
+        """Rows of cells, each with the words of its column, for screens too narrow for columns.
+
+        >>> names = (Cell("site", down=2), Cell("Ogden", span=2)), (Cell("c"), Cell("m"))
+        >>> [label for _, label in Table("", names, ((Cell("p1"), Cell("8"), Cell("6")),)).labelled[0]]
+        ['site', 'Ogden: c', 'Ogden: m']
+        """
+        columns: dict[int, list[str]] = {}
+        for row in _placed(self.head):
+            for cell, first in row:
+                for k in range(first, first + cell.span):
+                    columns.setdefault(k, []).append(cell.text)
+        return tuple(
+            tuple((cell, ": ".join(columns.get(first, [])) if cell.span == 1 else "") for cell, first in row)
+            for row in _placed(self.rows)
+        )
+
+
+def _placed(rows: Sequence[Sequence[Cell]]) -> list[list[tuple[Cell, int]]]:
+    """Every cell with the column that it begins in; cells that reach down push those below aside."""
+    taken: set[tuple[int, int]] = set()
+    placed = []
+    for k, row in enumerate(rows):
+        column, found = 0, []
+        for cell in row:
+            while (k, column) in taken:
+                column += 1
+            found.append((cell, column))
+            taken |= {(k + i, column + j) for i in range(cell.down) for j in range(cell.span)}
+            column += cell.span
+        placed.append(found)
+    return placed
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.files import sha256
+from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.asked import in_words
@@ -259,7 +260,8 @@ class CaseRun:
         self.progress.event("stage", name=stage, site=site)
         try:
             self._pass_on(work())
-        except LimbError as error:
+        except LimbError as raised:
+            error = pasted(raised, self.case.folder, self.out)
             self.outcome.failures.append(Failure(stage, site, error))
             for each in memories:
                 keep_error(self.out, stage, each, error, keep_result=keep_result)

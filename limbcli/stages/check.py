@@ -111,10 +111,10 @@ def _read_maps(folder: Path) -> list[Problem]:
     return check_maps(folder)[1] if folder.is_dir() else []
 
 
-def _read_mri(folder: Path) -> list[Problem]:
-    from limbcli.imaging.dicom import read_series
+def _read_mri(path: Path) -> list[Problem]:
+    from limbcli.imaging.image_files import read_image
 
-    return _caught(lambda: read_series(folder)) if folder.is_dir() else []
+    return _caught(lambda: read_image(path))
 
 
 def _read_labels(path: Path) -> list[Problem]:

@@ -10,6 +10,7 @@ from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.problems import Problem
 
+_ROUGH = 15.0  # mm: a marker's height and a voxel may lie between the rough skin and the place
 _EDGE = 4.0  # mm: triangles of a label map's surfaces, coarse, only to be looked at
 
 
@@ -20,7 +21,10 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
         read is left to them
     """
     try:
-        found = _surfaces(case) if case.imaging.skin is not None else _label_map(case)
+        if case.imaging.skin is not None:
+            found = _surfaces(case)
+        else:
+            found = _label_map(case) if case.imaging.labels is not None else _images(case)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
     said = {each.what for each in known}
@@ -28,36 +32,64 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
 
 
 def _surfaces(case: Case) -> list[Problem]:
-    from limbcli.meshing.anatomy import SKIN, limb_problems, place_problems
+    from limbcli.meshing.anatomy import SKIN, limb_problems
+    from limbcli.meshing.places import place_problems
     from limbcli.stages.segment_surfaces import read_surfaces, triangles_of
 
     surfaces = triangles_of(read_surfaces(case)[0])
     found = limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin))
-    places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
-    return found + place_problems(surfaces[SKIN], places, where=str(case.file))
+    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+
+
+def _images(case: Case) -> list[Problem]:
+    """Sites against the images alone: outside them, or far from anything that stands out from the air."""
+    if case.imaging.mri is None or not _places(case):
+        return []
+    from limbcli.imaging.image_files import read_image
+    from limbcli.imaging.nearest_skin import RoughSkin, is_inside, reach_of
+    from limbcli.meshing.places import judged, problem_of, triple
+
+    image = read_image(case.imaging.mri).volume
+    skin = RoughSkin(image)
+    found = []
+    for name, place in _places(case).items():
+        near, far = skin.nearest(place)
+        turned = skin.nearest(place * [-1, -1, 1])[1]
+        fault = judged(place, near, far, turned, most=_ROUGH, about="about ")
+        if fault is not None and not fault.usable:
+            found.append(problem_of(name, fault, where=str(case.file)))
+        elif not is_inside(image, place):
+            low, high = (triple(each) for each in reach_of(image))
+            what = f"site {name} lies outside the images, which reach from {low} to {high} (LPS, mm)"
+            fix = f"write position_mm = {triple(near)}, about the skin's nearest point, if that is the place"
+            found.append(Problem(what, str(case.file), fix))
+    return found
+
+
+def _places(case: Case) -> dict[str, np.ndarray]:
+    return {each.name: np.array(each.position) for each in case.sites if each.position is not None}
 
 
 def _label_map(case: Case) -> list[Problem]:
-    if case.imaging.labels is None:
-        return []
-    from limbcli.imaging.dicom import read_series
+    assert case.imaging.labels is not None
+    from limbcli.imaging.image_files import read_image
     from limbcli.imaging.label_files import read_label_file
     from limbcli.imaging.label_frame import compare_frames
     from limbcli.imaging.labels import segmentation_from
     from limbcli.imaging.surface import surface_of
-    from limbcli.meshing.anatomy import SKIN, limb_problems, place_problems
+    from limbcli.meshing.anatomy import SKIN, limb_problems
+    from limbcli.meshing.places import place_problems
     from limbcli.stages.segment_surfaces import triangles_of
 
     path = str(case.imaging.labels)
     labels = read_label_file(case.imaging.labels)
     found: list[Problem] = []
     if case.imaging.mri is not None:
-        found += compare_frames(labels, read_series(case.imaging.mri).volume, where=path).problems
+        found += compare_frames(labels, read_image(case.imaging.mri).volume, where=path).problems
     parts = segmentation_from(labels)
     bones = {f"bone {number}": each for number, each in enumerate(parts.bones, 1)}
     surfaces = triangles_of(
         {name: surface_of(each, edge=_EDGE) for name, each in {SKIN: parts.skin, **bones}.items()}
     )
     found += limb_problems(surfaces, limb=case.limb, where=path)
-    places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
-    return found + place_problems(surfaces[SKIN], places, where=str(case.file))
+    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))

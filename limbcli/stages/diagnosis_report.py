@@ -13,6 +13,7 @@ from limbcli.diagnostics.groups import PREFIX
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.score import Direction
 from limbcli.diagnostics.verdict import Diagnosis, Shrink
+from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_data import SiteData
@@ -117,7 +118,7 @@ def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None
         line[0].set_ylabel(f"{name}measured - predicted\n(standard deviations)")
     handles, labels = next(ax for ax in axes.flat if ax.lines[1:]).get_legend_handles_labels()
     axes[0, 0].legend(handles, labels, fontsize=8)
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path, dpi=150)
 
 
 def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str) -> None:
@@ -155,7 +156,7 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     right.barh(names, sizes, color="#56b4e9")
     right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
     right.set_xlabel("size seen with 80 % power\n(in plausible sizes; right of dashed: blind)")
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path, dpi=150)
 
 
 def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -> None:
@@ -177,7 +178,7 @@ def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -
     axes.set_xlim(-_WIDEST, _WIDEST)
     axes.invert_yaxis()
     axes.set_xlabel("size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside)")
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path, dpi=150)
 
 
 def _z_rms(found: Diagnosis, test: str) -> float | None:

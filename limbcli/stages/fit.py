@@ -50,6 +50,7 @@ __all__ = [
 
 STAGE = "fit"
 START = np.array([START_F_KAPPA, 2.0])
+_FIRST_SOLVES = 2  # more simulations for the interval of the first step, at most
 
 
 def fit(
@@ -122,8 +123,11 @@ def _fit_site(
         )
     elif options.intervals:
         limit = options.max_interval_solves
+        curve.expect(limit + _FIRST_SOLVES)
         full = force_intervals(curve, knots, data, stiffness, theta, max_solves=limit, progress=progress)
-        first = force_intervals(curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=2)
+        first = force_intervals(
+            curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES
+        )
         intervals = (first, full)
     identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none)
     fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))

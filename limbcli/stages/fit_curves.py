@@ -79,7 +79,8 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
 class ReferenceCurve:
     """Forces at the levels and their exact derivatives, by one session of the reference solver.
 
-    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve.
+    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve; `at_most` solves are told
+    to whoever waits, where that is known.
     """
 
     def __init__(
@@ -89,11 +90,14 @@ class ReferenceCurve:
         # d kappa / d f_kappa, cell by cell: kappa = f_kappa c(x).
         self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
         self._session = ReferenceSession(model, progress=progress, threads=threads)
+        self._progress = progress
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
+        self.at_most: int | None = None
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
+        self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
         f_kappa, m = float(theta[0]), float(theta[1])
         try:
             result = self._session.solve(

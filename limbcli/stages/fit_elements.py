@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
 from limbcli.inference.identify import FittedStep, two_step
 from limbcli.inference.prediction import Memory
@@ -212,4 +213,4 @@ def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Arr
         right.minorticks_off()
         left.legend(fontsize=8)
         right.legend(fontsize=8)
-        figure.savefig(writer.file("picture", "elements.png"))
+        save_figure(figure, writer.file("picture", "elements.png"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
@@ -39,7 +40,7 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
             right.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]")
             if not len(speed):
                 right.text(0.5, 0.5, "no speeds enter", ha="center", transform=right.transAxes)
-        figure.savefig(writer.file("picture", "fit-joint.png"))
+        save_figure(figure, writer.file("picture", "fit-joint.png"))
     profiles = []
     for k, (name, each) in enumerate(found.profiles.items()):
         unit = kpa_from_mpa(1.0) if name == "c" else 1.0
@@ -49,4 +50,4 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
                 name, values, each.deviance, unit * float(found.best[k]), "kPa" if name == "c" else "–"
             )
         )
-    profile_figure(profiles).savefig(writer.file("profiles", "profiles.png"))
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))

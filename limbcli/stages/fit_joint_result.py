@@ -11,6 +11,7 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, held_out_error
 from limbcli.inference.uncertainty import Verdict, correlation, verdict
 from limbcli.model import Array, LimbModel
+from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fit_exports import leave_exports, parameter_rows, write_table
 from limbcli.stages.fit_joint_picture import draw_joint
@@ -47,7 +48,7 @@ def leave_joint(
     leave_exports(writer, rows, writer.data, fitted)
     draw_joint(problem, found, writer)
     for name, each in parameters.items():
-        writer.summary.append(f"{name} = {each['value']:.4g}: {each['words']}")
+        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
@@ -69,12 +70,15 @@ def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[s
         if k == 0:
             words = words.replace(f"{profile.low:.4g} to {profile.high:.4g}",
                                   f"{unit * profile.low:.4g} to {unit * profile.high:.4g} kPa")  # fmt: skip
+        low = None if profile.open_low else unit * profile.low
+        high = None if profile.open_high else unit * profile.high
         table["c_kpa" if k == 0 else parameter.name] = {
             "value": unit * value,
+            "headline": headline(
+                unit * value, low, high, spoken.flag, why=words, unit="" if k else "kPa"
+            ),
             "standard_error": unit * value * float(np.sqrt(covariance[k, k])),
-            "low": None if profile.open_low else unit * profile.low,
-            "high": None if profile.open_high else unit * profile.high,
-            "flag": spoken.flag, "words": words,
+            "low": low, "high": high, "flag": spoken.flag, "words": words,
         }  # fmt: skip
     return table
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.errors import CaseError, MeasurementError, MeshError
 from limbcli.inference.interval import Stiffness
 from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
@@ -153,7 +154,7 @@ def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, wr
         model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
         {name: dict(each.facets) for name, each in model.mesh.surfaces.items() if name in ("skin", "bone")},
     )  # fmt: skip
-    stiffness_figure(section).savefig(writer.file("stiffness_map", "stiffness-map.png"))
+    save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
 
 
 def _doubts(found: TissueMap, levels: Levels) -> list[str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.identify import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
@@ -17,7 +18,7 @@ from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve,
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fit_exports import leave_exports, parameter_rows
-from limbcli.stages.fit_table import NAMES, Identified, step_table
+from limbcli.stages.fit_table import NAMES, Identified, step_misfit, step_table
 from limbcli.units import kpa_from_mpa
 
 __all__ = ["Identified", "draw_fit", "leave_result", "write_curves"]
@@ -107,7 +108,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
         for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
     ]
     measured = MeasuredCurve(found.data.depth, found.data.force, site.noise.depth, site.noise.force)
-    force_depth(measured, curves).savefig(writer.file("picture", "fit.png"))
+    save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
     if not found.intervals:
         return
     profiles = [
@@ -116,18 +117,25 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
             found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
         )
     ]
-    profile_figure(profiles).savefig(writer.file("profiles", "profiles.png"))
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
 
 
 def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
+    met = step_misfit(found, found.steps[-1])
+    writer.data["misfit"] = {
+        "poor": met.poor, "noise_rms_n": met.noise, "times_noise": met.times_noise, "words": met.words
+    }  # fmt: skip
+    if met.poor:
+        writer.summary.append(met.words)
+        writer.warnings.insert(0, f"{met.words}. {_POOR}")
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
     for name in NAMES:
-        words = _interval_words(last["interval_95"].get(name))
-        writer.summary.append(f"{name} = {last[name]:.4g} ({words}): {last['flags'][name]}")
-    first = found.steps[0]
+        writer.summary.append(_headline(name, last["parameters"][name]))
+    first = writer.data["steps"][MOONEY_RIVLIN]
     writer.summary.append(
-        f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (m = 2: f_kappa {first.theta[0]:.4g}, "
-        f"R2 {first.r2:.4f}); {writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
+        f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (with m = 2: f_kappa "
+        f"{first['parameters']['f_kappa']['headline']}, R2 {first['r2']:.4f}); "
+        f"{writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
     )
     error = 100 * found.stiffness.gain_deviation
     writer.summary.append(f"counted as uncertainty of the simulated force: {error:.2g} % by the mesh")
@@ -141,15 +149,27 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
             writer.warnings.append(last["words"][name])
 
 
-def _interval_words(interval: Sequence[float | None] | None) -> str:
+_POOR = (
+    "The parameters are those of the nearest curve, not of the tissue: look at fit.png, at the units and "
+    "signs of levels.csv, and at what `limbcli diagnose` finds missing"
+)
+
+
+def _headline(name: str, content: Mapping[str, Any]) -> str:
     """
-    >>> _interval_words([47.6, None]), _interval_words(None)
-    ('95 %: 47.6 to open', 'no interval')
+    >>> told = {"headline": "15.2", "low": 14.0, "high": 16.5, "flag": "identified"}
+    >>> _headline("f_kappa", told)
+    'f_kappa = 15.2 (95 %: 14 to 16.5): identified'
+    >>> _headline("m", {"headline": "above 3.30", "low": 3.3, "high": None, "flag": "at bound"})
+    'm: above 3.30 (95 %): at bound'
     """
-    if interval is None:
-        return "no interval"
-    low, high = ("open" if each is None else f"{each:.3g}" for each in interval)
-    return f"95 %: {low} to {high}"
+    said, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
+    if not said[0].isdigit():
+        return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
+    if "(" in said:  # its interval, or that it has none, is told with it
+        return f"{name} = {said}: {flag}"
+    interval = "no interval" if None in ends else f"95 %: {ends[0]:.3g} to {ends[1]:.3g}"
+    return f"{name} = {said} ({interval}): {flag}"
 
 
 def _element(model: LimbModel) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level
 from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
@@ -65,12 +66,12 @@ def leave_speeds(
             levels.force[loading], levels.depth[loading], levels.swe_mean_m_per_s[loading],
             levels.swe_sd_m_per_s[loading],
         )  # fmt: skip
-    wave_speed(readings, predicted=predicted).savefig(writer.file("swe_picture", "swe.png"))
+    save_figure(wave_speed(readings, predicted=predicted), writer.file("swe_picture", "swe.png"))
     shown = [
         LevelMaps(int(k), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
-    speed_maps(shown).savefig(writer.file("swe_maps_picture", "swe-maps.png"))
+    save_figure(speed_maps(shown), writer.file("swe_maps_picture", "swe-maps.png"))
     _tell(found, levels, writer)
 
 

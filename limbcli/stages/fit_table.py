@@ -12,6 +12,7 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.identify import FittedStep, ForceDepth, sensitivities
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
+from limbcli.inference.misfit import Misfit, misfit
 from limbcli.inference.prediction import Memory, slopes_at
 from limbcli.inference.uncertainty import (
     Verdict,
@@ -22,6 +23,7 @@ from limbcli.inference.uncertainty import (
     verdict,
 )
 from limbcli.model import Array
+from limbcli.reporting.headline import headline
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
@@ -91,11 +93,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen."""
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
-    depth = found.data.depth[found.data.loaded]
-    slope = slopes_at(found.curve, found.knots, depth, step.theta)
-    variance = force_variance(
-        slope, force_deviation=found.data.force_deviation, depth_deviation=found.data.depth_deviation
-    )
+    variance = _variance(found, step)
     free = _inside(step)
     columns = answer.jacobian[:, free]
     sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
@@ -112,6 +110,18 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
         carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
+
+
+def step_misfit(found: Identified, step: FittedStep) -> Misfit:
+    """How far a step's curve lies from the measured forces, against their stated noise."""
+    return misfit(step.rmse, step.r2, _variance(found, step))
+
+
+def _variance(found: Identified, step: FittedStep) -> Array:
+    """Of the force residuals, (n,) N^2."""
+    data = found.data
+    slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
+    return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
 
 
 def _inside(step: FittedStep) -> list[int]:
@@ -160,6 +170,7 @@ def _parameter(
     reason = "open to both bounds: nothing is excluded" if interval else found.why_no_intervals
     return {
         "value": value, "low": low, "high": high, "standard_error": error,
+        "headline": headline(value, low, high, said.flag, why=said.words, computed=interval is not None),
         "interval_reason": reason if low is None and high is None else "",
         "flag": said.flag, "words": said.words,
     }  # fmt: skip

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
-from limbcli.meshing.anatomy import MOVED_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
+from limbcli.meshing.places import MOVED_MM, place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import Quality
 from limbcli.meshing.remesh import Sizes
@@ -20,6 +22,7 @@ from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.meshing.surfaces import read_surface
 from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model_io import save_model
+from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.asked import asked_of
@@ -152,6 +155,10 @@ def _mesh_site(
     progress.event("stage", name="mesh", site=site.name)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     position = site_position(site, segmented)
+    if site.marker is None:
+        raise_errors(
+            place_problems(limb.skin, {site.name: np.array(position)}, where=str(case.file)), CaseError
+        )
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
         writer.data["asked"] = inputs.asked
         inputs.note(writer, site)

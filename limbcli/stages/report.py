@@ -66,6 +66,7 @@ def _write_page(
         "subject": case.subject, "limb": case.limb, "probe": _probe(case), "sites": case.sites,
         "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
         "own": own, "overview": glance, "groups": chapters, "shown": embed(reportlets, files),
+        "has_scene": any(each.scene for reportlet in reportlets for each in reportlet.pictures),
     }  # fmt: skip
     html = render("report.html.j2", facts, templates=templates)
     writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from limbcli.errors import LimbError
+from limbcli.pasting import pasted
 from limbcli.reporting.assemble import render
-from limbcli.reporting.outcome import Failure
+from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.results import StageResult, open_stage, provenance
 
 PAGE_FILE = "report.html"
@@ -18,7 +20,8 @@ def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
     One subject's unusable folder does not stop a batch; this is that subject's page,
     and its row in the index.
     """
-    failure = Failure(type(error).__name__, error.what, error.where, error.fix)
+    told = pasted(error, folder, out)
+    failure = Failure(type(told).__name__, told.what, told.where, told.fix, problems_of(told.facts))
     name = folder.resolve().name
     own = provenance()
     with open_stage(out, "report", subject=name) as writer:
@@ -27,7 +30,7 @@ def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
             "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
             "own": own,
             "failure": failure,
-            "command": f"limbcli check {folder}",
+            "command": f"limbcli check {shlex.quote(str(folder))}",
         }
         page = render("failure.html.j2", facts)
         writer.file("page", PAGE_FILE).write_text(page, encoding="utf-8")

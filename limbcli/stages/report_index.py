@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from limbcli.drawing import data_file, write_data
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
 from limbcli.progress import SILENT, Progress
-from limbcli.reporting.assemble import render
+from limbcli.reporting.assemble import data_uri, render
+from limbcli.reporting.figures.study import study_figure
+from limbcli.reporting.figures.style import style
 from limbcli.reporting.fit_view import read_fit_view
-from limbcli.reporting.index import HEADINGS, IndexRow, relative
+from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
+from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.results import StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
@@ -62,6 +67,7 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
     own = provenance()
     facts = {
         "rows": rows, "headings": HEADINGS, "own": own, "n_subjects": len(outs),
+        "study": _picture(rows, folder),
         "name": folder.resolve().name,
         "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
     }  # fmt: skip
@@ -69,6 +75,19 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
     with atomic_file(folder / INDEX_FILE) as path:
         path.write_text(html, encoding="utf-8")
     return IndexResult(folder / INDEX_FILE, tuple(rows))
+
+
+def _picture(rows: list[IndexRow], folder: Path) -> str:
+    """The parameters side by side as a data URI, with SVG and data beside the page; nothing without a fit."""
+    known = study_rows(rows)
+    if not known:
+        return ""
+    svg = folder / "study.svg"
+    with style(), atomic_file(svg) as path, atomic_file(data_file(svg)) as table:
+        figure = study_figure(known)
+        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "limbcli"})
+        write_data(figure, table)
+    return data_uri(svg)
 
 
 _STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
@@ -96,8 +115,9 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     n_warnings = int(report.data.get("n_warnings", 0))
     name = out.resolve().name
     if failures:
-        state = f"{failures[0]['stage']} failed: {failures[0]['what']}"
-        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link)
+        state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
+        told = tuple(_failure(each) for each in failures)
+        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, failures=told)
     try:
         view = read_fit_view(read_result(out, "fit", site=site))
     except CaseError:
@@ -107,13 +127,21 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     )
 
 
+def _failure(content: Mapping[str, Any]) -> Failure:
+    error, what, where, fix = (str(content.get(key) or "–") for key in ("error", "what", "where", "fix"))
+    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
+
+
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     """A subject whose report is missing; its first failure, if one was noted, is the state."""
-    state = error.what
+    state, told = error.what, Failure("CaseError", error.what, error.where, error.fix)
     for path in sorted(out.glob("**/error.json")):
         try:
-            state = f"{path.parent.relative_to(out)} failed: {json.loads(path.read_text())['what']}"
+            content = json.loads(path.read_text())
+            what = content["what"].splitlines()[0]
+            state, told = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
             break
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, IndexError):
             continue
-    return IndexRow(out.resolve().name, out.resolve().name, "", "failed", str(plain(state)), 0, "")
+    name = out.resolve().name
+    return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(told,))

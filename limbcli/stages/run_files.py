@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.feb.outline import Outline
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
@@ -108,7 +109,7 @@ def draw_curve(
             force_sd=noise.force if noise else None,
             unloading=~levels.loading,
         )
-        force_depth(measured, [SimulatedCurve("start", label, depth, force)]).savefig(path)
+        save_figure(force_depth(measured, [SimulatedCurve("start", label, depth, force)]), path)
         return
     with style():
         figure = new_figure()
@@ -119,4 +120,4 @@ def draw_curve(
         axes.set_xlabel("probe depth / mm")
         axes.set_ylabel("force on the tissue / N")
         axes.legend()
-        figure.savefig(path)
+        save_figure(figure, path)

@@ -17,7 +17,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.imaging.bones import name_bones
-from limbcli.imaging.dicom import read_series
+from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.label_frame import compare_frames
 from limbcli.imaging.labels import segmentation_from, write_labels
@@ -33,7 +33,8 @@ from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
-from limbcli.stages.chain_inputs import SITES, note_case
+from limbcli.stages.chain_inputs import note_case
+from limbcli.stages.segment_places import tell_places
 from limbcli.stages.segment_surfaces import check_limb, from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
@@ -158,11 +159,9 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
         )
 
 
-def _from_series(
-    case: Case, folder: Path, options: _Options, writer: StageWriter, progress: Progress
-) -> None:
-    writer.used("mri", folder, role="imaging/mri")
-    series = read_series(folder, progress=progress)
+def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
+    writer.used("mri", path, role="imaging/mri")
+    series = read_image(path, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
     found = segment_limb(series.volume, modality=modality, wishes=options.wishes(), progress=progress)
     writer.data["source"] = "mri"
@@ -193,7 +192,7 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     if case.imaging.mri is None:
         return labels
     writer.used("mri", case.imaging.mri, role="imaging/mri")
-    series = read_series(case.imaging.mri, progress=progress).volume
+    series = read_image(case.imaging.mri, progress=progress).volume
     agreement = compare_frames(labels, series, where=str(path))
     raise_errors(agreement.problems, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
@@ -249,6 +248,7 @@ def _write(
     check_limb(surfaces, case, writer, where=f"{case.subject}, segment ({writer.data['source']})")
     write_surfaces(surfaces, writer)
     _tell_markers(found, lowered, writer)
+    tell_places(case, surfaces, writer.data["markers"], writer)
     _tell_layers(case, found, surfaces["skin"], writer)
     verdict = _tell_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
@@ -259,7 +259,7 @@ def _write(
 
 def _tell_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:
     writer.data["markers"] = [
-        {"number": each.number, "position_mm": each.position, "volume_mm3": each.volume,
+        {"number": each.number, "position_mm": list(each.position), "volume_mm3": each.volume,
          "skin_lowered_mm": down}
         for each, down in zip(found.markers, lowered, strict=True)
     ]  # fmt: skip
@@ -271,8 +271,6 @@ def _tell_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: S
     """Thickness of skin and fat under each site whose place is known."""
     places = {each.number: each.position for each in found.markers}
     layers = {}
-    if found.fat is not None:
-        note_case(writer, case, [SITES, *(f"site/{site.name}/place" for site in case.sites)])
     for site in case.sites:
         position = site.position if site.marker is None else places.get(site.marker)
         if position is None or found.fat is None:

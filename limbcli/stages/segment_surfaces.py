@@ -15,6 +15,7 @@ from limbcli.meshing.mending import skin_and_bones
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
+from limbcli.stages.segment_places import tell_places
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
@@ -36,6 +37,7 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
     }
     check_limb(surfaces, case, writer, where=str(case.imaging.skin))
     write_surfaces(surfaces, writer)
+    tell_places(case, surfaces, [], writer)
 
 
 def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from limbcli import errors
-from limbcli.cli.app import COMMANDS, main
+from limbcli.cli.app import COMMANDS, app, main
+from limbcli.cli.examples import EXAMPLES
 
 
 def limbcli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -49,6 +52,20 @@ def test_every_command_has_help_json_quiet_and_verbose(capsys, name: str):
     text = re.sub(r"\x1b\[[0-9;]*m", "", shown)
     for option in ("--json", "--quiet", "--verbose"):
         assert option in text, f"{name} lacks {option}"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_example_below_the_help_is_one_that_the_command_takes(capsys, name: str):
+    program, *words = shlex.split(EXAMPLES[name])
+    assert program == "limbcli"
+    assert words[0] == name
+    tool = typer.main.get_command(app)
+    command = tool.commands[name]
+    with command.make_context(name, words[1:]) as context:  # raises where it does not parse
+        assert context.params
+    _, shown, _ = in_this_process(capsys, name, "--help")
+    plain = re.sub(r"\s+", " ", re.sub(r"\x1b\[[0-9;]*m", "", shown))
+    assert EXAMPLES[name] in plain
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.imaging.dicom import read_series
+from limbcli.imaging.image_files import read_image as read_image_file
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.measurement.elastography import check_maps
@@ -146,6 +147,14 @@ def make_nifti(name: str) -> Callable[[Path], None]:
     return make
 
 
+def make_placed_nifti(folder: Path) -> None:
+    affine = np.diag([-2.0, -2.0, 4.0, 1.0])
+    image = nib.Nifti1Image(_labels(), affine)
+    image.set_sform(affine, code=1)
+    image.set_qform(affine, code=1)
+    nib.save(image, folder / "labels.nii")
+
+
 def make_nrrd(folder: Path) -> None:
     header = (
         "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\nsizes: 24 20 10\n"
@@ -253,6 +262,8 @@ TARGETS = (
     Target("NIfTI, packed", "labels.nii.gz", False, make_nifti("labels.nii.gz"), read_label_file,
            sound_labels),
     Target("NRRD", "labels.nrrd", True, make_nrrd, read_label_file, sound_labels),
+    Target("NIfTI image", "labels.nii", False, make_placed_nifti, read_image_file, sound_volume),
+    Target("NRRD image", "labels.nrrd", True, make_nrrd, read_image_file, sound_volume),
     Target(".feb", "model.feb", True, make_feb, read_feb, sound_feb),
     Target(".feb, outline", "model.feb", True, make_feb, read_outline),
     Target("FEBio log", "model.log", True, make_log, read_whole_log),

@@ -72,7 +72,7 @@ def imaged(monkeypatch: pytest.MonkeyPatch) -> None:
         return Series(anatomy())
 
     monkeypatch.setattr(segment_module, "segment_limb", found)
-    monkeypatch.setattr(segment_module, "read_series", series)
+    monkeypatch.setattr(segment_module, "read_image", series)
 
 
 def write_case(folder: Path) -> Case:

@@ -112,8 +112,36 @@ def test_progress_and_summary_speak(fitted):
     result, seen = fitted
     kinds = [kind for kind, _ in seen]
     assert {"stage", "fit"} <= set(kinds)
-    assert any("f_kappa = 15" in line for line in result.summary)
+    told = result.data["steps"]["ogden"]["parameters"]["f_kappa"]["headline"]
+    assert any(line.startswith("f_kappa") and told in line for line in result.summary)
     json.dumps(result.to_json(), allow_nan=False)
+
+
+def test_headlines_of_a_good_fit_are_numbers_and_it_is_not_called_poor(fitted):
+    result = fitted[0]
+    assert not result.data["misfit"]["poor"]
+    assert result.data["misfit"]["noise_rms_n"] > 0.05, "the depth's noise counts through the slope"
+    assert not any("poor" in line for line in (*result.summary, *result.warnings))
+    told = result.data["steps"]["ogden"]["parameters"]["m"]
+    assert told["flag"] != "at bound"
+    assert told["value"] == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
+    """Forces that no curve of the law can follow."""
+    odd = forces[-1] * np.array([0.8, 0.9, 0.96, 1.0])
+    case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, odd, c=TRUTH["c"])
+    options = FitOptions(intervals=False, contact_check=False, max_iterations=4)
+    result = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
+    assert result.summary[0].startswith("poor fit: it misses the measured force by ")
+    assert result.warnings[0].startswith("poor fit")
+    assert result.data["misfit"]["times_noise"] > 2.0
+    for name in ("f_kappa", "m"):
+        lines = [line for line in result.summary if line.startswith(name)]
+        told = result.data["steps"]["ogden"]["parameters"][name]
+        assert told["headline"] in lines[0]
+        if told["flag"] == "at bound":
+            assert f"{told['value']:.4g}" not in lines[0], "a bound of the search is no result"
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import importlib.util
 import json
 import re
@@ -19,6 +20,7 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
 from limbcli.stages.report import report
+from limbcli.stages.report_failure import report_failure
 from limbcli.stages.report_material import gather
 
 CASE_TOML = """\
@@ -158,7 +160,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if not self.open or self.open[-1] == "style":
+        if not self.open or self.open[-1] in ("style", "script"):
             return
         self.words.append(data)
         if "tr" in self.open and self.tables[-1][-1]:
@@ -215,13 +217,27 @@ def fail(out: Path, stage: str, site: str | None) -> None:
 
 
 def test_page_needs_nothing_but_itself(whole):
-    _, page = whole
+    out, page = whole
     for name, attrs in page.tags:
         for key in ("src", "href", "srcset", "action"):
             if key in attrs:
                 assert attrs[key].startswith(("data:", "#")), (name, attrs[key])
-    assert not page.all("script")
     assert not page.all("link")
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    for script in re.findall(r"<script[^>]*>(.*?)</script>", html, re.DOTALL):
+        assert not re.search(r"https?:|\bfetch\b|XMLHttp|\bimport\b|WebSocket|\beval\b", script)
+
+
+def test_the_model_can_be_turned_and_its_still_picture_stays_where_it_cannot(whole):
+    out, page = whole
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    figure = re.search(r'<figure class="view3d">(.*?)</figure>', html, re.DOTALL)
+    assert figure
+    assert figure[1].index("<img") < figure[1].index("<canvas")
+    scene = json.loads(re.search(r'<script type="application/json">(.*?)</script>', figure[1], re.DOTALL)[1])
+    assert {each["name"] for each in scene["parts"]} >= {"skin", "probe", "section"}
+    assert 'getContext("webgl2"' in html
+    assert len(page.all("canvas")) == 1
 
 
 def test_every_picture_is_embedded_whole_and_described(whole):
@@ -256,11 +272,11 @@ def test_parameter_table_is_laid_out_as_in_the_papers(whole):
         "p1",
         "10.1",
         "2.00",
-        "810 fκ: weak",
+        "above 527 κ′: weak",
         "0.9810",
         "10.1",
         "4.10",
-        "810 fκ: weak",
+        "above 527 κ′: weak",
         "0.9987",
     ]
     assert table[3] == ["p2", "– the fit has not been run", "– the fit has not been run"]
@@ -272,6 +288,74 @@ def test_open_intervals_are_said_in_words(whole):
     row = next(row for row in rows if "fκ" in row)
     assert "above 52.0" in row
     assert "fκ is not identifiable from these data" in row[-1]
+
+
+def test_headlines_of_what_is_open_are_words(whole):
+    _, page = whole
+    head = page.text.split("What the numbers mean")[0]
+    assert "above 52.0" in head
+    assert "80.0" not in head, "where the search ended is no result"
+    assert "4.10" in head
+
+
+def test_a_poor_fit_is_told_before_anything_else(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    words = "poor fit: it misses the measured force by 3 N (RMSE), 6 times what its noise explains; R2 0.61"
+    content["data"]["misfit"] = {"poor": True, "words": words}
+    path.write_text(json.dumps(content))
+    glance = overview(gather(case, out=out))
+    assert glance.sentence.startswith("Poor fit at p1")
+    assert glance.mood == "failed"
+    assert glance.sites[0].facts[0].remark.startswith("poor fit")
+    assert glance.sites[0].sentence.startswith("Poor fit: it misses")
+
+
+def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
+    folder = tmp_path / "S 9"
+    folder.mkdir()
+    (folder / "case.toml").write_text("format = 1\n[subject]\nlimb = 'middle'\n")
+    with pytest.raises(CaseError) as caught:
+        Case.open(folder)
+    result = report_failure(folder, caught.value, out=tmp_path / "out")
+    page = Page(result.path("page").read_text(encoding="utf-8"))
+    n = len(caught.value.facts["problems"])
+    assert n > 3
+    assert len([each for each in page.all("div") if each.get("class") == "problem"]) == n
+    assert f"{n} problems:" in page.text
+    assert page.text.count("[subject] lacks 'id'") == 1, "not once more in one long line"
+    assert f"limbcli check '{folder}'" in page.text
+    assert "CASE" not in page.text
+
+
+def test_summary_says_what_to_measure_next(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", noise="assumed")
+    (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert any(f"limbcli diagnose {case.folder} --site p1 --out {out}" in each for each in steps)
+    assert any("Repeat one level" in each for each in steps)
+    assert not any("Press deeper" in each for each in steps), "m is identified"
+    with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
+        menu = [{"name": "larger", "sentence": "press with a larger probe"}, {"name": "b", "sentence": "x"}]
+        writer.data["next_measurement"] = {
+            "recommended": "larger", "power_for_its_worst_pair": 0.83, "menu": menu
+        }  # fmt: skip
+    (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert steps[0].startswith("Press with a larger probe (it tells the explanations apart in 83 of 100")
+    assert not any("limbcli diagnose" in each for each in steps)
+
+
+def test_every_cell_of_a_table_has_its_columns_words_for_narrow_screens(whole):
+    out, page = whole
+    cells = page.all("td")
+    assert len(cells) > 50
+    assert all(attrs.get("data-label") or "colspan" in attrs for attrs in cells)
+    labels = {attrs.get("data-label") for attrs in cells}
+    assert {"Ogden type: m [–]", "Mooney-Rivlin type (m = 2): c [kPa]"} <= labels
+    html = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "@media screen and (max-width: 40rem)" in html
 
 
 def test_failed_and_missing_stages_have_their_place(whole):
@@ -357,7 +441,14 @@ def test_figures_are_files_too(whole):
     for name in ("force-depth-p1", "wave-speed-p1", "section-p1", "skin-p1", "convergence-p1"):
         assert (figures / f"{name}.png").stat().st_size > 1000
         assert (figures / f"{name}.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
+        assert len((figures / f"{name}-data.csv").read_text(encoding="utf-8").splitlines()) > 5
     assert (figures / "segmentation.png").is_file()
+    with (figures / "force-depth-p1-data.csv").open(newline="", encoding="utf-8") as stream:
+        drawn = [
+            (float(row["x"]), float(row["y"])) for row in csv.DictReader(stream) if row["kind"] == "line"
+        ]
+    for depth, force in zip(DEPTH, FORCE, strict=True):
+        assert min(abs(x - depth) + abs(y - force) for x, y in drawn) < 1e-3, "every level is in the table"
 
 
 def test_every_caption_says_what_bad_looks_like(whole):

@@ -47,7 +47,40 @@ def test_every_subject_has_a_row_and_a_link_that_leads_to_its_page(tmp_path):
     assert 'href="A%201/report/report.html"' in html
     assert "mesh failed: no skin &lt;there&gt;" in html
     assert "3.70\u00a0to\u00a04.50" in html
-    assert re.search(r'810 <span class="why">f<sub>κ</sub>: weak</span>', html)
+    assert re.search(r'not identifiable <span class="why">κ′: weak</span>', html), "an open end is no number"
+    assert html.count("<h2>Side by side</h2>") == 1
+    assert (tmp_path / "study.svg").read_text().startswith("<?xml")
+    assert "What failed, and why" in html
+    assert "κ′" in (tmp_path / "study-data.csv").read_text()
+
+
+def test_study_page_gives_every_failure_its_reasons(tmp_path):
+    add_subject(tmp_path, "A", fitted=False, failure="x")
+    path = tmp_path / "A" / "report" / "report.json"
+    content = json.loads(path.read_text())
+    problems = [{"what": f"fault {k}", "where": f"line {k}", "fix": f"mend {k}"} for k in range(3)]
+    content["data"]["failures"] = [
+        {"stage": "check", "site": None, "error": "CaseError", "what": "3 problems:\n1. fault 0",
+         "where": "a", "fix": "all", "problems": problems}
+    ]  # fmt: skip
+    path.write_text(json.dumps(content))
+    result = report_index(tmp_path)
+    html = result.page.read_text(encoding="utf-8")
+    assert result.rows[0].state == "check failed: 3 problems:"
+    for k in range(3):
+        assert f"<p>{k + 1}. fault {k}</p>" in html
+        assert f"<dd>mend {k}</dd>" in html
+    assert "Side by side" not in html, "nothing was fitted"
+
+
+def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
+    add_subject(tmp_path, "A")
+    path = tmp_path / "A" / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["misfit"] = {"poor": True, "words": "poor fit: it misses"}
+    path.write_text(json.dumps(content))
+    html = report_index(tmp_path).page.read_text(encoding="utf-8")
+    assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
 
 def test_a_subject_without_a_report_shows_its_failure(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.reporting.figures.deformed import DeformedState, section_figure
+from limbcli.reporting.figures.scene import scene_of
 from limbcli.reporting.figures.skin import skin_figure
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
@@ -36,6 +37,7 @@ def deformation(page: Page, site: SiteMaterial) -> Reportlet:
             f"Skin of the model at site {site.name} seen from outside, dented by the probe to {most:.1f} mm.",
             figure=skin_figure(state),
             vector=False,
+            scene=scene_of(state),
         ),
     )
     return Reportlet(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
-from limbcli.reporting.numbers import DASH, quantity, significant
+from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Mood
+from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
 
 
@@ -41,6 +42,8 @@ class SiteGlance:
     pills: tuple[Pill, ...]
     command: str = ""
     weak: tuple[str, ...] = ()
+    poor: str = ""
+    next_steps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,12 @@ def _overall(sites: tuple[SiteGlance, ...], failed: bool, warned: bool) -> Mood:
 def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_warnings: int) -> str:
     fitted = [each for each in sites if each.facts]
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
-    text = f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
-    if fitted and not weak:
+    poor = [each.name for each in fitted if each.poor]
+    text = f"Poor fit at {', '.join(poor)}: it misses the measured force. " if poor else ""
+    text += (
+        f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
+    )
+    if fitted and not weak and not poor:
         text += " Every parameter searched for is identified."
     if weak:
         text += f" Not to be relied on as properties of the tissue: {'; '.join(weak)}."
@@ -115,7 +122,7 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     if result is None:
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
-            sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.what})."
+            sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.headline})."
             return SiteGlance(site.name, site.place, "failed", sentence, (), pills)
         following = next(each for each in stages if each.status != "done")
         sentence = f"No parameters yet: {following.stage} has not been run."
@@ -123,10 +130,20 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
     view = read_fit_view(result)
     facts = _facts(view)
     moods = {each.mood for each in facts}
-    mood: Mood = "warning" if "warning" in moods else "fine"
+    mood: Mood = "failed" if view.poor else "warning" if "warning" in moods else "fine"
     step = view.last
     weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
-    return SiteGlance(site.name, site.place, mood, _site_sentence(view), facts, pills, weak=weak)
+    return SiteGlance(
+        site.name,
+        site.place,
+        mood,
+        _site_sentence(view),
+        facts,
+        pills,
+        weak=weak,
+        poor=view.poor,
+        next_steps=next_steps(page, site, view),
+    )
 
 
 def _pill(outcome: Outcome) -> Pill:
@@ -141,8 +158,10 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
     facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), f"{source}; held fixed")]
     facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
     remark = f"R² {quantity(step.r2, '', digits=4)}"
-    facts.append(Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark))
-    return tuple(facts)
+    missed = Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark)
+    if view.poor:
+        return (replace(missed, remark=f"poor fit; {remark}", mood="failed"), *facts)
+    return (*facts, missed)
 
 
 _TITLES = {"m": "m, stiffening", "f_κ": "f_κ, resistance to volume change"}
@@ -156,14 +175,15 @@ def _estimate(each: EstimateView) -> Fact:
     remark = each.flag
     if each.low is not None and each.high is not None:
         remark += f", 95 %: {significant(each.low)} to {significant(each.high)}"
-    elif each.low is not None:
-        remark += f", 95 %: above {significant(each.low)}"
-    elif each.high is not None:
-        remark += f", 95 %: below {significant(each.high)}"
-    value = significant(each.value) if each.value is not None else DASH
+    value, _, _ = each.headline.partition(" (")
     return Fact(_TITLES[each.name], value, remark, "fine" if each.is_sound else "warning")
 
 
 def _site_sentence(view: FitView) -> str:
     step = view.last
-    return f"{step.label}, {view.element} elements, {view.solver}." if step else "The fit left no parameters."
+    poor = f"{view.poor[0].upper()}{view.poor[1:]}. " if view.poor else ""
+    return (
+        f"{poor}{step.label}, {view.element} elements, {view.solver}."
+        if step
+        else "The fit left no parameters."
+    )

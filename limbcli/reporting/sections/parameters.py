@@ -89,17 +89,17 @@ def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
         return [Cell(DASH, reason=why, span=4)]
     return [
         cell(step.c_kpa),
-        flagged(cell(step.m), step.estimate("m")),
-        flagged(cell(step.kappa_kpa), step.estimate("f_κ")),
+        said(cell(step.m), step.estimate("m")),
+        said(cell(step.kappa_kpa), step.kappa),
         cell(step.r2, digits=4, reason="the measured force does not vary"),
     ]
 
 
-def flagged(shown: Cell, estimate: EstimateView | None) -> Cell:
-    """A value that the data do not hold carries the word for it."""
+def said(shown: Cell, estimate: EstimateView | None) -> Cell:
+    """A value that the data do not hold gives way to words, with the verdict below."""
     if estimate is None or estimate.is_sound:
         return shown
-    return replace(shown, reason=f"{estimate.name}: {estimate.flag}")
+    return replace(shown, text=estimate.headline.split(" (")[0], reason=f"{estimate.name}: {estimate.flag}")
 
 
 def _details(site: str, view: FitView) -> Table:
@@ -119,7 +119,8 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     unit = f"\u00a0{each.unit}" if each.unit else ""
     return (
         Cell(each.name),
-        cell(each.value, unit=each.unit),
+        cell(each.value, unit=each.unit) if each.is_sound else Cell(each.headline.split(" (")[0] + (
+            unit if each.headline[:1].isdigit() or each.low is not None or each.high is not None else "")),
         Cell(interval_words(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
@@ -145,6 +146,7 @@ def interval_words(each: EstimateView) -> str:
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
     notes, warned = [], []
     for site, view in views.items():
+        warned += [f"Site {site}: {view.poor}."] if view.poor else []
         notes.append(f"Site {site}: c is {view.c_source or 'of unknown origin'}.")
         notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
         warned += [f"Site {site}: {text}" for text in _noise_words(view)]

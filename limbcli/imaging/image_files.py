@@ -1,0 +1,86 @@
+"""The image that a case names: a folder with a DICOM series, or one NIfTI or NRRD volume."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
+from limbcli.imaging.nifti import read_nifti
+from limbcli.imaging.nrrd import read_nrrd_image
+from limbcli.imaging.volume import Volume
+from limbcli.progress import SILENT, Progress
+
+ENDINGS = {".nii": read_nifti, ".nii.gz": read_nifti, ".nrrd": read_nrrd_image, ".nhdr": read_nrrd_image}
+_LEAST = 3  # voxels along every axis
+_RIGHT_ANGLE = 1e-2  # largest cosine between two axes
+_AIR_HU = -500.0  # no MRI has such a share of such values; the air of a CT is at -1000
+_AIR_SHARE = 5.0  # per cent
+
+
+def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
+    """A DICOM series (a folder), or a volume file, in patient LPS.
+
+    A volume file does not say whether it is CT: it is taken for one where its air is below -500.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or is not one scalar volume of a limb with its place in the patient.
+    """
+    if path.is_dir():
+        return read_series(path, progress=progress)
+    reader = next((each for end, each in ENDINGS.items() if path.name.lower().endswith(end)), None)
+    if reader is None:
+        raise CaseError(
+            f"{path.name} is of no kind of image that is read here",
+            where=str(path),
+            fix=f"name a folder with one DICOM series, or a volume that ends in {', '.join(ENDINGS)}",
+        )
+    volume = _plausible(reader(path), path)
+    progress.event("note", text=f"{path.name}: {' x '.join(map(str, volume.shape))} voxels")
+    notes: list[str] = []
+    finite = np.isfinite(volume.values)
+    if not finite.all():
+        missing = 1.0 - float(finite.mean())
+        least = float(volume.values[finite].min()) if finite.any() else 0.0
+        volume = volume.with_values(np.where(finite, volume.values, least))
+        notes.append(f"{missing:.1%} of the voxels are no number; they were taken for air")
+    is_ct = float(np.percentile(volume.values, _AIR_SHARE)) < _AIR_HU
+    if is_ct:
+        notes.append("taken for CT (HU), because of values far below 0")
+    facts = {
+        "modality": "CT" if is_ct else "MR",
+        "n_slices": volume.shape[2],
+        "matrix": list(volume.shape[:2]),
+        "spacing_mm": [round(float(each), 4) for each in volume.spacing],
+    }
+    return Series(volume=volume, facts=facts, notes=tuple(notes))
+
+
+def _plausible(volume: Volume, path: Path) -> Volume:
+    """Enough voxels, at right angles, of sizes that a limb's image can have."""
+    if min(volume.shape) < _LEAST:
+        what = f"the image has {' x '.join(map(str, volume.shape))} voxels; a volume needs {_LEAST} each way"
+        raise CaseError(what, where=str(path), fix="bring the whole volume")
+    sides = volume.affine[:3, :3]
+    if not np.isfinite(volume.affine).all() or abs(np.linalg.det(sides)) < 1e-9:
+        what = "the image's voxels have no volume: its affine is singular"
+        raise CaseError(what, where=str(path), fix="export it again with its geometry")
+    units = sides / volume.spacing
+    if np.abs(units.T @ units - np.eye(3)).max() > _RIGHT_ANGLE:
+        what = "the image's axes are not at right angles (a gantry tilt, or a registration with shear)"
+        raise CaseError(what, where=str(path), fix="resample it to a straight grid, in 3D Slicer")
+    spacing = np.sort(volume.spacing)
+    (low, high), (_, highest) = PIXEL_MM, STEP_MM
+    if spacing[0] < low or spacing[1] > high or spacing[2] > highest:
+        listed = " x ".join(f"{each:g}" for each in volume.spacing)
+        raise CaseError(
+            f"the image's voxels are {listed} mm; a limb's image has {low:g} to {high:g} mm "
+            f"(slices up to {highest:g})",
+            where=str(path),
+            fix="correct the unit: the format's lengths are mm",
+        )
+    return volume

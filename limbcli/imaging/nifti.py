@@ -1,0 +1,136 @@
+"""Images as NIfTI volumes, with their place in the patient checked and turned from RAS to LPS.
+
+Format: nifti.nimh.nih.gov/nifti-1 (qform, sform and their codes, xyzt_units).
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+from nibabel.filebasedimages import ImageFileError
+from nibabel.spatialimages import HeaderDataError
+
+from limbcli.errors import CaseError
+from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+
+_ZOOM = 0.02  # voxel sizes of one header that differ by more contradict each other
+_SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz)"
+
+
+def read_nifti(path: Path) -> Volume:
+    """One scalar volume with its place, scaled by the header's slope and intercept.
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be read, holds several volumes, colours or complex numbers, or does not say
+        where it lies; each with a message of its own.
+    """
+    image = _opened(path)
+    if not isinstance(image, nib.Nifti1Image):
+        what = f"the file is {type(image).__name__}, whose place in the patient is not sure"
+        raise CaseError(what, where=str(path), fix=_SAVE)
+    _scalar(image, path)
+    shape = _one_volume(tuple(image.shape), path)
+    if math.prod(shape) > MOST_VOXELS:
+        raise CaseError(
+            f"the image has {' x '.join(map(str, shape))} voxels, more than a limb's",
+            where=str(path),
+            fix="crop it to the limb",
+        )
+    header = image.header
+    if not header["qform_code"] and not header["sform_code"]:
+        raise CaseError(
+            "the image does not say how it lies in the patient (qform_code and sform_code are 0)",
+            where=str(path),
+            fix="convert the DICOM series again (dcm2niix writes both), or name the DICOM folder itself",
+        )
+    one_geometry(image, path, noun="image")
+    try:
+        values = np.asarray(image.dataobj, dtype=np.float32).reshape(shape)
+    except (*DAMAGED, zlib.error) as error:
+        raise _unreadable(path, error) from error
+    return Volume(values, RAS_FROM_LPS @ np.asarray(image.affine, dtype=np.float64))
+
+
+def _opened(path: Path) -> object:
+    try:
+        return nib.load(path)
+    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: BaseException) -> CaseError:
+    return CaseError(f"the image cannot be read ({error})", where=str(path), fix=_SAVE)
+
+
+def _scalar(image: nib.Nifti1Image, path: Path) -> None:
+    kind = image.get_data_dtype()
+    if kind.names is not None:
+        what, fix = f"the image holds colours ({'/'.join(kind.names)}), no signal", "export the grey values"
+        raise CaseError(what, where=str(path), fix=fix)
+    if kind.kind == "c":
+        what = "the image holds complex numbers"
+        raise CaseError(what, where=str(path), fix="export its magnitude")
+
+
+def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
+    extra = math.prod(shape[3:])
+    if len(shape) > 3 and extra > 1:
+        raise CaseError(
+            f"the image holds {extra} volumes ({len(shape)}-D: echoes, time points, directions)",
+            where=str(path),
+            fix="save the T1-weighted volume alone (fslroi, or 3D Slicer), and name that file",
+            n_volumes=extra,
+        )
+    if len(shape) < 3:
+        raise CaseError(
+            f"the image has {len(shape)} dimensions, a slice and no volume",
+            where=str(path),
+            fix="bring the whole volume",
+        )
+    return int(shape[0]), int(shape[1]), int(shape[2])
+
+
+def one_geometry(image: object, path: Path, *, noun: str) -> None:
+    """A NIfTI header tells voxel sizes and places twice or thrice; they must agree, and be in mm.
+
+    noun : what the file is, for the messages ("image", "label map")
+
+    Raises
+    ------
+    CaseError
+        With what contradicts what.
+    """
+    header = getattr(image, "header", None)
+    if not isinstance(header, nib.Nifti1Header):
+        return
+    fix = "export it again from 3D Slicer with the MRI series as its reference volume"
+    try:
+        unit = header.get_xyzt_units()[0]
+    except (KeyError, ValueError):
+        unit = "not one that the format knows"
+    if unit not in ("mm", "unknown"):
+        raise CaseError(f"the {noun}'s unit of length is {unit}, not mm", where=str(path), fix=fix)
+    affine = np.asarray(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
+    sides = np.linalg.norm(affine[:3, :3], axis=0)
+    told = np.array(header.get_zooms()[:3], dtype=np.float64)
+    if np.abs(told / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
+        what = f"the {noun} tells two voxel sizes: {told.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
+        raise CaseError(what, where=str(path), fix=fix)
+    try:
+        qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]
+    except (ValueError, HeaderDataError) as error:
+        what = f"the {noun}'s place (qform) cannot be read ({error})"
+        raise CaseError(what, where=str(path), fix=fix) from error
+    if qform is not None and sform is not None:
+        ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
+        ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
+        off = float(np.linalg.norm(ends @ (qform - sform).T, axis=1).max())
+        if off > sides.max():
+            what = f"the {noun} tells two places (qform and sform), {off:.1f} mm apart"
+            raise CaseError(what, where=str(path), fix=fix)

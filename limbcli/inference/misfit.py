@@ -1,0 +1,54 @@
+"""Whether a fit meets its data: the misfit against what the stated noise explains, and R2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.model import Array
+
+BEYOND_NOISE = 2.0  # times the stated noise; with six residuals chance alone gives 1.5 in one of forty
+LEAST_R2 = 0.9  # any curve that rises with the force has more
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """rmse, noise : root mean square of the residuals and of what their noise explains, N; r2 may be NaN."""
+
+    rmse: float
+    noise: float
+    r2: float
+
+    @property
+    def times_noise(self) -> float:
+        """NaN where no noise is stated."""
+        return self.rmse / self.noise if self.noise > 0 else float("nan")
+
+    @property
+    def poor(self) -> bool:
+        return bool(self.times_noise > BEYOND_NOISE or self.r2 < LEAST_R2)
+
+    @property
+    def words(self) -> str:
+        """
+        >>> Misfit(2.0, 0.5, 0.6).words
+        'poor fit: it misses the measured force by 2 N (RMSE), 4 times what its noise explains; R2 0.60'
+        >>> Misfit(0.5, 0.5, 0.99).words
+        ''
+        """
+        if not self.poor:
+            return ""
+        text = f"poor fit: it misses the measured force by {self.rmse:.2g} N (RMSE)"
+        if np.isfinite(self.times_noise):
+            text += f", {self.times_noise:.2g} times what its noise explains"
+        return text + (f"; R2 {self.r2:.2f}" if np.isfinite(self.r2) else "")
+
+
+def misfit(rmse: float, r2: float, variance: Array) -> Misfit:
+    """variance : (n,) of the residuals, N^2
+
+    >>> misfit(0.3, 0.99, np.array([0.01, 0.09])).noise
+    0.22360679774997896
+    """
+    return Misfit(rmse, float(np.sqrt(np.mean(variance))) if len(variance) else 0.0, r2)

@@ -1,0 +1,122 @@
+"""The deformed model as a scene that a page can turn: corners, displacements, facets, packed small."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+
+from limbcli.model import Array, IntArray
+from limbcli.reporting.figures.deformed import DISPLACEMENT_MAP, DeformedState
+from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, linear_triangles
+
+_STEPS = 32000  # of a coordinate over the scene's size, in two bytes
+_COLOURS = 64
+_CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4, "quad8": 4, "tet4": 4, "tet10": 4, "hex8": 8, "penta6": 6}
+_BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Points (n, 3) mm at rest, their displacement (n, 3) mm, triangles (m, 3) and edges (k, 2) to draw.
+
+    coloured : by the size of the displacement; else in one colour
+    """
+
+    name: str
+    points: Array
+    displacement: Array
+    triangles: IntArray
+    edges: IntArray
+    coloured: bool = True
+
+
+def scene_of(state: DeformedState) -> dict[str, Any]:
+    """What the page's script draws: parts packed in base64, the field's range, its colours.
+
+    Coordinates are whole numbers of `step_mm` from `origin_mm`; displacements of `displacement_step_mm`.
+    """
+    parts = [each for each in _parts(state) if len(each.triangles)]
+    every = np.concatenate([each.points for each in parts])
+    low, high = every.min(axis=0), every.max(axis=0)
+    step = float((high - low).max() / _STEPS) or 1.0
+    most = max(float(np.abs(each.displacement).max(initial=0.0)) for each in parts)
+    small = most / _STEPS or 1.0
+    field = max(float(np.linalg.norm(p.displacement, axis=1).max(initial=0.0)) for p in parts if p.coloured)
+    middle = 0.5 * (low + high)
+    return {
+        "origin_mm": [float(each) for each in middle],
+        "radius_mm": float(np.linalg.norm(high - low) / 2),
+        "step_mm": step,
+        "displacement_step_mm": small,
+        "field_mm": field,
+        "depth_mm": float(state.depth),
+        "colours": _packed(
+            (colormaps[DISPLACEMENT_MAP](np.linspace(0, 1, _COLOURS))[:, :3] * 255).astype("u1")
+        ),
+        "parts": [
+            {
+                "name": each.name,
+                "coloured": each.coloured,
+                "points": _packed(np.round((each.points - middle) / step).astype("<i2")),
+                "displacement": _packed(np.round(each.displacement / small).astype("<i2")),
+                "triangles": _packed(each.triangles.astype("<u4")),
+                "edges": _packed(each.edges.astype("<u4")),
+            }
+            for each in parts
+        ],
+    }
+
+
+def _parts(state: DeformedState) -> list[Part]:
+    u = state.displacement
+    rigid = np.broadcast_to(state.probe_shift, u.shape)
+    return [
+        _surface("skin", state.skin, state.points, u),
+        _surface("cut faces", state.cut, state.points, u),
+        _surface("bone", state.bone, state.points, u, coloured=False),
+        _section(state),
+        _surface("probe", state.probe, state.points, rigid, coloured=False),
+    ]
+
+
+def _surface(
+    name: str, facets: dict[str, IntArray], points: Array, displacement: Array, *, coloured: bool = True
+) -> Part:
+    """Facets whose corners are all known; edges are those of the elements, not of the triangles drawn."""
+    triangles, edges = [np.zeros((0, 3), np.int64)], [np.zeros((0, 2), np.int64)]
+    for kind, each in facets.items():
+        known = each[np.isfinite(displacement[each]).all(axis=(1, 2))]
+        triangles.append(linear_triangles(kind, known))
+        pairs = np.array(_BOUNDARY[_CORNERS[kind]])
+        edges.append(known[:, pairs].reshape(-1, 2))
+    faces, lines = np.concatenate(triangles), np.concatenate(edges)
+    lines = np.unique(np.sort(lines, axis=1), axis=0)
+    used, numbers = np.unique(np.concatenate([faces.ravel(), lines.ravel()]), return_inverse=True)
+    n = faces.size
+    return Part(
+        name,
+        points[used],
+        displacement[used],
+        numbers[:n].reshape(-1, 3),
+        numbers[n:].reshape(-1, 2),
+        coloured,
+    )
+
+
+def _section(state: DeformedState) -> Part:
+    """The cut through the probe's middle plane (y = 0), for a look inside."""
+    tetrahedra, _ = linear_tetrahedra(state.kind, state.cells)
+    cut = cut_tetrahedra(state.points, tetrahedra)
+    points, displacement = cut.at(state.points), cut.at(state.displacement)
+    known = np.isfinite(displacement[cut.triangles]).all(axis=(1, 2))
+    triangles = cut.triangles[known]
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return Part("section", points, np.nan_to_num(displacement), triangles, np.unique(edges, axis=0))
+
+
+def _packed(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,0 +1,63 @@
+"""What to measure next at a site: what the diagnosis proposes, and what the fit's own weak points ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.fit_view import FitView
+from limbcli.reporting.numbers import number
+from limbcli.reporting.page import Page, SiteMaterial
+
+
+def next_steps(page: Page, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
+    """Sentences, the most telling first; nothing where nothing is left to ask."""
+    steps = []
+    if view.poor:
+        steps.append(
+            "Look at units, signs and zero of force and depth, then repeat the measurement: no curve of the "
+            "law meets these levels."
+        )
+    diagnosed = page.outcomes.maybe("diagnose", site.name)
+    if diagnosed is not None and diagnosed.usable is not None:
+        steps += _proposed(diagnosed.usable.data.get("next_measurement"))
+    else:
+        command = page.outcomes.of("fit", site.name).command.replace("limbcli fit", "limbcli diagnose", 1)
+        steps.append(f"Let the diagnosis say what would tell most: {command}")
+    if view.noise_source == "assumed":
+        steps.append(
+            "Repeat one level three times or more and state the spread in [site.noise] with source = "
+            "“repeats”: all intervals rest on an assumed noise."
+        )
+    steps += _of_the_parameters(site, view)
+    if "by hand" in view.c_source or "--c-kpa" in view.c_source:
+        steps.append(
+            "Measure the shear-wave speed at 0 N: c was given by hand, and everything scales with it."
+        )
+    return tuple(steps)
+
+
+def _proposed(found: object) -> list[str]:
+    """The diagnosis's own proposal, with how likely it is to decide."""
+    if not isinstance(found, Mapping) or not found.get("recommended"):
+        return []
+    menu = found.get("menu") or []
+    own = [each for each in menu if isinstance(each, Mapping) and each.get("name") == found["recommended"]]
+    sentence = str(own[0].get("sentence") or found["recommended"]) if own else str(found["recommended"])
+    power = number(found.get("power_for_its_worst_pair"))
+    chance = (
+        f" (it tells the explanations apart in {100 * power:.0f} of 100 cases)" if power is not None else ""
+    )
+    return [f"{sentence[0].upper()}{sentence[1:]}{chance}."]
+
+
+def _of_the_parameters(site: SiteMaterial, view: FitView) -> list[str]:
+    step: Any = view.last
+    m = step.estimate("m") if step else None
+    if m is None or m.is_sound:
+        return []
+    depth = site.measured.depth.max() if site.measured is not None and len(site.measured.depth) else None
+    reached = f" than the {depth:.1f} mm reached" if depth is not None else ""
+    return [
+        f"Press deeper{reached}, as far as it is borne: m shows in large strains, and is {m.headline} here."
+    ]

@@ -1,0 +1,112 @@
+"""new: a case folder to fill in, with a comment at every value and a place for every file."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import jinja2
+
+from limbcli.case import CASE_FILE
+from limbcli.case_schema import FILL_IN, plain_name
+from limbcli.config import templates_folder
+from limbcli.errors import CaseError
+from limbcli.faults import told
+from limbcli.files import atomic_folder
+from limbcli.results import StageResult, provenance
+
+MRI, LEVELS, README = "mri", "levels.csv", "README.md"
+
+
+def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
+    """Write a commented case folder whose values `limbcli check` asks for one by one.
+
+    Parameters
+    ----------
+    folder : absent, or empty; nothing that is there is ever changed
+    sites : names of the places that will be measured
+
+    Raises
+    ------
+    CaseError
+        If the folder holds anything, a file is in its place, or a site's name cannot be one.
+    """
+    names = _checked(sites)
+    _refuse_used(folder)
+    name = folder.resolve().name
+    subject = FILL_IN if plain_name(name) else name
+    texts = _texts(subject, names)
+
+    def fill(target: Path) -> None:
+        (target / MRI).mkdir()
+        for path, text in texts.items():
+            (target / path).parent.mkdir(exist_ok=True)
+            with (target / path).open("x", encoding="utf-8") as stream:
+                stream.write(text)
+
+    with told(folder):
+        _fill_empty(folder, fill) if folder.is_dir() else _fill_absent(folder, fill)
+    return StageResult(
+        stage="new",
+        subject=subject,
+        folder=folder,
+        files={"case": CASE_FILE, "readme": README},
+        data={"written": [*texts, f"{MRI}/"], "sites": list(names)},
+        summary=(
+            f"{CASE_FILE}: put a value wherever it says {FILL_IN!r}",
+            f"{MRI}/: the DICOM files of one series",
+            *(f"{site}/{LEVELS}: force and depth of every level" for site in names),
+            f"{README}: where everything else goes",
+            f"next: limbcli check {folder}",
+        ),
+        provenance=provenance(),
+    )
+
+
+def _checked(sites: Sequence[str]) -> tuple[str, ...]:
+    for site in sites:
+        wrong = plain_name(site) or ("is the folder of the images" if site == MRI else None)
+        if wrong or list(sites).count(site) > 1:
+            what = f"the site's name {wrong}" if wrong else f"two sites are named {site!r}"
+            raise CaseError(what, where="--site", fix="give every site a short name of its own, such as p1")
+    return tuple(sites)
+
+
+def _refuse_used(folder: Path) -> None:
+    if not folder.exists() and not folder.is_symlink():
+        return
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    what = f"{folder} holds something already" if folder.is_dir() else f"{folder} is a file"
+    raise CaseError(what, where=str(folder), fix="name a folder that is empty or not there yet")
+
+
+def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:
+    """Every file's text by its path in the case folder; case.toml last."""
+    loader = jinja2.FileSystemLoader(templates_folder() / "case")
+    environment = jinja2.Environment(
+        loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True
+    )
+    facts = {"subject": subject, "sites": sites, "fill_in": FILL_IN}
+    levels = environment.get_template(f"{LEVELS}.j2")
+    return {
+        README: environment.get_template(f"{README}.j2").render(facts),
+        **{f"{site}/{LEVELS}": levels.render(site=site) for site in sites},
+        CASE_FILE: environment.get_template(f"{CASE_FILE}.j2").render(facts),
+    }
+
+
+def _fill_absent(folder: Path, fill: Callable[[Path], None]) -> None:
+    with atomic_folder(folder) as work:
+        fill(work)
+
+
+def _fill_empty(folder: Path, fill: Callable[[Path], None]) -> None:
+    """The folder itself stays (a shell may stand in it); what was begun goes if it cannot be ended."""
+    try:
+        fill(folder)
+    except BaseException:
+        for each in folder.iterdir():
+            shutil.rmtree(each) if each.is_dir() else each.unlink()
+        raise

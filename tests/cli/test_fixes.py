@@ -1,0 +1,84 @@
+"""What messages advise can be pasted: commands, options and paths exist."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from limbcli.cli.app import COMMANDS, main
+from limbcli.cli.fixes import for_command_line, options_of
+from limbcli.errors import CaseError, SolveError
+from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
+from tests.test_case_text import two_sites
+
+PACKAGE = Path(__file__).resolve().parents[2] / "limbcli"
+COMMAND = re.compile(r"limbcli ([a-z][a-z-]*)((?: +(?:--?[a-z][a-z-]*|[^\s`;,()\n-][^\s`;,()\n]*))*)")
+
+
+def advised() -> list[tuple[str, str, str]]:
+    """(file, command, the rest) of every command line in a text of the package."""
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                for name, rest in COMMAND.findall(node.value):
+                    found.append((path.relative_to(PACKAGE).as_posix(), name, rest))
+    return found
+
+
+def test_options_of_every_advised_command_exist():
+    named = [(file, name, rest) for file, name, rest in advised() if name in COMMANDS]
+    assert len(named) > 40
+    wrong = [
+        f"{file}: limbcli {name} {option}"
+        for file, name, rest in named
+        for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest)
+        if option not in options_of(name)
+    ]
+    assert not wrong
+
+
+def test_commands_without_out_are_those():
+    assert {name for name in COMMANDS if "--out" not in options_of(name)} == set(WITHOUT_OUT)
+
+
+def test_commands_name_the_case_and_the_output_folder():
+    error = CaseError("a", where="b", fix="run `limbcli mesh CASE --site p1` first, or `limbcli check CASE`")
+    told = pasted(error, Path("/data/my case"), Path("results"))
+    assert "`limbcli mesh '/data/my case' --site p1 --out results`" in told.fix
+    assert "`limbcli check '/data/my case'`" in told.fix
+    assert pasted_text("limbcli batch CASE --out out/x", Path("S1"), Path("other")).endswith("--out out/x")
+
+
+def test_paths_that_are_gone_are_not_told_and_those_that_stay_are(tmp_path: Path):
+    gone = tmp_path / ".partial-12-abc" / "model.log"
+    assert pasted_text(f"{gone}: ended", None) == "model.log (a temporary file): ended"
+    gone.parent.mkdir()
+    gone.write_text("x")
+    assert str(gone) in pasted_text(f"{gone}: ended", None)
+
+
+def test_problems_carry_what_can_be_pasted():
+    error = CaseError("2 problems", where="b", fix="c", problems=[{"what": "x", "fix": "limbcli check CASE"}])
+    assert pasted(error, Path("S1")).facts["problems"][0]["fix"] == "limbcli check S1"
+
+
+def test_option_of_another_command_is_told_with_that_command(tmp_path: Path):
+    folder = two_sites(tmp_path / "S1")
+    error = SolveError("a", where="b", fix="run again with --time-limit-s, or use --element tet4")
+    told = for_command_line(error, ["run", str(folder)])
+    assert told.fix.endswith(f"(--element is an option of `limbcli mesh {folder}`)")
+    assert for_command_line(error, ["mesh", str(folder)]).fix.count("--time-limit-s") == 2
+    assert isinstance(told, SolveError)
+
+
+def test_message_of_a_command_line_is_pasted(tmp_path: Path, capsys):
+    folder = two_sites(tmp_path / "S1")
+    with pytest.raises(SystemExit):
+        main(["mesh", str(folder), "--out", str(tmp_path / "out"), "--quiet"])
+    shown = capsys.readouterr().err
+    assert "CASE" not in shown
+    assert f"limbcli segment {folder} --out {tmp_path / 'out'}" in shown

@@ -1,0 +1,215 @@
+"""Volumes as NIfTI and NRRD: the same place as the DICOM series; every refusal says what it is."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.imaging.dicom import read_series
+from limbcli.imaging.image_files import read_image
+from limbcli.imaging.volume import RAS_FROM_LPS, Volume
+
+
+@pytest.fixture
+def image(rng) -> Volume:
+    """An oblique grid: every axis of the image turns into every axis of the patient."""
+    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    affine = np.eye(4)
+    affine[:3, :3] = q * [0.7, 1.1, 3.0]
+    affine[:3, 3] = [-40.0, 25.0, -310.0]
+    return Volume(rng.integers(0, 900, (7, 6, 5)).astype(np.int16), affine)
+
+
+def nifti(image: Volume, path: Path, *, change=None, values=None, dtype=np.int16) -> Path:
+    content = image.values if values is None else values
+    made = nib.Nifti1Image(content.astype(dtype) if dtype else content, RAS_FROM_LPS @ image.affine)
+    made.header.set_xyzt_units("mm")
+    made.set_sform(RAS_FROM_LPS @ image.affine, code=1)
+    made.set_qform(RAS_FROM_LPS @ image.affine, code=1)
+    if change:
+        change(made)
+    nib.save(made, path)
+    return path
+
+
+def nrrd(image: Volume, path: Path, *, drop: str = "", **fields: str) -> Path:
+    n = " ".join(map(str, image.values.shape))
+    columns = " ".join(
+        "(" + ",".join(f"{each:.9g}" for each in column) + ")" for column in image.affine[:3, :3].T
+    )
+    given = {
+        "type": "short", "dimension": "3", "space": "left-posterior-superior", "sizes": n,
+        "space directions": columns, "kinds": "domain domain domain", "endian": "little", "encoding": "gzip",
+        "space origin": "(" + ",".join(f"{each:.9g}" for each in image.affine[:3, 3]) + ")",
+        **{key.replace("_", " "): value for key, value in fields.items()},
+    }  # fmt: skip
+    head = "NRRD0004\n" + "".join(f"{key}: {value}\n" for key, value in given.items() if key != drop)
+    path.write_bytes(head.encode() + b"\n" + gzip.compress(image.values.astype("<i2").tobytes(order="F")))
+    return path
+
+
+def same(found: Volume, wanted: Volume) -> None:
+    np.testing.assert_allclose(found.affine, wanted.affine, atol=1e-4)
+    np.testing.assert_array_equal(found.values, wanted.values)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
+def test_nifti_lies_where_it_was_written(image, tmp_path, name):
+    found = read_image(nifti(image, tmp_path / name))
+    same(found.volume, image)
+    assert (found.facts["modality"], found.notes) == ("MR", ())
+    np.testing.assert_allclose(found.facts["spacing_mm"], [0.7, 1.1, 3.0], atol=1e-3)
+
+
+def test_nrrd_lies_where_it_was_written_in_either_space(image, tmp_path):
+    same(read_image(nrrd(image, tmp_path / "a.nrrd")).volume, image)
+    turned = Volume(image.values, RAS_FROM_LPS @ image.affine)
+    same(read_image(nrrd(turned, tmp_path / "b.nrrd", space="right-anterior-superior")).volume, image)
+
+
+@pytest.mark.parametrize("code", ["qform", "sform"])
+def test_one_of_both_forms_is_enough(image, tmp_path, code):
+    def only(made: nib.Nifti1Image) -> None:
+        if code == "qform":
+            made.set_sform(None, code=0)
+        else:
+            made.set_qform(None, code=0)
+
+    same(read_image(nifti(image, tmp_path / "a.nii", change=only)).volume, image)
+
+
+def test_slope_and_intercept_are_taken(image, tmp_path):
+    path = tmp_path / "a.nii"
+    made = nib.Nifti1Image(image.values, RAS_FROM_LPS @ image.affine)
+    made.set_sform(made.affine, code=1)
+    made.to_filename(path)
+    content = bytearray(path.read_bytes())
+    content[112:120] = np.array([2.0, 10.0], "<f4").tobytes()
+    path.write_bytes(bytes(content))
+    stored = np.asarray(nib.load(path).dataobj.get_unscaled())
+    np.testing.assert_allclose(read_image(path).volume.values, 2.0 * stored + 10.0)
+
+
+def _no_place(made):
+    made.set_sform(None, code=0)
+    made.set_qform(None, code=0)
+
+
+def _two_places(made):
+    off = made.affine.copy()
+    off[:3, 3] += 30.0
+    made.set_sform(off, code=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_no_place, "does not say how it lies"),
+        (_two_places, "two places .qform and sform., 52.0 mm apart"),
+        (lambda made: made.header.set_xyzt_units("meter"), "unit of length is meter"),
+        (lambda made: made.set_sform(made.affine * 1000, code=1), "two voxel sizes|two places"),
+    ],
+    ids=["no place", "two places", "metres", "sizes"],
+)
+def test_a_place_that_is_not_sure_is_refused(image, tmp_path, change, said):
+    with pytest.raises(CaseError, match=said) as caught:
+        read_image(nifti(image, tmp_path / "a.nii", change=change))
+    assert caught.value.fix
+
+
+def test_several_volumes_colours_and_complex_numbers_are_refused_each_in_words(image, tmp_path):
+    several = np.stack([image.values] * 3, axis=-1)
+    with pytest.raises(CaseError, match=r"3 volumes \(4-D"):
+        read_image(nifti(image, tmp_path / "a.nii", values=several))
+    one = image.values[..., None]
+    same(read_image(nifti(image, tmp_path / "b.nii", values=one)).volume, image)
+    colours = np.zeros(image.values.shape, [("R", "u1"), ("G", "u1"), ("B", "u1")])
+    with pytest.raises(CaseError, match="colours"):
+        read_image(nifti(image, tmp_path / "c.nii", values=colours, dtype=None))
+    with pytest.raises(CaseError, match="complex"):
+        read_image(nifti(image, tmp_path / "d.nii", dtype=np.complex64))
+    with pytest.raises(CaseError, match="2 dimensions"):
+        read_image(nifti(image, tmp_path / "e.nii", values=image.values[..., 0]))
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"drop": "space"}, "no field `space`"),
+        ({"drop": "space directions", "spacings": "1 1 1"}, "no field `space directions`"),
+        ({"space_units": '"m" "m" "m"'}, "unit of length is m"),
+        ({"kinds": "RGB-color domain domain"}, "colours"),
+        ({"sizes": "7 6 5 2", "dimension": "4"}, "several volumes"),
+        ({"space": "scanner-xyz"}, "scanner-xyz"),
+        ({"data_file": "a.raw"}, "in another file"),
+    ],
+    ids=lambda each: str(each)[:20],
+)
+def test_nrrd_that_is_not_one_placed_volume_is_refused(image, tmp_path, fields, said):
+    with pytest.raises(CaseError, match=said) as caught:
+        read_image(nrrd(image, tmp_path / "a.nrrd", **fields))
+    assert "label map" not in str(caught.value)
+
+
+def test_voxels_no_limb_has_and_shears_are_refused(image, tmp_path):
+    small = Volume(image.values, image.affine @ np.diag([1e-3, 1e-3, 1e-3, 1]))
+    with pytest.raises(CaseError, match="mm; a limb"):
+        read_image(nrrd(small, tmp_path / "a.nrrd"))
+    shear = np.eye(4)
+    shear[0, 2] = 0.3
+    with pytest.raises(CaseError, match="right angles"):
+        read_image(nrrd(Volume(image.values, image.affine @ shear), tmp_path / "b.nrrd"))
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+@pytest.mark.parametrize("cut", [3, 200, 400])
+def test_files_that_are_cut_short_are_refused(image, tmp_path, name, cut):
+    path = (nrrd if name.endswith("nrrd") else nifti)(image, tmp_path / name)
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(CaseError, match=r"cannot be read|is no NRRD"):
+        read_image(path)
+
+
+def test_other_files_are_refused_with_what_can_be_read(tmp_path):
+    (tmp_path / "a.mha").write_text("x")
+    with pytest.raises(CaseError, match=r"no kind of image") as caught:
+        read_image(tmp_path / "a.mha")
+    assert ".nii.gz" in caught.value.fix
+
+
+def test_values_that_are_no_numbers_are_taken_for_air_and_that_is_said(image, tmp_path):
+    values = image.values.astype(np.float32)
+    values[0] = np.nan
+    found = read_image(nifti(image, tmp_path / "a.nii", values=values, dtype=np.float32))
+    assert np.isfinite(found.volume.values).all()
+    assert "14.3%" in found.notes[0]
+
+
+def test_ct_is_known_by_its_air(image, tmp_path):
+    air = image.values.copy()
+    air[:3] = -1000
+    assert read_image(nifti(image, tmp_path / "a.nii", values=air)).facts["modality"] == "CT"
+
+
+def test_a_case_may_name_a_volume_file(image, tmp_path):
+    from tests.test_case_text import two_sites
+
+    folder = two_sites(tmp_path / "case")
+    nifti(image, folder / "t1.nii.gz")
+    (folder / "case.toml").write_text((folder / "case.toml").read_text().replace('"mri"', '"t1.nii.gz"'))
+    assert Case.open(folder).imaging.mri == folder / "t1.nii.gz"
+
+
+def test_real_series_as_nifti_and_nrrd_is_the_same_image(shared: Path, tmp_path: Path):
+    series = read_series(shared / "data" / "calf-mri")
+    part = series.volume.with_values(series.volume.values.astype(np.int16))
+    for path in (nifti(part, tmp_path / "a.nii.gz"), nrrd(part, tmp_path / "a.nrrd")):
+        found = read_image(path)
+        same(found.volume, part)
+        assert found.facts == {**series.facts, "modality": "MR"}

@@ -1,0 +1,65 @@
+"""What a figure shows can be read back from the table beside it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from limbcli.drawing import COLUMNS, data_file, figure_data, save_figure
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_lines_points_cells_bars_and_pixels_come_back(tmp_path, rng):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    x = np.linspace(0, 3, 7)
+    left.plot(x, x**2, label="model")
+    left.set(title="curves", xlabel="depth [mm]", ylabel="force [N]")
+    shown = left.scatter([1.0, 2.0], [3.0, 4.0], c=[5.0, 6.0], label="measured")
+    figure.colorbar(shown, ax=left)
+    squares = [[(0, 0), (2, 0), (2, 2), (0, 2)], [(2, 0), (4, 0), (4, 2), (2, 2)]]
+    right.add_collection(PolyCollection(squares, array=np.array([7.0, 8.0])))
+    right.bar([10.0], [2.5])
+    image = rng.random((2, 3))
+    right.imshow(image, extent=(0, 3, 0, 2), origin="lower")
+    save_figure(figure, tmp_path / "a.png")
+
+    rows = read(data_file(tmp_path / "a.png"))
+    assert list(rows[0]) == list(COLUMNS)
+    line = [row for row in rows if row["kind"] == "line"]
+    np.testing.assert_allclose([[float(r["x"]), float(r["y"])] for r in line], np.c_[x, x**2], rtol=1e-6)
+    assert {(r["panel"], r["x_axis"], r["series"]) for r in line} == {("curves", "depth [mm]", "model")}
+    points = [[float(row[k]) for k in ("x", "y", "value")] for row in rows if row["kind"] == "points"]
+    assert points == [[1, 3, 5], [2, 4, 6]]
+    cells = [[float(row[k]) for k in ("x", "y", "value")] for row in rows if row["kind"] == "cell"]
+    assert cells == [[1, 1, 7], [3, 1, 8]]
+    assert [float(row["y"]) for row in rows if row["kind"] == "bar"] == [2.5]
+    pixels = {(float(r["x"]), float(r["y"])): float(r["value"]) for r in rows if r["kind"] == "pixel"}
+    assert pixels[2.5, 1.5] == float(f"{image[1, 2]:.7g}")
+    assert len({row["panel"] for row in rows}) == 2, "a colour bar is no panel"
+
+
+def test_picture_and_drawing_lie_beside_it_and_are_the_same_each_time(tmp_path):
+    for name in ("a", "b"):
+        figure = Figure()
+        figure.subplots().plot([0, 1])
+        save_figure(figure, tmp_path / f"{name}.png")
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "a.svg").read_text().startswith("<?xml")
+    assert read(tmp_path / "a-data.csv") == read(tmp_path / "b-data.csv")
+
+
+def test_what_is_no_number_is_left_empty(tmp_path):
+    figure = Figure()
+    figure.subplots().plot([0.0, 1.0], [np.nan, 2.0])
+    assert len(list(figure_data(figure))) == 2
+    save_figure(figure, tmp_path / "a.png")
+    assert [row["y"] for row in read(tmp_path / "a-data.csv")] == ["", "2"]
