@@ -39,10 +39,11 @@ class Case:
 
     @property
     def file(self) -> Path:
+        """case.toml itself."""
         return self.folder / CASE_FILE
 
     @staticmethod
-    def open(folder: Path) -> Case:
+    def open(folder: Path | str) -> Case:
         """Read and check a case folder.
 
         Raises
@@ -50,7 +51,7 @@ class Case:
         CaseError
             With every problem of case.toml and every file missing.
         """
-        return checked(*read_case(folder), CaseError)
+        return checked(*read_case(Path(folder)), CaseError)
 
     def site(self, name: str) -> Site:
         """One site by name.

@@ -15,7 +15,7 @@ no skin under the probe
 from __future__ import annotations
 
 
-class LimbError(Exception):
+class LimbcliError(Exception):
     """Whatever limbcli can foresee going wrong.
 
     Parameters
@@ -24,6 +24,7 @@ class LimbError(Exception):
     where : file, stage, level, node: as near as it is known
     fix : what a tired person should do next
     facts : the numbers, for machines
+    exit_code : of the command line, by family
     """
 
     exit_code = 1
@@ -34,6 +35,14 @@ class LimbError(Exception):
         self.where = where
         self.fix = fix
         self.facts = facts
+
+    @property
+    def message(self) -> str:
+        """What happened, without where and what to do."""
+        return self.what
+
+
+LimbError = LimbcliError  # the name within the package
 
 
 class CaseError(LimbError):

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -58,9 +58,25 @@ class ReferenceSession:
     """A model kept in memory, to be solved again and again with other material parameters.
 
     Every solve starts from the converged levels of the nearest one before, moved along their
-    derivatives where these are known.
+    derivatives where these are known. A `with` block closes it.
 
+    Parameters
+    ----------
+    model : its mesh (points (n_points, 3) in mm), laws (MPa), contact and load
+    progress : where "newton" events go; `Progress(f)` calls f(kind, facts)
+    threads : of the linear solver
+    linear : "auto", or one of the direct solvers by name
+    tolerance : residual over the forces at play, at which a level has converged
     body : whose force is meant; by default the body of the first contact
+
+    Raises
+    ------
+    CaseError
+        If the model holds what the reference solver does not support.
+    SolveError
+        If the model has no rigid body.
+
+    Source: total Lagrangian elements and penalty contact, as the FEBio theory manual 4 describes them.
     """
 
     def __init__(
@@ -154,7 +170,14 @@ class ReferenceSession:
             self._warm = copy(other._warm)
 
     def close(self) -> None:
+        """Free the factors of the matrix and its threads."""
         self._analysis.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _differenced(
         self, model: LimbModel, wrt: Sequence[Parameter], records: bool, fields: bool

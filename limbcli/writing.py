@@ -1,0 +1,105 @@
+"""One writer at a time in an output folder.
+
+The lock is the system's own on a file in the folder: it ends with the process that holds it, however
+that ends, so a dead holder's lock needs no clearing. What stands in the file only says who holds it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+from limbcli.errors import CaseError
+from limbcli.faults import told
+from limbcli.progress import SILENT, Progress
+
+LOCK = ".writing"
+_LOOK_S = 0.2  # between two looks while another writes
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+@contextlib.contextmanager
+def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) -> Iterator[None]:
+    """The only limbcli that writes into this output folder, as long as the block lasts.
+
+    wait : for another one to end, and say so; else refuse at once
+
+    Raises
+    ------
+    CaseError
+        If another writes there and `wait` is not given, or the folder cannot be written to.
+    """
+    is_new = not folder.exists()
+    with told(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = _locked(folder, wait=wait, progress=progress)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            (folder / LOCK).unlink(missing_ok=True)  # whoever waits for this very file looks again
+        stream.close()
+        if is_new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()  # only if nothing was left in it
+
+
+def _locked(folder: Path, *, wait: bool, progress: Progress) -> TextIO:
+    """The lock's file, held; a file that another has removed meanwhile does not count."""
+    is_told = False
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = (folder / LOCK).open("a+", encoding="utf-8")
+        if _try(stream):
+            if _is_still(stream, folder / LOCK):
+                _sign(stream)
+                return stream
+            stream.close()
+            continue
+        stream.seek(0)
+        holder = stream.read().strip() or "another limbcli"
+        stream.close()
+        if not wait:
+            raise CaseError(
+                f"{holder} is writing into this output folder",
+                where=str(folder),
+                fix="wait for it to end (leave --no-wait out), or name another --out",
+            )
+        if not is_told:
+            progress.event("note", text=f"waiting: {holder} is writing into {folder} (--no-wait refuses)")
+            is_told = True
+        time.sleep(_LOOK_S)
+
+
+def _try(stream: TextIO) -> bool:
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:  # a file system without locks is used as it was before
+            raise
+    return True
+
+
+def _is_still(stream: TextIO, path: Path) -> bool:
+    with contextlib.suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(stream.fileno()), path.stat())
+    return False
+
+
+def _sign(stream: TextIO) -> None:
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    since = time.strftime("%H:%M:%S", time.localtime())
+    stream.truncate(0)
+    stream.write(f"`{command}` (process {os.getpid()} on {platform.node()}, since {since})\n")
+    stream.flush()
