@@ -22,7 +22,6 @@ version = release = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
-exclude_patterns = ["build"]
 suppress_warnings = ["myst.xref_missing", "myst.header"]  # of README files that are shown as they stand
 html_theme = "furo"
 html_title = f"limbcli {release}"

@@ -28,7 +28,7 @@ class Estimate:
     value : the estimate; read `flag` before it is quoted
     standard_error : None where there is none
     low_95, high_95 : ends of the 95 % interval; None: open to that side
-    flag : "identified", "fixed", or what is wrong ("weak", "not identifiable", "at bound", ...)
+    flag : "identified", "fixed", or why not: "weak", "trades off with ...", "at bound", "no influence"
     words : the same as a sentence that may be quoted
     """
 

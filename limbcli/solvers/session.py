@@ -41,6 +41,10 @@ class MustPoints:
 class SessionResult:
     """One solve.
 
+    Attributes
+    ----------
+    simulation : every converged step, and the tables that were asked for
+    must_points : times, depths and forces at the levels
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     differenced : the gradients are central differences of whole solves, because the response
@@ -111,6 +115,9 @@ class ReferenceSession:
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
+        Parameters
+        ----------
+        model2 : None: the model as it is
         wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by; ("tissue",
             "m1-m2") is m1 and m2 together, the one up and the other down
         weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
