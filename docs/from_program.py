@@ -48,7 +48,18 @@ def command_page(name: str) -> str:
     command = group.commands[name]  # type: ignore[attr-defined]
     context = typer.Context(command, info_name=name)
     text = get_docs_for_click(obj=command, ctx=context, name=f"limbcli {name}", title=f"limbcli {name}")
-    return text.replace("\n* ", "\n- ").rstrip() + "\n"
+    return "\n".join(map(_plain, text.rstrip().splitlines())) + "\n"
+
+
+def _plain(line: str) -> str:
+    """A `<` outside of backquotes would open an HTML tag.
+
+    >>> _plain("* `--out DIR`: default: out/<name>, see `<b>`")
+    '- `--out DIR`: default: out/\\\\<name>, see `<b>`'
+    """
+    parts = line.split("`")
+    parts[::2] = [each.replace("<", r"\<") for each in parts[::2]]
+    return "`".join(parts).replace("* ", "- ", 1) if line.startswith("* ") else "`".join(parts)
 
 
 def case_keys() -> str:

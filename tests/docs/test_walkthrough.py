@@ -27,7 +27,9 @@ def test_the_walkthrough_goes_from_dicom_to_a_diagnosis_and_leaves_pictures(tmp_
     fitted = FitResult.read(folder / "results", "p1")
     assert all(each.words in result.stdout for each in fitted.parameters)
     pictures = [folder / "walkthrough.png", *(folder / "results").rglob("*.png")]
-    assert {"contact-sheet.png", "mesh.png", "force-depth.png", "fit.png", "gap.png"} <= {p.name for p in pictures}
+    assert {"contact-sheet.png", "mesh.png", "force-depth.png", "fit.png", "gap.png"} <= {
+        p.name for p in pictures
+    }
     assert all(path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 5000 for path in pictures)
     assert len({sha256(path) for path in pictures}) > 8
     assert result.stderr == ""
