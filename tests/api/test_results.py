@@ -15,6 +15,7 @@ import limbcli
 from limbcli.cli.app import main
 from tests.benchmarks.small_case import write_case
 
+CASES = Path(__file__).resolve().parents[2] / "cases"
 SIZES = {"size_mm": 6.0, "far_size_mm": 12.0}
 
 
@@ -179,6 +180,29 @@ def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path:
     assert not bad.ok
     assert set(bad.table()["severity"]) == {"error"}
     assert len(bad.table()) == len(bad.problems) > 2
+
+
+@pytest.mark.slow
+def test_fits_of_several_sites_and_of_both_elements(chain: dict[str, Any]):
+    case, out = chain["case"], chain["out"]
+    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False, max_iterations=8)
+    assert joint.sites == ("p1",)
+    assert joint.law == "ogden"
+    assert joint.parameter("c_kpa").value > 0
+    assert joint.table()["parameter"].tolist()[0] == "c_kpa"
+    assert limbcli.JointFitResult.read(out).rows() == joint.rows()
+    both = limbcli.compare_elements(case, out=out, c_kpa=8.0, max_iterations=8)["p1"]
+    assert both.table()["element"].tolist() == ["tet4", "tet10"]
+    assert both.force_ratio_tet4_over_tet10 > 1.0  # linear elements are never softer
+
+
+def test_the_instruments_files_become_a_table_of_levels(tmp_path: Path):
+    """`measure` on the load-cell record of the synthetic case that is kept."""
+    (found,) = limbcli.measure(CASES / "phantom", out=tmp_path)
+    levels = found.table()
+    known = np.genfromtxt(CASES / "phantom" / "p1" / "levels.csv", delimiter=",", names=True)
+    assert np.allclose(levels["force_n"], known["force_n"], atol=0.5)
+    assert set(levels["site"]) == {"p1"}
 
 
 def test_a_session_solves_the_model_again_with_other_parameters(chain: dict[str, Any]):
