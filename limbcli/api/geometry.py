@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults
@@ -246,8 +245,3 @@ def _thickness(name: str, value: float | str | None) -> Any:
         return thickness_of(value, name)
     within("mesh", **{name: value})
     return None if value is None else float(value)
-
-
-def surface_paths(result: SegmentResult) -> dict[str, Path]:
-    """The closed surfaces that `segment` left (PLY, patient LPS, mm), by name: "skin", "bone_tibia", ..."""
-    return {name: path for name, path in result.files.items() if path.suffix == ".ply"}
