@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from limbcli.api.diagnosis import ReportResult as ReportResult
     from limbcli.api.diagnosis import diagnose as diagnose
     from limbcli.api.diagnosis import report as report
-    from limbcli.api.fitting import ElementComparison as ElementComparison
-    from limbcli.api.fitting import Estimate as Estimate
-    from limbcli.api.fitting import FitResult as FitResult
-    from limbcli.api.fitting import JointFitResult as JointFitResult
+    from limbcli.api.fit_results import ElementComparison as ElementComparison
+    from limbcli.api.fit_results import Estimate as Estimate
+    from limbcli.api.fit_results import FitResult as FitResult
+    from limbcli.api.fit_results import JointFitResult as JointFitResult
     from limbcli.api.fitting import compare_elements as compare_elements
     from limbcli.api.fitting import fit as fit
     from limbcli.api.fitting import fit_joint as fit_joint
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
     from limbcli.api.geometry import SegmentResult as SegmentResult
     from limbcli.api.geometry import mesh as mesh
     from limbcli.api.geometry import segment as segment
+    from limbcli.api.making import MadeCase as MadeCase
+    from limbcli.api.making import make_phantom as make_phantom
+    from limbcli.api.making import synth as synth
     from limbcli.api.simulation import BuildFebResult as BuildFebResult
     from limbcli.api.simulation import RunResult as RunResult
     from limbcli.api.simulation import build_feb as build_feb
     from limbcli.api.simulation import run as run
     from limbcli.api.simulation import run_feb as run_feb
     from limbcli.api.subjects import CheckResult as CheckResult
-    from limbcli.api.subjects import MadeCase as MadeCase
     from limbcli.api.subjects import MeasureResult as MeasureResult
     from limbcli.api.subjects import check as check
-    from limbcli.api.subjects import make_phantom as make_phantom
     from limbcli.api.subjects import measure as measure
-    from limbcli.api.subjects import synth as synth
     from limbcli.case import Case as Case
     from limbcli.errors import CaseError as CaseError
     from limbcli.errors import FitError as FitError
@@ -68,13 +68,12 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "api.base": ("Result", "SiteResults"),
     "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
-    "api.fitting": (
-        "ElementComparison", "Estimate", "FitResult", "JointFitResult", "compare_elements", "fit",
-        "fit_joint",
-    ),
+    "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult"),
+    "api.fitting": ("compare_elements", "fit", "fit_joint"),
     "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
-    "api.subjects": ("CheckResult", "MadeCase", "MeasureResult", "check", "make_phantom", "measure", "synth"),
+    "api.making": ("MadeCase", "make_phantom", "synth"),
+    "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
     "case": ("Case",),
     "errors": (
         "CaseError", "FitError", "LimbcliError", "MeasurementError", "MeshError", "SolveError", "ToolError",

@@ -20,7 +20,7 @@ from limbcli.api.call import (
     names_of,
 )
 from limbcli.api.limits import one_of, within
-from limbcli.api.tables import Table, read_columns, structured
+from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.results import StageResult
 from limbcli.writing import one_writer
 
@@ -108,8 +108,7 @@ class RunResult(Result):
         return structured([]) if path is None else read_columns(path)
 
     def rows(self) -> list[dict[str, Any]]:
-        curve = self.curve()
-        return [self._named({name: row[name].item() for name in curve.dtype.names or ()}) for row in curve]
+        return [self._named(row) for row in plain_rows(self.curve())]
 
 
 def build_feb(

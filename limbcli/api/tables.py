@@ -50,6 +50,16 @@ def _column(values: Sequence[Any]) -> NDArray[Any]:
     return np.array([np.nan if each is None else float(each) for each in values], dtype=np.float64)
 
 
+def plain_rows(table: Table) -> list[dict[str, Any]]:
+    """The rows of a structured array as plain values.
+
+    >>> plain_rows(structured([{"force_n": 2.0, "phase": "load"}]))
+    [{'force_n': 2.0, 'phase': 'load'}]
+    """
+    names = table.dtype.names or ()
+    return [{name: row[name].item() for name in names} for row in table]
+
+
 def to_frame(table: Table) -> pandas.DataFrame:
     """The same as a pandas table.
 
