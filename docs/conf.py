@@ -5,6 +5,7 @@ Commands, keys of case.toml and effects are written from the program itself into
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -34,3 +35,24 @@ napoleon_use_rtype = False
 nitpicky = False
 
 from_program.write_all(HERE / "generated")
+
+
+def as_numpy(_app, _what, _name, _object, _options, lines: list[str]) -> None:
+    """Our docstrings as napoleon reads them: `name : words` has no type, `Source:` is no exception."""
+    section, found = "", []
+    for line, below in zip(lines, [*lines[1:], ""], strict=True):
+        if below and not below.strip("-"):
+            section = line
+        named = re.match(r"([\w, ]+) : (.+)", line) if section in ("Parameters", "Attributes") else None
+        if named:
+            found += [named[1], f"    {named[2]}"]
+        elif line.startswith("Source: "):
+            section = "References"
+            found += [section, "-" * len(section), line.removeprefix("Source: ")]
+        else:
+            found.append(line)
+    lines[:] = found
+
+
+def setup(app) -> None:
+    app.connect("autodoc-process-docstring", as_numpy, priority=400)  # before napoleon's own

@@ -158,7 +158,7 @@ def segment(
     CaseError
         If the case, a file of it, or an argument cannot be used.
 
-    Source: README, "The stages"; the method of each step stands in `limbcli.imaging`.
+    Source: each step cites its own, in `limbcli.imaging`.
     """
     within("segment", smooth_mm=smooth_mm, threshold=threshold)
     one_of("segment", ("left", "right"), limb=limb)
