@@ -13,7 +13,7 @@ WORKERS ?= 2
 # Two test processes share the cores: each keeps its libraries to one thread.
 ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: help env demo test test-quick lint types cases bench fuzz hidden clean
+.PHONY: help env demo test test-quick lint types cases bench fuzz hidden docs clean
 .DELETE_ON_ERROR:
 
 help:            ## list what can be made
@@ -34,8 +34,8 @@ demo: env        ## the main job: a synthetic subject through every stage, to a 
 	$(LIMBCLI) batch $(DEMO)/subject --out $(DEMO)/results
 
 lint: env        ## style and format
-	$(BIN)/ruff check limbcli tests
-	$(BIN)/ruff format --check limbcli tests
+	$(BIN)/ruff check limbcli tests docs
+	$(BIN)/ruff format --check limbcli tests docs
 
 types: env       ## type checks
 	$(BIN)/mypy
@@ -62,6 +62,14 @@ fuzz: env        ## 20,000 damaged files, as a table of how they were answered
 hidden: env      ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
 	$(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue
 
+docs: $(VENV)/.docs   ## the documentation, in out/docs; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs $(OUT)/docs
+	@echo $(OUT)/docs/index.html
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@touch $@
+
 clean:           ## what was made, except the environment
-	rm -rf $(OUT) $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(OUT) $(DEMO) build dist docs/generated .pytest_cache .mypy_cache .ruff_cache
 	find limbcli tests -name __pycache__ -type d -prune -exec rm -rf {} +

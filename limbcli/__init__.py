@@ -1,6 +1,102 @@
 """Soft-tissue parameters of a residual limb from MRI, indentation and elastography.
 
-Units inside the package: mm, N, MPa, s (mass in tonne).
+Units inside the package: mm, N, MPa, s (mass in tonne). What is public is imported from here:
+
+    from limbcli import Case, segment, mesh, build_feb, fit, report
+
+A name opens the files that it needs when it is first used, so that `import limbcli` itself is quick.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from limbcli.api.base import Result as Result
+    from limbcli.api.base import SiteResults as SiteResults
+    from limbcli.api.diagnosis import DiagnosisResult as DiagnosisResult
+    from limbcli.api.diagnosis import ReportResult as ReportResult
+    from limbcli.api.diagnosis import diagnose as diagnose
+    from limbcli.api.diagnosis import report as report
+    from limbcli.api.fit_results import ElementComparison as ElementComparison
+    from limbcli.api.fit_results import Estimate as Estimate
+    from limbcli.api.fit_results import FitResult as FitResult
+    from limbcli.api.fit_results import JointFitResult as JointFitResult
+    from limbcli.api.fitting import compare_elements as compare_elements
+    from limbcli.api.fitting import fit as fit
+    from limbcli.api.fitting import fit_joint as fit_joint
+    from limbcli.api.geometry import Marker as Marker
+    from limbcli.api.geometry import MeshResult as MeshResult
+    from limbcli.api.geometry import MeshStudyResult as MeshStudyResult
+    from limbcli.api.geometry import SegmentResult as SegmentResult
+    from limbcli.api.geometry import mesh as mesh
+    from limbcli.api.geometry import segment as segment
+    from limbcli.api.making import MadeCase as MadeCase
+    from limbcli.api.making import make_phantom as make_phantom
+    from limbcli.api.making import synth as synth
+    from limbcli.api.simulation import BuildFebResult as BuildFebResult
+    from limbcli.api.simulation import RunResult as RunResult
+    from limbcli.api.simulation import build_feb as build_feb
+    from limbcli.api.simulation import run as run
+    from limbcli.api.simulation import run_feb as run_feb
+    from limbcli.api.subjects import CheckResult as CheckResult
+    from limbcli.api.subjects import MeasureResult as MeasureResult
+    from limbcli.api.subjects import check as check
+    from limbcli.api.subjects import measure as measure
+    from limbcli.case import Case as Case
+    from limbcli.errors import CaseError as CaseError
+    from limbcli.errors import FitError as FitError
+    from limbcli.errors import LimbcliError as LimbcliError
+    from limbcli.errors import MeasurementError as MeasurementError
+    from limbcli.errors import MeshError as MeshError
+    from limbcli.errors import SolveError as SolveError
+    from limbcli.errors import ToolError as ToolError
+    from limbcli.feb.read import read_feb as read_feb
+    from limbcli.feb.write import write_feb as write_feb
+    from limbcli.model import LimbModel as LimbModel
+    from limbcli.problems import Problem as Problem
+    from limbcli.progress import Progress as Progress
+    from limbcli.solvers.base import Simulation as Simulation
+    from limbcli.solvers.session import MustPoints as MustPoints
+    from limbcli.solvers.session import ReferenceSession as ReferenceSession
+    from limbcli.solvers.session import SessionResult as SessionResult
+
+# Where each public name lives; a test holds this list, and the signatures, against what was promised.
+_PUBLIC = {
+    "api.base": ("Result", "SiteResults"),
+    "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
+    "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult"),
+    "api.fitting": ("compare_elements", "fit", "fit_joint"),
+    "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
+    "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
+    "api.making": ("MadeCase", "make_phantom", "synth"),
+    "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
+    "case": ("Case",),
+    "errors": (
+        "CaseError", "FitError", "LimbcliError", "MeasurementError", "MeshError", "SolveError", "ToolError",
+    ),
+    "feb.read": ("read_feb",),
+    "feb.write": ("write_feb",),
+    "model": ("LimbModel",),
+    "problems": ("Problem",),
+    "progress": ("Progress",),
+    "solvers.base": ("Simulation",),
+    "solvers.session": ("MustPoints", "ReferenceSession", "SessionResult"),
+}  # fmt: skip
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'limbcli' has no attribute {name!r}")
+    found = getattr(import_module(f"limbcli.{_HOME[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -40,10 +40,11 @@ class Case:
 
     @property
     def file(self) -> Path:
+        """case.toml itself."""
         return self.folder / CASE_FILE
 
     @staticmethod
-    def open(folder: Path) -> Case:
+    def open(folder: Path | str) -> Case:
         """Read and check a case folder.
 
         Raises
@@ -51,7 +52,7 @@ class Case:
         CaseError
             With every problem of case.toml and every file missing.
         """
-        return checked(*read_case(folder), CaseError)
+        return checked(*read_case(Path(folder)), CaseError)
 
     @staticmethod
     def open_images(folder: Path) -> Case:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import Any
 
 
-class LimbError(Exception):
+class LimbcliError(Exception):
     """Whatever limbcli can foresee going wrong.
 
     Parameters
@@ -26,6 +26,7 @@ class LimbError(Exception):
     where : file, stage, level, node: as near as it is known
     fix : what a tired person should do next
     facts : the numbers, for machines
+    exit_code : of the command line, by family
     """
 
     exit_code = 1
@@ -37,15 +38,25 @@ class LimbError(Exception):
         self.fix = fix
         self.facts = facts
 
+    @property
+    def message(self) -> str:
+        """What happened, without where and what to do."""
+        return self.what
+
     def __reduce__(self) -> tuple[Any, ...]:
         """As it travels from one process to another."""
         return _arrived, (type(self), self.what, self.where, self.fix, self.facts)
 
 
-def _arrived(family: type[LimbError], what: str, where: str, fix: str, facts: dict[str, Any]) -> LimbError:
+def _arrived(
+    family: type[LimbcliError], what: str, where: str, fix: str, facts: dict[str, Any]
+) -> LimbcliError:
     error = family.__new__(family)
-    LimbError.__init__(error, what, where=where, fix=fix, **facts)
+    LimbcliError.__init__(error, what, where=where, fix=fix, **facts)
     return error
+
+
+LimbError = LimbcliError  # the name within the package
 
 
 class CaseError(LimbError):

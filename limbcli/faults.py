@@ -15,6 +15,12 @@ _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
 _BROKEN = (errno.EIO, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.ENAMETOOLONG, errno.ELOOP)
 
+NO_MEMORY = ToolError(
+    "the memory does not suffice",
+    where="this computer",
+    fix="close other programs, mesh coarser (--size-mm, --far-size-mm), or use a computer with more memory",
+)
+
 
 def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
     """The error that a person reads; None for a fault that says nothing by itself, such as a missing file.

@@ -252,4 +252,5 @@ class LimbModel:
         return replace(self, materials={**self.materials, name: material})
 
     def with_mesh(self, mesh: Mesh) -> LimbModel:
+        """The same model on another mesh."""
         return replace(self, mesh=mesh)

@@ -36,7 +36,11 @@ class Progress:
     def __init__(self, *listeners: Listener):
         self._listeners = listeners
 
+    def __repr__(self) -> str:
+        return f"Progress({', '.join(map(repr, self._listeners))})"
+
     def event(self, kind: str, **facts: Any) -> None:
+        """Tell every listener."""
         for listener in self._listeners:
             listener(kind, facts)
 

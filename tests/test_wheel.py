@@ -52,6 +52,7 @@ def test_wheel_carries_the_templates_and_no_tests(wheel: Path):
     names = zipfile.ZipFile(wheel).namelist()
     assert any(name.startswith("limbcli/_templates/feb/") for name in names)
     assert any(name.startswith("limbcli/_templates/report/") for name in names)
+    assert "limbcli/py.typed" in names  # the package's types are for those who use it, too
     assert not [name for name in names if "tests" in name.split("/")]
 
 

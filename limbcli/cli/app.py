@@ -15,8 +15,8 @@ import typer
 from limbcli import __version__
 from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
-from limbcli.errors import CaseError, LimbError, ToolError
-from limbcli.faults import in_words
+from limbcli.errors import CaseError, LimbError
+from limbcli.faults import NO_MEMORY, in_words
 
 app = typer.Typer(
     name="limbcli",
@@ -96,13 +96,6 @@ def main(arguments: list[str] | None = None) -> None:
         _leave(found, arguments)
     except MemoryError:
         _leave(NO_MEMORY, arguments)
-
-
-NO_MEMORY = ToolError(
-    "the memory does not suffice",
-    where="this computer",
-    fix="close other programs, mesh coarser (--size-mm, --far-size-mm), or use a computer with more memory",
-)
 
 
 def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:

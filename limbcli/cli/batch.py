@@ -21,8 +21,8 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit_json, terminal
-from limbcli.cli.writing import one_writer
 from limbcli.errors import FitError, LimbError
+from limbcli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress

@@ -131,7 +131,7 @@ class _Together:
         if not there:
             raise ToolError(
                 f"all workers refused the work: {', '.join(sorted(self.refused))}",
-                where=self.client.scheduler.address,
+                where=str(self.client.scheduler.address) if self.client.scheduler else "--scheduler",
                 fix="give them the limbcli of this computer (the same files), and start them anew",
             )
         return sorted(there)

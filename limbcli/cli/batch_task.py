@@ -150,7 +150,7 @@ class _Heard:
 
 
 def _first(part: Part, call: Call, progress: Progress) -> Done:
-    from limbcli.cli.writing import one_writer
+    from limbcli.writing import one_writer
 
     turn = one_writer(part.out, wait=call.wait, progress=progress)
     with turn if part.case.is_dir() else nullcontext():
@@ -164,7 +164,7 @@ def _first(part: Part, call: Call, progress: Progress) -> Done:
 
 def _site(part: Part, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
-    from limbcli.cli.writing import site_writer
+    from limbcli.writing import site_writer
 
     assert part.site is not None
     with site_writer(part.out, part.site, wait=call.wait, progress=progress):
@@ -175,7 +175,7 @@ def _site(part: Part, call: Call, progress: Progress) -> Done:
 
 def _diagnosis(part: Part, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
-    from limbcli.cli.writing import site_writer
+    from limbcli.writing import site_writer
 
     own = _so_far(part)
     with ExitStack() as turns:
@@ -187,7 +187,7 @@ def _diagnosis(part: Part, call: Call, progress: Progress) -> Done:
 
 def _last(part: Part, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
-    from limbcli.cli.writing import one_writer
+    from limbcli.writing import one_writer
 
     own = _so_far(part)
     with one_writer(part.out, wait=call.wait, progress=progress):

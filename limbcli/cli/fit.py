@@ -32,7 +32,7 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit, terminal
-from limbcli.cli.writing import one_writer
+from limbcli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.results import StageResult

@@ -8,7 +8,7 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.cli.writing import one_writer
+from limbcli.writing import one_writer
 
 SizeOpt = Annotated[
     float | None,

@@ -9,8 +9,8 @@ import typer
 
 from limbcli.cli.options import FebioOpt, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, SolverOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.cli.writing import one_writer
 from limbcli.errors import CaseError
+from limbcli.writing import one_writer
 
 CaseOrFileArg = Annotated[
     Path | None,

@@ -24,7 +24,7 @@ from limbcli.cli.synth_options import (
     SynthSizeOpt,
 )
 from limbcli.cli.terminal import emit, terminal
-from limbcli.cli.writing import one_writer
+from limbcli.writing import one_writer
 
 OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)

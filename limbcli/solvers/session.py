@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -41,6 +41,10 @@ class MustPoints:
 class SessionResult:
     """One solve.
 
+    Attributes
+    ----------
+    simulation : every converged step, and the tables that were asked for
+    must_points : times, depths and forces at the levels
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     differenced : the gradients are central differences of whole solves, because the response
@@ -58,10 +62,26 @@ class ReferenceSession:
     """A model kept in memory, to be solved again and again with other material parameters.
 
     Every solve starts from the converged levels of the nearest one before, moved along their
-    derivatives where these are known.
+    derivatives where these are known. A `with` block closes it.
 
+    Parameters
+    ----------
+    model : its mesh (points (n_points, 3) in mm), laws (MPa), contact and load
+    progress : where "newton" events go; `Progress(f)` calls f(kind, facts)
+    threads : of the linear solver
+    linear : "auto", or one of the direct solvers by name
+    tolerance : residual over the forces at play, at which a level has converged
     stalled : residual that will do where iterations no longer lessen it; 0: none beyond the tolerance
     body : whose force is meant; by default the body of the first contact
+
+    Raises
+    ------
+    CaseError
+        If the model holds what the reference solver does not support.
+    SolveError
+        If the model has no rigid body.
+
+    Source: total Lagrangian elements and penalty contact, as the FEBio theory manual 4 describes them.
     """
 
     def __init__(
@@ -101,6 +121,9 @@ class ReferenceSession:
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
+        Parameters
+        ----------
+        model2 : None: the model as it is
         wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by; ("tissue",
             "m1-m2") is m1 and m2 together, the one up and the other down
         weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
@@ -178,7 +201,14 @@ class ReferenceSession:
             self._warm = copy(other._warm)
 
     def close(self) -> None:
+        """Free the factors of the matrix and its threads."""
         self._analysis.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _differenced(
         self, model: LimbModel, wrt: Sequence[Parameter], records: bool, fields: bool

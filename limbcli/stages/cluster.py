@@ -177,7 +177,7 @@ def refuse_unlike(client: Client) -> None:
             f"{len(refused)} of {len(found)} workers may not be used: "
             + "; ".join(f"{address}: {why}" for address, why in list(refused.items())[:3])
             + ("; ..." if len(refused) > 3 else ""),
-            where=client.scheduler.address,
+            where=str(client.scheduler.address) if client.scheduler else "--scheduler",
             fix=f"give them limbcli {__version__} as it is here (the same files), one thread each "
             "(dask worker --nthreads 1), and start them anew",
             refused=refused,

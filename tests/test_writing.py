@@ -12,17 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.cli import writing
+from limbcli import writing
 from limbcli.cli.app import main
-from limbcli.cli.writing import LOCK, one_writer, site_writer
 from limbcli.errors import CaseError
 from limbcli.progress import Progress
+from limbcli.writing import LOCK, one_writer, site_writer
 from tests.stages.chain_case import write_case
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from limbcli.cli.writing import one_writer
+from limbcli.writing import one_writer
 sys.argv = ["limbcli", "mesh", "limb"]
 with one_writer(Path({folder!r})):
     print("held", flush=True)

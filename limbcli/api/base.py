@@ -1,0 +1,179 @@
+"""What every result has in common, and results of several sites together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
+
+from limbcli.api.call import folder_of
+from limbcli.api.tables import Row, Table, structured, to_frame
+from limbcli.errors import CaseError
+from limbcli.results import StageResult, plain, read_result
+
+if TYPE_CHECKING:
+    import pandas
+
+    from limbcli.api.call import PathLike
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a stage left: its numbers as attributes, and everything else it wrote.
+
+    Attributes
+    ----------
+    stage_result : the same as plain values: `stage_result.data` is the content of the stage's JSON file
+    """
+
+    stage: ClassVar[str] = ""
+    stage_result: StageResult = field(repr=False)
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        """From what a stage returned."""
+        return cls(found)
+
+    @classmethod
+    def read(cls, out: PathLike, site: str | None = None) -> Self:
+        """What an earlier run left in the output folder `out`.
+
+        Raises
+        ------
+        CaseError
+            If the stage has not been run for that site, or what it left cannot be read.
+        """
+        return cls.of(read_result(folder_of(out), cls.stage, site=site))
+
+    @property
+    def subject(self) -> str:
+        """The subject's id, as case.toml gives it."""
+        return self.stage_result.subject
+
+    @property
+    def site(self) -> str | None:
+        """The site's name; None where the result is the whole subject's."""
+        return self.stage_result.site
+
+    @property
+    def folder(self) -> Path:
+        """Where the stage's files lie."""
+        return self.stage_result.folder
+
+    @property
+    def files(self) -> Mapping[str, Path]:
+        """Every file that was left, by its short name."""
+        return {name: self.stage_result.path(name) for name in self.stage_result.files}
+
+    @property
+    def summary(self) -> tuple[str, ...]:
+        """The findings, one a line, as the command line prints them."""
+        return self.stage_result.summary
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong with the result; those of earlier stages go with it."""
+        return self.stage_result.warnings
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """The content of the stage's JSON file; its keys carry units."""
+        return self.stage_result.data
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of `table()` as plain values."""
+        return [self._named({})]
+
+    def table(self) -> Table:
+        """A structured array (n_rows,), a field a column; the names carry units, what is missing is NaN."""
+        return structured(self.rows())
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The same rows as a pandas table.
+
+        Raises
+        ------
+        ToolError
+            If pandas is not installed.
+        """
+        return to_frame(self.table())
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as the command line's --json prints it."""
+        return {**self.stage_result.to_json(), "folder": str(self.folder)}
+
+    def __str__(self) -> str:
+        lines = [*self.summary, *(f"warning: {each}" for each in self.warnings)]
+        return "\n  ".join([f"{self.stage_result.label}: {self.folder}", *lines])
+
+    def _named(self, row: Row) -> dict[str, Any]:
+        """The row, with whose it is in front."""
+        site = {"site": self.site} if self.site else {}
+        return {"subject": self.subject, **site, **plain(row)}
+
+
+AnyResult = TypeVar("AnyResult", bound=Result)
+
+
+@dataclass(frozen=True, eq=False)
+class SiteResults(Sequence[AnyResult], Generic[AnyResult]):
+    """One result a site, in the order of the case: by number, by site name, or all as one table.
+
+    Attributes
+    ----------
+    results : the results themselves
+    """
+
+    results: tuple[AnyResult, ...]
+
+    @overload
+    def __getitem__(self, key: int | str) -> AnyResult: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> SiteResults[AnyResult]: ...
+
+    def __getitem__(self, key: int | str | slice) -> AnyResult | SiteResults[AnyResult]:
+        if isinstance(key, slice):
+            return SiteResults(self.results[key])
+        if isinstance(key, int):
+            return self.results[key]
+        for each in self.results:
+            if each.site == key:
+                return each
+        names = ", ".join(str(each.site) for each in self.results) or "none"
+        raise CaseError(
+            f"there is no result of a site {key!r}", where="SiteResults", fix=f"the sites are: {names}"
+        )
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __iter__(self) -> Iterator[AnyResult]:
+        return iter(self.results)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of all results, one after the other."""
+        return [row for each in self.results for row in each.rows()]
+
+    def table(self) -> Table:
+        """The rows of all results as one structured array (n_rows,)."""
+        return structured(self.rows())
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The rows of all results as one pandas table.
+
+        Raises
+        ------
+        ToolError
+            If pandas is not installed.
+        """
+        return to_frame(self.table())
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.results))
+
+
+def by_site(kind: type[AnyResult], found: Iterable[StageResult]) -> SiteResults[AnyResult]:
+    """What a stage returned, as results of this kind."""
+    return SiteResults(tuple(kind.of(each) for each in found))

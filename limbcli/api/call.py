@@ -1,0 +1,111 @@
+"""How every function begins: the case opened, the output folder taken, faults put into words."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from limbcli.case import Case
+from limbcli.config import default_out
+from limbcli.errors import CaseError
+from limbcli.faults import NO_MEMORY, in_words
+from limbcli.progress import SILENT, Listener, Progress
+from limbcli.writing import one_writer
+
+PathLike: TypeAlias = str | os.PathLike[str]
+CaseLike: TypeAlias = Case | str | os.PathLike[str]
+Heard: TypeAlias = Listener | Progress | None
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a stage is called with."""
+
+    case: Case
+    out: Path
+    progress: Progress
+
+
+@contextlib.contextmanager
+def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard) -> Iterator[Work]:
+    """The case, and its output folder to write into alone.
+
+    Raises
+    ------
+    CaseError
+        If the case cannot be used, or another writes into the folder and `wait` is False.
+    ToolError
+        If the disk is full or the memory does not suffice.
+    """
+    with foreseen():
+        opened = case if isinstance(case, Case) else Case.open(folder_of(case, "case"))
+        target = default_out(opened.folder) if out is None else folder_of(out)
+        heard = listening(progress)
+        with one_writer(target, wait=wait, progress=heard):
+            yield Work(opened, target, heard)
+
+
+@contextlib.contextmanager
+def foreseen() -> Iterator[None]:
+    """Faults of the file system and a lack of memory inside the block become errors with a way out."""
+    try:
+        yield
+    except OSError as error:
+        found = in_words(error)
+        if found is None:
+            raise
+        raise found from error
+    except MemoryError as error:
+        raise NO_MEMORY from error
+
+
+def listening(progress: Heard) -> Progress:
+    """A listener `f(kind, facts)` as the stages hear of it; None hears nothing.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be called.
+    """
+    if progress is None:
+        return SILENT
+    if isinstance(progress, Progress):
+        return progress
+    if not callable(progress):
+        raise CaseError(
+            f"progress is {progress!r}, which cannot be called",
+            where="progress",
+            fix="give a function of (kind, facts), or leave it out for silence",
+        )
+    return Progress(progress)
+
+
+def folder_of(path: PathLike, name: str = "out") -> Path:
+    """A path that the caller gave.
+
+    Raises
+    ------
+    CaseError
+        If it is none.
+    """
+    if isinstance(path, str | os.PathLike):
+        return Path(path)
+    raise CaseError(f"{name} is {path!r}, not a path", where=name, fix="give a path, as str or pathlib.Path")
+
+
+def maybe_path(path: PathLike | None, name: str) -> Path | None:
+    return None if path is None else folder_of(path, name)
+
+
+def names_of(sites: str | Iterable[str] | None) -> list[str] | None:
+    """
+    >>> names_of("p1"), names_of(("p1", "p2")), names_of(None)
+    (['p1'], ['p1', 'p2'], None)
+    """
+    if sites is None:
+        return None
+    return [sites] if isinstance(sites, str) else list(sites)

@@ -1,0 +1,182 @@
+"""fit, fit_joint and compare_elements: the tissue's parameters, and how far each can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from limbcli.api.base import SiteResults, by_site
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
+from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult
+from limbcli.api.limits import one_of, within
+from limbcli.api.simulation import SOLVERS, SolverName
+
+if TYPE_CHECKING:
+    from limbcli.stages.fit_options import FitOptions
+
+
+def fit(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    solver: SolverName = "auto",
+    febio: PathLike | None = None,
+    c_kpa: float | None = None,
+    c_deviation_fraction: float | None = None,
+    stiffness_map: bool = False,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    intervals: bool = True,
+    gain_deviation_fraction: float | None = None,
+    contact_check: bool = True,
+    templates: PathLike | None = None,
+    time_limit_s: float | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[FitResult]:
+    """Identify f_kappa and m of each site from its force-depth curve, c from SWE. Comes after `build_feb`.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites, solver, febio : as of `run`
+    c_kpa : c = 2 mu by hand (None: from the shear-wave speed at level 0), with its relative standard
+        deviation c_deviation_fraction (None: that of the shear-wave reading)
+    stiffness_map : c element by element, from the shear-wave map of level 0
+    tolerance : of cost and parameters, relative; max_iterations : of each step
+    intervals : 95 % intervals by profile likelihood, which cost more simulations
+    gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` where
+        that was run, else by element and edge length
+    contact_check : solve the fitted model once more with a harder contact
+    templates : a folder of Jinja templates that come before ours
+    time_limit_s : of each FEBio run
+
+    Raises
+    ------
+    CaseError
+        If `build_feb` has not been run since its inputs changed, or an argument cannot be used.
+    MeasurementError
+        If the levels cannot be used, or c is neither measured nor given.
+    SolveError, FitError
+        If the model cannot be solved at the start values, or the search does not settle.
+
+    Source: Levenberg-Marquardt, Nocedal and Wright, Numerical Optimization, 2nd ed., chapter 10; profile
+    likelihood, Venzon and Moolgavkar 1988, doi:10.2307/2347496.
+    """
+    one_of("fit", SOLVERS, solver=solver)
+    from limbcli.stages import fit as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        options = _options(
+            c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, time_limit_s,
+            stiffness_map=stiffness_map, intervals=intervals, gain_deviation=gain_deviation_fraction,
+            templates=maybe_path(templates, "templates"),
+        )  # fmt: skip
+        found = stage.fit(
+            work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
+            options=options, progress=work.progress,
+        )  # fmt: skip
+    return by_site(FitResult, found)
+
+
+def fit_joint(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    law: str = "ogden",
+    compare_laws: bool = False,
+    c_kpa: float | None = None,
+    c_deviation_fraction: float | None = None,
+    gain_deviation_fraction: float | None = None,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    contact_check: bool = True,
+    wait: bool = True,
+    progress: Heard = None,
+) -> JointFitResult:
+    """One set of parameters for several sites, by depth and wave speed (`limbcli fit --objective joint`).
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : those that share the tissue; None: all
+    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden" or "holmes-mow"
+    compare_laws : fit every law, and compare them by the error of levels left out
+    the others : as of `fit`
+
+    Raises
+    ------
+    CaseError, MeasurementError, SolveError, FitError
+        As `fit`.
+    """
+    from limbcli.stages import fit_joint as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        options = _options(c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, None)
+        within("fit", gain_deviation_fraction=gain_deviation_fraction)
+        joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
+        found = stage.fit_joint(
+            work.case, out=work.out, sites=names_of(sites), joint=joint, options=options,
+            progress=work.progress,
+        )  # fmt: skip
+    return JointFitResult.of(found)
+
+
+def compare_elements(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    c_kpa: float | None = None,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[ElementComparison]:
+    """Fit each site with tet4 and with tet10 of the same mesh (`limbcli fit --compare-element`).
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    the others : as of `fit`
+
+    Raises
+    ------
+    CaseError, MeasurementError, MeshError, SolveError, FitError
+        As `fit`; MeshError if the mesh is not of tetrahedra.
+    """
+    from limbcli.stages import fit_elements as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        options = _options(c_kpa, None, tolerance, max_iterations, False, None)
+        found = stage.compare_elements(
+            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
+        )
+    return by_site(ElementComparison, found)
+
+
+def _options(
+    c_kpa: float | None,
+    c_deviation_fraction: float | None,
+    tolerance: float,
+    max_iterations: int,
+    contact_check: bool,
+    time_limit_s: float | None,
+    **others: Any,
+) -> FitOptions:
+    """As the stage takes them; the stage itself says which numbers are possible."""
+    within(
+        "fit", c_kpa=c_kpa, c_deviation_fraction=c_deviation_fraction, tolerance=tolerance,
+        max_iterations=max_iterations, time_limit_s=time_limit_s,
+        gain_deviation_fraction=others.get("gain_deviation"),
+    )  # fmt: skip
+    from limbcli.stages.fit_options import FitOptions, check_numbers
+
+    options = FitOptions(
+        c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
+        contact_check=contact_check, time_limit_s=time_limit_s, **others,
+    )  # fmt: skip
+    check_numbers(options, gain_deviation=options.gain_deviation)
+    return options

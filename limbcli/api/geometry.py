@@ -1,0 +1,247 @@
+"""segment and mesh: from images or surfaces to the local model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+from limbcli.api.base import Result, SiteResults
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of
+from limbcli.api.limits import one_of, within
+from limbcli.errors import CaseError
+from limbcli.results import StageResult
+
+if TYPE_CHECKING:
+    from limbcli.model import LimbModel
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A skin marker: number (from distal to proximal), place (x, y, z) in patient LPS, mm, and volume."""
+
+    number: int
+    position_mm: Point
+    volume_mm3: float
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentResult(Result):
+    """What `segment` found. `table()` has a row a marker.
+
+    Attributes
+    ----------
+    source : "mri", "labels", "surfaces" or "edited labels": what the surfaces come from
+    bones : names of the bones, such as "tibia"; `files["bone_tibia"]` is the surface
+    volume_cm3 : volume of the skin's inside and of each bone, by the surface's name
+    markers : skin markers in the images
+    """
+
+    stage: ClassVar[str] = "segment"
+    source: str
+    bones: tuple[str, ...]
+    volume_cm3: dict[str, float]
+    markers: tuple[Marker, ...]
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        bones = (name.removeprefix("bone_") for name in found.files if name.startswith("bone_"))
+        markers = tuple(
+            Marker(each["number"], tuple(each["position_mm"]), each["volume_mm3"])
+            for each in found.data.get("markers", ())
+        )
+        data = found.data
+        return cls(
+            found, str(data.get("source", "")), tuple(bones), dict(data.get("volume_cm3", {})), markers
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [
+            self._named(
+                {
+                    "number": each.number, "x_mm": each.position_mm[0], "y_mm": each.position_mm[1],
+                    "z_mm": each.position_mm[2], "volume_mm3": each.volume_mm3,
+                }
+            )
+            for each in self.markers
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class MeshStudyResult(Result):
+    """What the refinement study of a site found (`mesh(study=True)`); its numbers are in `data`."""
+
+    stage: ClassVar[str] = "mesh-study"
+
+
+@dataclass(frozen=True, eq=False)
+class MeshResult(Result):
+    """The local model of a site. `table()` has one row.
+
+    Attributes
+    ----------
+    element : "tet10" or "tet4"
+    n_cells, n_nodes : how many elements and nodes the tissue has
+    edge_under_probe_mm : mean edge length there
+    min_angle_deg, min_angle_under_probe_deg : smallest dihedral angles
+    skin_bone_mm : from skin to bone at the probe's centre; None where no bone is below it
+    site_to_skin_mm : how far the site was moved onto the skin
+    margin_mm : tissue kept beyond the probe
+    study : the refinement study, where it was asked for
+    """
+
+    stage: ClassVar[str] = "mesh"
+    element: str
+    n_cells: int
+    n_nodes: int
+    edge_under_probe_mm: float
+    min_angle_deg: float
+    min_angle_under_probe_deg: float
+    skin_bone_mm: float | None
+    site_to_skin_mm: float
+    margin_mm: float
+    study: MeshStudyResult | None = None
+
+    @classmethod
+    def of(cls, found: StageResult, study: MeshStudyResult | None = None) -> Self:
+        quality, data = found.data["quality"], found.data
+        return cls(
+            found, data["element"], quality["n_cells"], quality["n_nodes"], quality["edge_under_probe_mm"],
+            quality["min_angle_deg"], quality["min_angle_under_probe_deg"],
+            data["checks"]["skin_bone_mm"], data["frame"]["site_to_skin_mm"], data["margin_mm"], study,
+        )  # fmt: skip
+
+    def rows(self) -> list[dict[str, Any]]:
+        names = [name for name in self.__dataclass_fields__ if name not in ("stage_result", "study")]
+        return [self._named({name: getattr(self, name) for name in names})]
+
+    def model(self) -> LimbModel:
+        """The model itself: mesh, named sets, probe; without the tissue's parameters."""
+        from limbcli.model_io import load_model
+
+        return load_model(self.files["model"])
+
+
+def segment(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    seeds: Sequence[tuple[Literal["bone", "soft"], Point]] = (),
+    smooth_mm: float = 0.7,
+    threshold: float | None = None,
+    limb: Literal["left", "right"] | None = None,
+    fresh: bool = False,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SegmentResult:
+    """MRI or CT series, label map or surfaces to skin, bones, fat and markers.
+
+    A label map edited by hand in the output folder wins over the automatic one.
+
+    Parameters
+    ----------
+    case : a `Case`, or the folder that holds case.toml
+    out : output folder; None: out/<name of the case's folder>
+    seeds : ("bone", (x, y, z)), patient LPS in mm, in the marrow of a bone that was missed; ("soft", ...)
+        in what was taken for bone and is none
+    smooth_mm : standard deviation of the smoothing of the surfaces, 0 to 5
+    threshold : signal between air and skin, in the image's units (HU on CT); None: found
+    limb : which limb, where two are in view
+    fresh : leave a label map that was edited by hand aside
+    wait : for another that writes into `out` to end; False refuses at once
+    progress : called with (kind, facts) at every event; None: silence
+
+    Raises
+    ------
+    CaseError
+        If the case, a file of it, or an argument cannot be used.
+
+    Source: each step cites its own, in `limbcli.imaging`.
+    """
+    within("segment", smooth_mm=smooth_mm, threshold=threshold)
+    one_of("segment", ("left", "right"), limb=limb)
+    from limbcli.stages import segment as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        found = stage.segment(
+            work.case, out=work.out, seeds=tuple(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
+            fresh=fresh, progress=work.progress,
+        )  # fmt: skip
+    return SegmentResult.of(found)
+
+
+def mesh(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    element: Literal["tet10", "tet4"] | None = None,
+    size_mm: float | None = None,
+    far_size_mm: float | None = None,
+    margin_mm: float | None = None,
+    skin_mm: float | Literal["mri"] | None = None,
+    fat_mm: float | Literal["mri"] | None = None,
+    at: tuple[float, float] | None = None,
+    study: bool = False,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[MeshResult]:
+    """Surfaces and site to the local finite-element model of each site. Comes after `segment`.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : name or names; None: all
+    element : None: the case's
+    size_mm, far_size_mm : edge length under the probe (None: 2.5), and far from it (None: 8)
+    margin_mm : tissue kept beyond the probe; None: the case's
+    skin_mm, fat_mm : thickness of a layer, 0 for none, "mri" as `segment` found it; None: the case's
+    at : (angle in degrees round the limb, 0 anterior, 90 the patient's left; height in mm above its distal
+        end), instead of the case's place of one site
+    study : also solve finer, coarser, nearer and farther cut models, which takes minutes
+
+    Raises
+    ------
+    CaseError
+        If `segment` has not been run since its inputs changed, or an argument cannot be used.
+    MeshError
+        If no volume mesh of sufficient quality could be made.
+
+    Source: the elements are those of Zienkiewicz, Taylor and Zhu, The Finite Element Method: Its Basis and
+    Fundamentals, 7th ed., chapter 6.
+    """
+    within("mesh", size_mm=size_mm, far_size_mm=far_size_mm, margin_mm=margin_mm)
+    one_of("mesh", ("tet10", "tet4"), element=element)
+    place = _place(at)
+    from limbcli.stages import mesh as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        found = stage.mesh(
+            work.case, out=work.out, sites=names_of(sites), element=element, size=size_mm,
+            far_size=far_size_mm, margin=margin_mm, skin_layer=_thickness("skin_mm", skin_mm),
+            fat_layer=_thickness("fat_mm", fat_mm), place=place, study=study, progress=work.progress,
+        )  # fmt: skip
+    studies = {each.site: MeshStudyResult.of(each) for each in found if each.stage == MeshStudyResult.stage}
+    meshed = (each for each in found if each.stage == MeshResult.stage)
+    return SiteResults(tuple(MeshResult.of(each, studies.get(each.site)) for each in meshed))
+
+
+def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
+    if at is None:
+        return None
+    if not isinstance(at, Sequence) or isinstance(at, str) or len(at) != 2:
+        raise CaseError(f"at is {at!r}", where="mesh(at=...)", fix="give (angle in degrees, height in mm)")
+    within("mesh", angle_deg=at[0], height_mm=at[1])
+    return float(at[0]), float(at[1])
+
+
+def _thickness(name: str, value: float | str | None) -> Any:
+    """As the stage takes it."""
+    from limbcli.stages.site_layers import thickness_of
+
+    if isinstance(value, str):
+        return thickness_of(value, name)
+    within("mesh", **{name: value})
+    return None if value is None else float(value)

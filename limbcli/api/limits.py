@@ -1,0 +1,87 @@
+"""What numbers may be given: the bounds of the command line's options of the same names."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Iterable
+from typing import TypeAlias
+
+from limbcli.errors import CaseError
+
+Bounds: TypeAlias = tuple[float, float]
+
+# (lowest, largest); infinite where an option has no such end. A test holds them against the options.
+_SIZES: dict[str, Bounds] = {"size_mm": (0.3, 20), "far_size_mm": (0.3, 50), "margin_mm": (5, 150)}
+_TISSUE: dict[str, Bounds] = {"c_kpa": (0.1, 200), "f_kappa": (0.01, 1000), "m": (1, 100)}
+_MEASURING: dict[str, Bounds] = {
+    "noise": (0, 20), "step_n": (0.1, 20), "max_force_n": (1, 80), "max_strain": (0.05, 0.6),
+}  # fmt: skip
+_SEED: dict[str, Bounds] = {"seed": (0, math.inf)}
+LIMITS: dict[str, dict[str, Bounds]] = {
+    "segment": {"smooth_mm": (0, 5)},
+    "mesh": _SIZES,
+    "build_feb": {"f_kappa": (0.01, 1000), "m": (1, 100), "contact_penalty": (1, 1000)},
+    "run": {"time_limit_s": (0, math.inf)},
+    "fit": {"max_iterations": (1, math.inf)},
+    "diagnose": {"max_effects": (1, 3), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
+    "synth": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES, "contact_penalty": (1, 1000)},
+    "phantom": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES},
+}
+_WHOLE = ("seed", "max_effects", "max_iterations")
+
+
+def within(function: str, **values: object) -> None:
+    """Whether the numbers given can be meant; None stands for a default.
+
+    Raises
+    ------
+    CaseError
+        Naming the argument, and what is possible.
+
+    >>> within("segment", smooth_mm=9.0)
+    Traceback (most recent call last):
+    limbcli.errors.CaseError: smooth_mm is 9, outside of 0 to 5
+      where: segment(smooth_mm=9.0)
+      fix:   give a number from 0 to 5
+    """
+    for name, value in values.items():
+        if value is None:
+            continue
+        low, high = LIMITS.get(function, {}).get(name, (-math.inf, math.inf))
+        where = f"{function}({name}={value!r})"
+        meant = _meant(low, high)
+        kind = numbers.Integral if name in _WHOLE else numbers.Real
+        if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(float(value)):
+            what = "a whole number" if name in _WHOLE else "a finite number"
+            raise CaseError(f"{name} is {value!r}, not {what}", where=where, fix=f"give {meant}")
+        if not low <= float(value) <= high:
+            raise CaseError(
+                f"{name} is {float(value):g}, outside of {low:g} to {high:g}",
+                where=where,
+                fix=f"give {meant}",
+            )
+
+
+def _meant(low: float, high: float) -> str:
+    if math.isinf(low):
+        return "a number"
+    return f"a number from {low:g}" + ("" if math.isinf(high) else f" to {high:g}")
+
+
+def one_of(function: str, known: Iterable[str], **values: object) -> None:
+    """Whether the words given are known; None stands for a default.
+
+    Raises
+    ------
+    CaseError
+        Naming the argument, and what is known.
+    """
+    known = list(known)
+    for name, value in values.items():
+        if value is not None and value not in known:
+            raise CaseError(
+                f"{name} is {value!r}",
+                where=f"{function}({name}={value!r})",
+                fix=f"give {' or '.join(known)}",
+            )

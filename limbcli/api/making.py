@@ -1,0 +1,195 @@
+"""synth and make_phantom: cases whose truth is known."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from limbcli.api.base import Result
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
+from limbcli.api.limits import one_of, within
+from limbcli.case import Case
+from limbcli.results import StageResult
+
+if TYPE_CHECKING:
+    from limbcli.stages.synth import SynthOptions
+
+ELEMENTS = ("tet10", "tet4")
+
+
+@dataclass(frozen=True, eq=False)
+class MadeCase(Result):
+    """A case with simulated measurements. `table()` has a row a level of each site: what is true of it.
+
+    Attributes
+    ----------
+    case : the new case, open
+    truth : what is true of it, as its TOML file holds it (no stage reads that)
+    """
+
+    case: Case
+    truth: dict[str, Any]
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        path = found.path("truth") if "truth" in found.files else Path(found.data["truth"])
+        truth = tomllib.loads(path.read_text(encoding="utf-8"))
+        return cls(found, Case.open(found.folder), truth)
+
+    def rows(self) -> list[dict[str, Any]]:
+        names = ("force_n", "depth_mm", "swe_mean_m_per_s")
+        return [
+            self._named({"site": site["name"], **dict(zip(names, level, strict=True))})
+            for site in self.truth.get("site", ())
+            for level in zip(*(site[name] for name in names), strict=True)
+        ]
+
+
+def synth(
+    case: CaseLike,
+    out_case: PathLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    seed: int = 7,
+    force: bool = False,
+    c_kpa: float = 8.0,
+    f_kappa: float = 80.0,
+    m: float = 6.0,
+    effects: str | Iterable[str] = (),
+    noise: float = 1.0,
+    step_n: float = 2.0,
+    max_force_n: float = 12.0,
+    max_strain: float = 0.45,
+    element: Literal["tet10", "tet4"] | None = None,
+    size_mm: float = 4.0,
+    far_size_mm: float = 12.0,
+    margin_mm: float | None = None,
+    same_mesh: bool = False,
+    contact_penalty: float | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> MadeCase:
+    """Measurements with known parameters on the geometry of a case, as a new case.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    out_case : the case folder to make; the truth goes to <out_case>.truth.toml beside it
+    sites : name or names; None: all
+    seed : of the measurement noise; force : replace `out_case` if synth made it
+    c_kpa, f_kappa, m : the known tissue, kappa' = f_kappa c
+    effects : effects to hide in the data, each "name" or "name=size"
+    noise : factor on the noise that the case states; 0: none
+    step_n, max_force_n : force step and largest force; max_strain : largest depth over skin-bone distance
+    element, size_mm, far_size_mm, margin_mm : mesh simulated on (None: the case's)
+    same_mesh : simulate on the very mesh that is fitted
+    contact_penalty : times the skin's stiffness at rest; None: 20
+
+    Raises
+    ------
+    CaseError
+        If `out_case` is there already and `force` is not given, or an argument cannot be used.
+    MeshError, SolveError
+        If a site cannot be meshed or simulated.
+    """
+    within("synth", contact_penalty=contact_penalty)
+    from limbcli.stages import synth as stage
+    from limbcli.stages.hidden import hide
+
+    hidden = tuple(hide(each) for each in names_of(effects) or ())
+    plan = _plan(
+        "synth", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
+        max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
+        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
+        contact_penalty=contact_penalty,
+    )  # fmt: skip
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        found = stage.synth(
+            work.case, out=work.out, out_case=folder_of(out_case, "out_case"), sites=names_of(sites),
+            options=plan, force=force, progress=work.progress,
+        )  # fmt: skip
+    return MadeCase.of(found)
+
+
+def make_phantom(
+    folder: PathLike,
+    *,
+    seed: int = 7,
+    force: bool = False,
+    subject: str = "phantom",
+    sites: str | Iterable[str] | None = None,
+    no_measurement: bool = False,
+    c_kpa: float = 8.0,
+    f_kappa: float = 80.0,
+    m: float = 6.0,
+    noise: float = 1.0,
+    step_n: float = 2.0,
+    max_force_n: float = 12.0,
+    max_strain: float = 0.45,
+    element: Literal["tet10", "tet4"] | None = None,
+    size_mm: float = 4.0,
+    far_size_mm: float = 12.0,
+    margin_mm: float | None = None,
+    same_mesh: bool = False,
+    progress: Heard = None,
+) -> MadeCase:
+    """A synthetic subject whose truth is known: MRI as DICOM, measurements, truth (`limbcli phantom`).
+
+    Parameters
+    ----------
+    folder : the case folder to make; the truth goes to <folder>/truth
+    seed : another seed is another subject; force : replace the folder if it is a synthetic subject
+    subject : its id
+    sites : "p1" (at the back, by marker, across), "p2" (over the fibula, by position, along); None: p1
+    no_measurement : geometry only, levels.csv stays empty
+    progress : called with (kind, facts) at every event; None: silence
+    the others : as of `synth`; element None: tet10
+
+    Raises
+    ------
+    CaseError
+        If the folder is there already and `force` is not given, or holds anything but a synthetic subject.
+    MeshError, SolveError
+        If a site cannot be meshed or simulated.
+    """
+    from limbcli.stages import phantom as stage
+
+    plan = _plan(
+        "phantom", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
+        max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
+        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh,
+    )  # fmt: skip
+    options = stage.PhantomOptions(
+        seed=seed, subject_id=subject, site_names=tuple(names_of(sites) or stage.USUAL_SITES),
+        element=element or "tet10", synth=None if no_measurement else plan,
+    )  # fmt: skip
+    with foreseen():
+        target = folder_of(folder, "folder")
+        found = stage.phantom(target, options=options, force=force, progress=listening(progress))
+    return MadeCase.of(found)
+
+
+def _plan(
+    function: str, *, seed: int, c_kpa: float, f_kappa: float, m: float, noise: float, step_n: float,
+    max_force_n: float, max_strain: float, element: str | None, size_mm: float, far_size_mm: float,
+    margin_mm: float | None, same_mesh: bool, **others: Any,
+) -> SynthOptions:  # fmt: skip
+    """What to simulate, once every number has been looked at."""
+    within(
+        function, seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
+        max_force_n=max_force_n, max_strain=max_strain, size_mm=size_mm, far_size_mm=far_size_mm,
+        margin_mm=margin_mm,
+    )  # fmt: skip
+    one_of(function, ELEMENTS, element=element)
+    from limbcli.stages.indent import KnownTissue
+    from limbcli.stages.synth import Protocol, SynthOptions
+
+    return SynthOptions(
+        tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m), seed=seed, noise=noise, element=element,
+        size=size_mm, far_size=far_size_mm, margin=margin_mm, same_mesh=same_mesh,
+        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
+    )  # fmt: skip

@@ -1,0 +1,256 @@
+"""build_feb and run: the FEBio model, and its simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+from limbcli.api.base import Result, SiteResults, by_site
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    at_work,
+    folder_of,
+    foreseen,
+    listening,
+    maybe_path,
+    names_of,
+)
+from limbcli.api.limits import one_of, within
+from limbcli.api.tables import Table, plain_rows, read_columns, structured
+from limbcli.results import StageResult
+from limbcli.writing import one_writer
+
+if TYPE_CHECKING:
+    from limbcli.model import LimbModel
+
+SolverName = Literal["auto", "febio", "reference"]
+SOLVERS = ("auto", "febio", "reference")
+
+
+@dataclass(frozen=True, eq=False)
+class BuildFebResult(Result):
+    """The FEBio model of a site. `table()` has one row.
+
+    Attributes
+    ----------
+    feb : the model file, FEBio 4.0
+    c_kpa : c = 2 mu; c_source : where it comes from, in words
+    f_kappa, m, kappa_kpa : start values of the law, kappa' = f_kappa c
+    element : "tet10" or "tet4"; n_nodes, n_elements : of the tissue
+    """
+
+    stage: ClassVar[str] = "build-feb"
+    feb: Path
+    c_kpa: float
+    c_source: str
+    f_kappa: float
+    m: float
+    kappa_kpa: float
+    element: str
+    n_nodes: int
+    n_elements: int
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        data = found.data
+        return cls(
+            found, found.path("feb"), data["c_kpa"], data["c_source"], data["f_kappa"], data["m"],
+            data["kappa_kpa"], data["element"], data["n_nodes"], data["n_elements"],
+        )  # fmt: skip
+
+    def rows(self) -> list[dict[str, Any]]:
+        names = [name for name in self.__dataclass_fields__ if name not in ("stage_result", "feb")]
+        return [self._named({name: getattr(self, name) for name in names})]
+
+    def model(self) -> LimbModel:
+        """The model file, read back."""
+        from limbcli.feb.read import read_feb
+
+        return read_feb(self.feb)
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult(Result):
+    """A simulation. `table()` has a row a converged step: time_s, depth_mm, force_n.
+
+    Attributes
+    ----------
+    solver, solver_version : which one ran
+    n_steps, n_iterations : converged steps, and Newton iterations in all
+    solve_s : seconds of the solve
+    max_depth_mm, max_force_n : of the probe; None where no rigid body logs them
+    """
+
+    stage: ClassVar[str] = "run"
+    solver: str
+    solver_version: str
+    n_steps: int
+    n_iterations: int
+    solve_s: float
+    max_depth_mm: float | None
+    max_force_n: float | None
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        data = found.data
+        return cls(
+            found, data["solver"], data["solver_version"], data["n_steps"], data["n_iterations"],
+            data["solve_seconds"], data.get("max_depth_mm"), data.get("max_force_n"),
+        )  # fmt: skip
+
+    def curve(self) -> Table:
+        """The force-depth curve: fields time_s, depth_mm, force_n, (n_steps,); empty where there is none."""
+        path = self.files.get("force_depth")
+        return structured([]) if path is None else read_columns(path)
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [self._named(row) for row in plain_rows(self.curve())]
+
+
+def build_feb(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    c_kpa: float | None = None,
+    f_kappa: float = 100.0,
+    m: float = 2.0,
+    layers: Mapping[str, Mapping[str, Any]] | None = None,
+    contact_penalty: float | None = None,
+    templates: PathLike | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[BuildFebResult]:
+    """The mesh and the measurement as a FEBio model of each site. Comes after `mesh`.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : name or names; None: all
+    c_kpa : c = 2 mu by hand; None: 2 rho v^2 of the shear-wave speed at level 0
+    f_kappa : kappa' / c, 0.01 to 1000; m : exponent of the law, 1 to 100: start values
+    layers : by "skin" or "fat" a table of `law`, `c_kpa`, `f_kappa`, `m`, `beta`, over what the case says
+    contact_penalty : times the skin's stiffness at rest; None: 20, with which FEBio converges
+    templates : a folder of Jinja templates that come before ours
+
+    Raises
+    ------
+    CaseError
+        If `mesh` has not been run since its inputs changed, or a template or argument cannot be used.
+    MeasurementError
+        If the levels cannot be used, or c is neither measured nor given.
+
+    Source: FEBio user manual 4, "Ogden unconstrained".
+    """
+    within("build_feb", c_kpa=c_kpa, f_kappa=f_kappa, m=m, contact_penalty=contact_penalty)
+    from limbcli.stages import build_feb as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        options = stage.TissueOptions(
+            c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=_laws(layers or {}), contact_penalty=contact_penalty
+        )
+        found = stage.build_feb(
+            work.case, out=work.out, sites=names_of(sites), options=options,
+            templates=maybe_path(templates, "templates"), progress=work.progress,
+        )  # fmt: skip
+    return by_site(BuildFebResult, found)
+
+
+def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """The laws, held against the rules of case.toml."""
+    from limbcli.stages.site_layers import parse_law
+
+    texts = (
+        f"{name}:" + ",".join(f"{key}={value}" for key, value in table.items())
+        for name, table in layers.items()
+    )
+    return dict(map(parse_law, texts))
+
+
+def run(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    solver: SolverName = "auto",
+    febio: PathLike | None = None,
+    time_limit_s: float | None = None,
+    vtu: bool = False,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[RunResult]:
+    """Simulate the indentation of each site with its start values. Comes after `build_feb`.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : name or names; None: all
+    solver : "auto" takes FEBio where it is found, else the bundled reference solver
+    febio : the FEBio binary
+    time_limit_s : of each simulation; None: by the model's size
+    vtu : also a time series for ParaView
+
+    Raises
+    ------
+    CaseError
+        If `build_feb` has not been run since its inputs changed, or an argument cannot be used.
+    ToolError
+        If FEBio is asked for and is not there.
+    SolveError
+        If the end of the load is not reached; what there is lies in <site>-failed.
+    """
+    within("run", time_limit_s=time_limit_s)
+    one_of("run", SOLVERS, solver=solver)
+    from limbcli.stages import run as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        found = stage.run(
+            work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
+            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu), progress=work.progress,
+        )  # fmt: skip
+    return by_site(RunResult, found)
+
+
+def run_feb(
+    feb: PathLike,
+    *,
+    out: PathLike | None = None,
+    solver: SolverName = "auto",
+    febio: PathLike | None = None,
+    time_limit_s: float | None = None,
+    vtu: bool = False,
+    wait: bool = True,
+    progress: Heard = None,
+) -> RunResult:
+    """Simulate a FEBio model of your own.
+
+    Parameters
+    ----------
+    feb : a .feb or .feb.gz file, format 4.0, units mm-N-s
+    out : output folder; None: out/<name of the file>
+    solver, febio, time_limit_s, vtu, wait, progress : as of `run`
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be read, or holds what the solver does not support.
+    ToolError, SolveError
+        As `run`.
+    """
+    within("run", time_limit_s=time_limit_s)
+    one_of("run_feb", SOLVERS, solver=solver)
+    from limbcli.stages import run as stage
+
+    with foreseen():
+        file, heard = folder_of(feb, "feb"), listening(progress)
+        target = Path("out") / file.name.split(".")[0] if out is None else folder_of(out)
+        with one_writer(target, wait=wait, progress=heard):
+            found = stage.run_file(
+                file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
+                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu), progress=heard,
+            )  # fmt: skip
+    return RunResult.of(found)

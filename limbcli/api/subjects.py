@@ -1,0 +1,123 @@
+"""check and measure: cases as they are brought."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from limbcli.api.base import Result, SiteResults, by_site
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
+from limbcli.api.tables import Table, plain_rows, read_columns, structured, to_frame
+from limbcli.problems import Problem
+from limbcli.results import StageResult
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What was looked at of a case, and what was found. `table()` has a row a problem.
+
+    Attributes
+    ----------
+    folder : the case's
+    looked_at : files and folders that were read
+    problems : each with what, where, fix, and severity "error" or "warning"
+    """
+
+    folder: Path
+    looked_at: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing stops the work."""
+        return all(each.severity != "error" for each in self.problems)
+
+    def table(self) -> Table:
+        """A structured array (n_problems,): severity, what, where, fix."""
+        names = ("severity", "what", "where", "fix")
+        return structured([{name: getattr(each, name) for name in names} for each in self.problems])
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The same as a pandas table.
+
+        Raises
+        ------
+        ToolError
+            If pandas is not installed.
+        """
+        return to_frame(self.table())
+
+
+@dataclass(frozen=True, eq=False)
+class MeasureResult(Result):
+    """The levels of a site, out of the instruments' files. `table()` has a row a level.
+
+    Attributes
+    ----------
+    levels : the table that was written, with the columns of levels.csv
+    """
+
+    stage: ClassVar[str] = "measure"
+    levels: Path
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        return cls(found, found.path("levels"))
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [self._named(row) for row in plain_rows(read_columns(self.levels))]
+
+
+def check(case: PathLike, *, progress: Heard = None) -> CheckResult:
+    """Everything about a case folder that can be known before computing, all problems at once.
+
+    Parameters
+    ----------
+    case : the folder that holds case.toml
+    progress : called with (kind, facts) at every event; None: silence
+
+    It raises nothing for what is wrong with the case: that is in `problems`.
+    """
+    from limbcli.stages import check as stage
+
+    with foreseen():
+        found = stage.check(folder_of(case, "case"), progress=listening(progress))
+    return CheckResult(found.case, found.looked_at, found.problems)
+
+
+def measure(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    write: bool = False,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[MeasureResult]:
+    """Load-cell record, B-mode and elastography images to the rows of levels.csv.
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : name or names; None: all
+    write : also write levels.csv where case.toml names it, if there is none
+
+    Raises
+    ------
+    CaseError
+        If a site names no instrument, or `write` would overwrite a file.
+    MeasurementError
+        If a record or image cannot be read, or they do not have as many levels.
+    """
+    from limbcli.stages import measure as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        found = stage.measure(
+            work.case, out=work.out, sites=names_of(sites), write=write, progress=work.progress
+        )
+    return by_site(MeasureResult, found)

@@ -1,0 +1,96 @@
+"""Rows of plain values as a structured array, or as a pandas table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import ToolError
+
+if TYPE_CHECKING:
+    import pandas
+
+Row = Mapping[str, Any]
+Table = NDArray[np.void]
+
+
+def structured(rows: Sequence[Row]) -> Table:
+    """A structured array (n_rows,): a field a key, numbers as float64 (missing: NaN), texts as str.
+
+    The fields are those of all rows, in the order in which they first come.
+
+    >>> table = structured([{"m": 2.0, "low_95": None}, {"m": 6.0, "low_95": 1.5}])
+    >>> table["m"], table["low_95"]
+    (array([2., 6.]), array([nan, 1.5]))
+    >>> structured([]).shape
+    (0,)
+    """
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: _column([row.get(name) for row in rows]) for name in names}
+    table = np.zeros(len(rows), dtype=[(name, each.dtype) for name, each in columns.items()])
+    for name, each in columns.items():
+        table[name] = each
+    return table
+
+
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    there = [each for each in values if each is not None]
+    if any(isinstance(each, str) for each in there):
+        return np.array(["" if each is None else str(each) for each in values])
+    if there and len(there) == len(values):
+        if all(isinstance(each, bool | np.bool_) for each in there):
+            return np.array(values, dtype=bool)
+        if all(isinstance(each, int | np.integer) for each in there):
+            return np.array(values, dtype=np.int64)
+    return np.array([np.nan if each is None else float(each) for each in values], dtype=np.float64)
+
+
+def plain_rows(table: Table) -> list[dict[str, Any]]:
+    """The rows of a structured array as plain values.
+
+    >>> plain_rows(structured([{"force_n": 2.0, "phase": "load"}]))
+    [{'force_n': 2.0, 'phase': 'load'}]
+    """
+    names = table.dtype.names or ()
+    return [{name: row[name].item() for name in names} for row in table]
+
+
+def to_frame(table: Table) -> pandas.DataFrame:
+    """The same as a pandas table.
+
+    Raises
+    ------
+    ToolError
+        If pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise ToolError(
+            f"pandas is not installed ({error})",
+            where="to_frame()",
+            fix="pip install pandas, or use table(), a numpy array with a field a column",
+        ) from error
+    return pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
+
+
+def read_columns(path: Path) -> Table:
+    """A CSV of numbers with one row of names; what is empty is NaN."""
+    with path.open(newline="", encoding="utf-8") as stream:
+        return structured(
+            [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(stream)]
+        )
+
+
+def _number(text: str | None) -> float | str | None:
+    if not text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return text

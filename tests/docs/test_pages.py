@@ -1,0 +1,136 @@
+"""What the documentation prints holds: its Python runs, its commands are commands, its TOML is understood."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+
+from limbcli import case_schema
+from limbcli.case import read_case
+from limbcli.cli.app import COMMANDS, app
+from limbcli.effects import EFFECTS
+from limbcli.fem import element
+from limbcli.materials import laws
+from limbcli.stages.diagnose import load_effect
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs"
+PAGES = [*sorted(DOCS.glob("*.md")), *(REPOSITORY / name / "README.md" for name in ("cases", "templates"))]
+PAGES.append(REPOSITORY / "README.md")
+EXAMPLES = [DOCS / f"add-{name}.md" for name in ("a-law", "an-element", "an-effect")]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(
+        rf"^```{language}\n(.+?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+
+
+def command_lines() -> list[tuple[str, str]]:
+    """(page, arguments) of every `$ limbcli ...` that is printed."""
+    return [
+        (page.relative_to(REPOSITORY).as_posix(), line)
+        for page in PAGES
+        for block in blocks(page, "console")
+        for line in re.findall(r"^\$ limbcli (.+?)(?:\s+#.*)?$", block, flags=re.MULTILINE)
+    ]
+
+
+@pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
+def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(element, "shape", element.shape)  # what a page changes is put back
+    known = dict(laws.LEAVES)
+    code = blocks(page, "python")
+    assert sum("assert" in each for each in code) >= 1
+    try:
+        exec(compile("\n".join(code), str(page), "exec"), {"__name__": "page"})
+    finally:
+        for name in set(laws.LEAVES) - set(known):
+            laws.LEAVES.pop(name)  # type: ignore[attr-defined]
+
+
+def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
+    file = tmp_path / "slip.py"
+    file.write_text(blocks(EXAMPLES[2], "python")[0])
+    assert load_effect(file).name == "slip"
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_every_command_line_is_understood(page: str, line: str):
+    """Parsed as the program parses it, and not run: names, options and values must be possible."""
+    name, *rest = shlex.split(line)
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    command.make_context(name, rest)
+
+
+def test_every_command_that_is_spoken_of_exists():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert set(re.findall(r"`limbcli ([a-z][a-z-]*)", text)) <= set(COMMANDS), page
+
+
+def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
+    (text,) = blocks(DOCS / "case-format.md", "toml")
+    (tmp_path / "case.toml").write_text(text)
+    problems = [each.what for each in read_case(tmp_path)[1]]
+    assert problems
+    assert all("not there" in each for each in problems)
+    for each in blocks(REPOSITORY / "cases" / "README.md", "toml"):
+        tomllib.loads(each)
+
+
+def test_every_case_is_told_of_in_the_list_of_cases():
+    told = set(re.findall(r"^\| `([^`]+)`", (REPOSITORY / "cases/README.md").read_text(), re.MULTILINE))
+    assert told == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
+
+
+def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):
+    spec = importlib.util.spec_from_file_location("from_program", DOCS / "from_program.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (tmp_path / "command-gone.md").write_text("of a command that is no more")
+    module.write_all(tmp_path)
+    assert {each.stem for each in tmp_path.glob("command-*")} == {f"command-{name}" for name in COMMANDS}
+    group = typer.main.get_command(app)
+    for name in COMMANDS:
+        page = (tmp_path / f"command-{name}.md").read_text()
+        assert page.startswith(f"# limbcli {name}\n")
+        options = [text for each in group.commands[name].params for text in each.opts]  # type: ignore
+        assert all(text in page for text in options if text.startswith("--"))
+    assert all(f"`{each.name}`" in (tmp_path / "effects.md").read_text() for each in EFFECTS)
+    others = ("TOP", "INSTRUMENTS")  # tables of tables
+    tables = [each for name, each in vars(case_schema).items() if name.isupper() and name not in others]
+    keys = [name for each in tables if isinstance(each, dict) for name in each]
+    assert len(keys) > 50
+    assert all(f"`{name}`" in (tmp_path / "case-keys.md").read_text() for name in keys)
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path: Path):
+    pytest.importorskip("furo")
+    pytest.importorskip("myst_parser")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        "-d",
+        tmp_path / "kept",
+    ]
+    result = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, timeout=500)
+    assert result.returncode == 0, result.stderr
+    assert "limbcli.segment" in (tmp_path / "html" / "api.html").read_text()
