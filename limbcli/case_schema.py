@@ -213,6 +213,7 @@ NOISE = {
     "depth_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.3),
     "swe_level_fraction": Key("1", number(0.0, 0.5, ""), default=0.05),
     "swe_pixel_fraction": Key("1", number(0.0, 1.0, ""), default=0.10),
+    "layer_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.2),
     "source": Key("repeats | spec | assumed", one_of("repeats", "spec", "assumed"), default="assumed"),
 }
 TOP = {

@@ -17,6 +17,8 @@ def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbo
         emit_json(result.to_json())
     else:
         print(f"{case}: looked at {', '.join(result.looked_at)}")
+        for line in result.shown:
+            print(line)
         for k, problem in enumerate(result.problems, 1):
             print(f"{k}. {problem.severity}: {problem}")
         n_errors = sum(each.severity == "error" for each in result.problems)

@@ -20,7 +20,7 @@ from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps
-from limbcli.measurement.indentation import read_levels, read_trace
+from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
@@ -39,6 +39,7 @@ from limbcli.stages.diagnosis_tie import F_KAPPA, Tie
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
+from limbcli.stages.site_levels import levels_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -160,7 +161,7 @@ class _Preparation:
     def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
-        self.levels = read_levels(site.levels)
+        self.levels = levels_of(site)
         self.maps = None if site.swe_maps is None else read_maps(site.swe_maps, len(self.levels))
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()

@@ -19,7 +19,7 @@ from limbcli.feb.write import write_feb
 from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import Levels, doubts_about_levels, read_levels
+from limbcli.measurement.indentation import Levels, doubts_about_levels
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -35,6 +35,7 @@ from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fit_result import Identified, leave_result
 from limbcli.stages.fit_swe import leave_speeds
 from limbcli.stages.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_levels import levels_of
 
 __all__ = [
     "STAGE",
@@ -100,7 +101,7 @@ def _fit_site(
 ) -> None:  # fmt: skip
     clock = time.perf_counter()
     model = built_model(case, site, out, writer)
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
     curve, knots, cold = _first_solve(solver, model, c, options, progress)

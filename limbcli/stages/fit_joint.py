@@ -19,7 +19,7 @@ from limbcli.errors import CaseError, FitError, SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -29,6 +29,7 @@ from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
 from limbcli.stages.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_levels import levels_of
 
 STAGE = "fit-joint"
 
@@ -116,7 +117,7 @@ def fit_joint(
 
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
     model = built_model(case, site, out, writer, label=site.name)
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     return Measured(site, model, levels, stiffness.c, error)
