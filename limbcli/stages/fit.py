@@ -30,6 +30,7 @@ from limbcli.stages.chain import Chain
 from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fit_layers import leave_layers
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fit_result import Identified, leave_result
@@ -67,7 +68,8 @@ def fit(
 
     Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
     parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run, and the shear-wave
-    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png.
+    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; where
+    layers were read, layers.csv and layers.png.
 
     Raises
     ------
@@ -133,6 +135,7 @@ def _fit_site(
     if options.contact_check:
         leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
     leave_speeds(fitted, simulation, levels, site, writer)
+    leave_layers(fitted, simulation, levels, site, writer)
 
 
 def _tissue_c(
