@@ -38,7 +38,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation each (`layer`: mm, of a layer's thickness); `source` says where they come from."""
+    """One standard deviation each (`layer`: mm, of a thickness); `source` says where they come from."""
 
     force: float = 0.1
     depth: float = 0.3

@@ -1,7 +1,7 @@
 """Layers of a site at given force, by its simulated borders, with their derivatives.
 
-A border is a material line; its depth below the skin is simulated at the knots and read at the simulated depth
-of each reading's force. A thickness is the difference of a layer's two borders.
+A border is a material line; its depth below the skin is simulated at the knots and read at the simulated
+depth of each reading's force. A thickness is the difference of a layer's two borders.
 """
 
 from __future__ import annotations

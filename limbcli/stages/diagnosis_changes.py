@@ -76,7 +76,7 @@ class FieldChange:
 
     def _at(self, theta: Theta) -> Array:
         size = self.effect.sizes[0]
-        moved = np.column_stack(self.book.shift(self.m, ((self.effect, {**self.point, **theta}),)))
+        moved = shifted(self.book, self.m, ((self.effect, {**self.point, **theta}),))
         moved = np.nan_to_num(filled(moved))
         if self.missed is not None:
             moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
@@ -122,7 +122,8 @@ class Changes:
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
         if effect.stiffness is not None:
             field = FieldChange(self.book, effect, point, self.m)
-            if effect.spreads:
+            # What the layers do goes through the deformation.
+            if effect.spreads or self.book.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
         splines = {}
@@ -153,7 +154,7 @@ class Changes:
                 continue
             theta = {**effect.null, **point, name: value}
             try:
-                moved = np.column_stack(self.book.shift(self.m, ((effect, theta),)))
+                moved = shifted(self.book, self.m, ((effect, theta),))
             except SolveError as error:  # too large a step; smaller ones tell the change
                 problem = error
                 continue
@@ -179,7 +180,7 @@ class Changes:
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
-            missed = true - np.column_stack(self.book.shift(m, ((effect, theta),)))
+            missed = true - shifted(self.book, m, ((effect, theta),))
         except SolveError as error:
             self.not_simulated[effect.name] = error.what
             return np.zeros_like(logs(self.book.curves(m)))
@@ -194,11 +195,19 @@ def only_febio(effect: Effect) -> SolveError:
     )  # fmt: skip
 
 
+def shifted(book: Book, m: float, ingredients: Ingredients) -> Array:
+    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines); lines stay, as the deformation
+    is kept."""
+    moved = np.column_stack(book.shift(m, ingredients))
+    lines = book.curves(m).log_line
+    return moved if lines is None else np.column_stack([moved, np.zeros_like(lines)])
+
+
 def logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts): ln force (0 at depth 0) and ln speeds."""
+    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if followed."""
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
-    return np.column_stack([log_force, curves.log_speed])
+    return np.column_stack([log_force, curves.columns])
 
 
 def filled(moved: Array) -> Array:

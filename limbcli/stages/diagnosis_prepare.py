@@ -31,12 +31,14 @@ from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
+from limbcli.stages.diagnosis_layers import BorderLines
 from limbcli.stages.diagnosis_noise import deepest, readings
 from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_tie import F_KAPPA, Tie
 from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
 from limbcli.stages.site_levels import levels_of
@@ -166,6 +168,8 @@ class _Preparation:
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
+        self.layers: LayerReadings | None = None
+        self.borders: BorderLines | None = None
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
@@ -197,11 +201,26 @@ class _Preparation:
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
+        meshed = self._working_mesh()
+        self._mark_layers(meshed)
         return CurveBook(
-            self._working_mesh(), [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
+            meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, needed=needed,
+            progress=self.progress, needed=needed, borders=self.borders,
         )  # fmt: skip
+
+    def _mark_layers(self, meshed: LimbModel) -> None:
+        """Their borders in the working mesh; layers that do not fit into it are left out, and it is said."""
+        layers = layer_readings(self.levels, self.site)
+        if layers is None or not layers.n_told:
+            return
+        borders = BorderLines(layers)
+        try:
+            borders.check(meshed)
+        except MeasurementError as error:
+            self.notes.warnings.append(f"the layers are not used: {error.what}")
+            return
+        self.layers, self.borders = layers, borders
 
     def _skin_bone(self) -> float | None:
         """mm of tissue under the probe's centre in the site's own model, else on the B-mode image."""
@@ -253,7 +272,7 @@ class _Preparation:
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
             model_error=numerics.noise(tie, interventions), held=held, extras=extras,
             usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share,
-            map_slopes=numerics.map_slopes(),
+            map_slopes=numerics.map_slopes(), layers=self.layers,
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

@@ -1,8 +1,8 @@
 """fit --objective joint: one tissue for all sites, from depth, shear-wave speed and layers together.
 
 Depth is the noisy reading, so it is what the simulation predicts at the measured force;
-each level's speed enters by its logarithm, its layers by their thickness; c is free. Only the reference solver can do
-it: exact derivatives, and the deformation that the speeds need.
+each level's speed enters by its logarithm, its layers by their thickness; c is free. Only the
+reference solver can do it: exact derivatives, and the deformation that the speeds need.
 """
 
 from __future__ import annotations

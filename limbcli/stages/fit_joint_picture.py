@@ -1,4 +1,4 @@
-"""The picture of a joint fit: force over depth, speed and layers over force, a row a site; and the profiles."""
+"""The picture of a joint fit: force over depth, speed, layers over force, a row a site; the profiles."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def _layers(axes: Axes, data: SiteData, seen: SitePrediction) -> None:
         order = here[np.argsort(data.layers.force[here])]
         spread = np.sqrt(np.diag(data.layers.covariance)[order])
         force, name = data.layers.force[order], LAYERS[j]
-        axes.errorbar(force, data.layers.thickness[order], yerr=spread, fmt="o", ms=4, color=colour, label=name)
+        read = data.layers.thickness[order]
+        axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=name)
         axes.plot(force, seen.layers[order], color=colour)
     axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
     axes.legend(loc="best")

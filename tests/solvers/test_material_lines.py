@@ -99,6 +99,6 @@ def test_a_beam_beside_the_model_is_refused():
     from dataclasses import replace
 
     model = block_model()
-    beside = replace(model, mesh=replace(model.mesh, points=model.mesh.points + [100.0, 0.0, 0.0]))
+    beside = replace(model, mesh=replace(model.mesh, points=model.mesh.points + 100.0))
     with pytest.raises(MeasurementError, match="meets no tissue"):
         material_lines(beside, np.array([4.0]))

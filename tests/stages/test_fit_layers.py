@@ -11,6 +11,7 @@ from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.reporting.figures.layers import LayerPicture, layers_figure
 from limbcli.solvers.material_lines import material_lines
+from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint import JointOptions, fit_joint
@@ -43,7 +44,7 @@ def truth():
 def layered_case(root, truth, *, fat_gone=None) -> Case:
     """The block's case with layers; fat_gone (4,) mm: what the fat is thinner than the block has it."""
     forces, below = truth
-    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=C)
+    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=C, build=False)
     gone = np.zeros(4) if fat_gone is None else fat_gone
     skin, fat = below[:, 0], below[:, 1] - below[:, 0] - gone
     muscle = below[:, 2] - below[:, 1] + gone
@@ -56,7 +57,9 @@ def layered_case(root, truth, *, fat_gone=None) -> Case:
     path.write_text("\n".join([head + ",skin_mm,fat_mm,muscle_mm", *lines]) + "\n")
     toml = case.file.read_text()
     case.file.write_text(toml.replace("depth_mm = 0.1", "depth_mm = 0.1\nlayer_mm = 0.05"))
-    return Case.open(case.folder)
+    case = Case.open(case.folder)
+    build_feb(case, out=root / "out")
+    return case
 
 
 def test_derivatives_of_lines_by_the_law_are_those_of_differences():
@@ -127,6 +130,7 @@ def test_the_figure_shows_every_layer():
         np.array([[1.5, 6.0], [1.4, 4.8]]), 0.2,
     )  # fmt: skip
     left, right = layers_figure(shown).axes
-    assert [each.get_text() for each in left.get_legend().get_texts()][:2] == ["skin, predicted", "fat, predicted"]
+    named = [each.get_text() for each in left.get_legend().get_texts()]
+    assert named[:2] == ["skin, predicted", "fat, predicted"]
     assert left.yaxis_inverted()
     assert len(right.lines) == 3

@@ -39,7 +39,7 @@ def layers(page: Page, site: SiteMaterial) -> Reportlet | None:
 
 def _alt(told: dict[str, Any], site: str) -> str:
     names = ", ".join(map(str, told.get("names", [])))
-    return f"Borders of {names} below the probe at site {site}, level by level: measured points, predicted bands."
+    return f"Borders of {names} below the probe at site {site}: measured points, predicted bands."
 
 
 def _notes(told: dict[str, Any]) -> tuple[str, ...]:

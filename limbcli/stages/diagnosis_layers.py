@@ -1,0 +1,118 @@
+"""Layers as a channel of the diagnosis: rows, slopes, noise, and the lines of a model.
+
+A datum is the thickness of a layer at a level under load; the layer on the bone tells nothing beyond the
+depth and is left out. The models carry the layers' borders as material lines, marked where they were read at
+first touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limbcli.diagnostics.noise import NoisePart, common
+from limbcli.effects.reading import Protocol
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.solvers.base import Simulation
+from limbcli.solvers.material_lines import FILE, material_lines
+from limbcli.stages.diagnosis_rows import Row, Stacked
+from limbcli.stages.indentation_model import tissue_nodes
+from limbcli.stages.layer_readings import LayerReadings
+
+CHANNEL = "layer"
+FIRST_TOUCH = "measurement: layers at first touch"
+# Of what a layer gets thinner, by which the models' lines may be off: their coarse mesh, its contact, a
+# border that is not flat. Assumed; the material lines of meshes of half and of twice the edges differ by less.
+MODEL_SHARE = 0.08
+_LEAST_LINE = 1e-3  # mm
+
+
+def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
+    """Readings under load; keep (n_levels used,) : the levels of the protocol, by their numbers."""
+    rows: list[Row] = []
+    y: list[float] = []
+    if layers is None:
+        return rows, y, []
+    for layer in range(layers.n_told):
+        for level, number in enumerate(keep.tolist()):
+            value = float(layers.thickness[number, layer])
+            if number > 0 and np.isfinite(value):
+                rows.append(Row(CHANNEL, level, layer))
+                y.append(value)
+    return rows, y, [layers.deviation] * len(rows)
+
+
+def layer_slopes(
+    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Sequence[Row], y: Array
+) -> Array:
+    """How each datum changes with depth (n,), 0 for other channels.
+
+    place (n_levels,) : ln(1 + F/unit) of the smooth depth, with which layers get thinner evenly
+    """
+    out = np.zeros(len(rows))
+    if layers is None:
+        return out
+    for layer, members in _members(rows):
+        levels = [rows[k].level for k in members]
+        x = np.r_[0.0, place[levels]]
+        depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
+        thickness = np.r_[layers.thickness[0, layer], y[members]]
+        span = float(x @ x)
+        if span <= 0:
+            continue
+        rate, thinning = float(x @ depth) / span, float(x @ (thickness - thickness[0])) / span
+        out[members] = thinning / rate if rate > 0 else 0.0
+    return out
+
+
+def layer_noise(layers: LayerReadings | None, rows: Sequence[Row], y: Array, source: str) -> list[NoisePart]:
+    """What readings of one layer have in common: where it began, and what the model does to it."""
+    parts = []
+    for layer, members in _members(rows) if layers is not None else ():
+        assert layers is not None
+        first, model = np.zeros(len(rows)), np.zeros(len(rows))
+        first[members] = layers.deviation * layers.growth(np.maximum(y[members], 0.0), layer)
+        model[members] = MODEL_SHARE * (layers.thickness[0, layer] - y[members])
+        name = layers.names[layer]
+        parts.append(common(f"{FIRST_TOUCH}, {name}", first, source=source))
+        parts.append(common(f"model: layers, {name}", model, source="assumed"))
+    return parts
+
+
+def _members(rows: Sequence[Row]) -> list[tuple[int, list[int]]]:
+    """Of every layer, where its data are."""
+    found: dict[int, list[int]] = {}
+    for k, row in enumerate(rows):
+        if row.channel == CHANNEL:
+            found.setdefault(row.part, []).append(k)
+    return list(found.items())
+
+
+class BorderLines:
+    """The borders of a site's layers in its models.
+
+    rest (n_borders,) mm below the skin at first touch, without that at the bone
+    """
+
+    def __init__(self, layers: LayerReadings):
+        self.rest = np.asarray(layers.rest[: layers.n_told])
+
+    def record(self, model: LimbModel) -> LogRecord:
+        """What a simulation must write: of all nodes, as an effect may move the mesh under the beam."""
+        return LogRecord("node", ("ux", "uy", "uz"), FILE, tissue_nodes(model))
+
+    def check(self, model: LimbModel) -> None:
+        """
+        Raises
+        ------
+        MeasurementError
+            If a border does not lie in the model's tissue.
+        """
+        material_lines(model, self.rest)
+
+    def log_depths(self, model: LimbModel, simulation: Simulation, rows: IntArray) -> Array:
+        """ln of mm below the skin (1 + n_rows, n_borders), at rest first."""
+        lines = material_lines(model, self.rest)
+        below = lines.below_skin(lines.of_table(simulation.nodes[FILE])[rows][..., 2])
+        return np.log(np.maximum(np.vstack([self.rest, below]), _LEAST_LINE))
