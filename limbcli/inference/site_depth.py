@@ -70,8 +70,8 @@ def predict_site(
 ) -> SitePrediction:
     """What a site's simulation says of its measurement.
 
-    curve : shape -> forces at the knots (N), then, where the data hold speeds, speeds there (m/s), then, where
-        they hold layers, depths below the skin (mm) of all borders at the first knot, the second, ...;
+    curve : shape -> forces at the knots (N), then, where the data hold speeds, speeds there (m/s), then,
+        where they hold layers, depths below the skin (mm) of all borders at the first knot, the second, ...;
         for c_ratio 1 and gain 1
     log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho))
     stiffness (n,) : dF/dd at the forces, N/mm

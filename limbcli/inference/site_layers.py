@@ -73,6 +73,4 @@ class LayerData:
         return layer(values), found
 
 
-NO_LAYERS = LayerData(
-    np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0)
-)
+NO_LAYERS = LayerData(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0))

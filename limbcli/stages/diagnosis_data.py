@@ -176,7 +176,7 @@ def site_data(
         None if maps is None else map_noise(windows, maps, noise, _depth(protocol) / thickness),
         map_share, map_slopes, of_layers,
     )  # fmt: skip
-    parts += layer_noise(layers, rows, np.array(y), noise.source)
+    parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)

@@ -104,9 +104,7 @@ class SiteCurves:
         taller = 1.0 if self.tie is None else self.tie.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
         log_speed = log_speed + 0.5 * np.log(times)
-        found = Curves(
-            depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"]
-        )
+        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
         return found if self.sinking is None else self.sinking.without(found, force)
 
     def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:

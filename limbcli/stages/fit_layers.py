@@ -114,6 +114,6 @@ def _tell(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer:
         )
     if found.drift > _FAR:
         writer.warnings.append(
-            f"the tissue slides up to {found.drift:.1f} mm off the beam: the prediction follows the layers' own "
-            "material, the image what has come below the probe"
+            f"the tissue slides up to {found.drift:.1f} mm off the beam: the prediction follows the layers' "
+            "own material, the image what has come below the probe"
         )

@@ -1,4 +1,4 @@
-"""The layer channel: what it adds to the data, and that fat is seen by it where speeds and force do not tell."""
+"""The layer channel: what it adds to the data, and that fat is seen by it."""
 
 from __future__ import annotations
 
@@ -152,9 +152,7 @@ def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.5}),)
     books = [
-        CurveBook(
-            layered_block, [1.0, 2.0], c=0.006, threads=1, keep=tmp_path, borders=BorderLines(layers)
-        )
+        CurveBook(layered_block, [1.0, 2.0], c=0.006, threads=1, keep=tmp_path, borders=BorderLines(layers))
         for _ in range(2)
     ]
     plain, soft = books[0].curves(3.0), books[0].curves(3.0, fat)

@@ -27,9 +27,7 @@ REST = np.array([1.5, 6.5, np.nan])
 def law_curve(rest=REST, **options):
     model = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=C, f_kappa=100.0, m=2.0)
     lines = material_lines(model, rest)
-    return LawCurve(
-        model, LAWS["ogden"], c=C, density_kg_per_m3=1000.0, speeds=False, lines=lines, **options
-    )
+    return LawCurve(model, LAWS["ogden"], c=C, density_kg_per_m3=1000.0, speeds=False, lines=lines, **options)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +114,7 @@ def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
     )  # fmt: skip
     assert found.data["n_layer_readings"] == 8
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.01)
-    assert found.data["m"] == pytest.approx(5.0, rel=0.03)
+    assert found.data["m"] == pytest.approx(5.0, rel=0.05)  # four simulations beyond the first three
     assert found.data["chi_square"] < 0.1
     assert found.data["n_freedom"] == 4 + 1 + 8 - 3
     with found.path("levels_p1").open() as stream:
