@@ -4,8 +4,8 @@ Force is controlled and depth is the noisy reading, so the residual is a depth: 
 minus the depth at which the simulation reaches the measured force. A level's wave speed
 enters by its logarithm, the thickness of its layers as it is, at the simulated depth of
 that force. All sites share c and the law's other parameters ("shape"); each has a gain of
-its own for the numerical error of its mesh. At fixed shape every stress is proportional to c, so forces go with c and speeds
-with its root: only the shape costs simulations.
+its own for the numerical error of its mesh. At fixed shape every stress is proportional to
+c, so forces go with c and speeds with its root: only the shape costs simulations.
 """
 
 from __future__ import annotations
