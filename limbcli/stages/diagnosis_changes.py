@@ -16,9 +16,10 @@ from scipy.interpolate import CubicSpline
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.reading import Curves
 from limbcli.errors import SolveError
-from limbcli.model import Array
+from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, touches_loads
+from limbcli.stages.diagnosis_layers import line_shift
 
 _REMEMBERED = 8  # values of the parameters
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
@@ -29,6 +30,7 @@ class Book(Typed):
     """What curves come out of: solved ones, and first-order changes of them."""
 
     c: float
+    model: LimbModel
 
     @property
     def spent(self) -> bool: ...
@@ -196,11 +198,11 @@ def only_febio(effect: Effect) -> SolveError:
 
 
 def shifted(book: Book, m: float, ingredients: Ingredients) -> Array:
-    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines); lines stay, as the deformation
-    is kept."""
-    moved = np.column_stack(book.shift(m, ingredients))
-    lines = book.curves(m).log_line
-    return moved if lines is None else np.column_stack([moved, np.zeros_like(lines)])
+    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines)."""
+    moved, curves = np.column_stack(book.shift(m, ingredients)), book.curves(m)
+    if curves.log_line is None:
+        return moved
+    return np.column_stack([moved, line_shift(book.model, curves, ingredients)])
 
 
 def logs(curves: Curves) -> Array:

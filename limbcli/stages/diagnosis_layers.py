@@ -12,7 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.diagnostics.noise import NoisePart, common
-from limbcli.effects.reading import Protocol
+from limbcli.effects.base import Effect, Theta
+from limbcli.effects.places import Places
+from limbcli.effects.reading import Curves, Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
@@ -27,6 +29,9 @@ FIRST_TOUCH = "measurement: layers at first touch"
 # 1.5 mm below the skin 0.07 mm apart, those at 4 to 10 mm 0.02 to 0.06 mm.
 _OF_THINNING, _OF_DEPTH = 0.05, 0.02
 _LEAST_LINE = 1e-3  # mm
+_SAMPLES = 240  # along the beam
+_LEFT = 0.03  # of a line's depth at rest, that it keeps at least
+_BEYOND = 2.0  # times the deepest border: how far the squeezed column goes where no bone is known
 
 
 def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
@@ -121,3 +126,42 @@ class BorderLines:
         lines = material_lines(model, self.rest)
         below = lines.below_skin(lines.of_table(simulation.nodes[FILE])[rows][..., 2])
         return np.log(np.maximum(np.vstack([self.rest, below]), _LEAST_LINE))
+
+
+def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Effect, Theta]]) -> Array:
+    """About what effects add to the lines' ln depths (n, n_lines), without a simulation.
+
+    Below the probe's middle the layers bear nearly the same pressure one after the other, as springs in
+    series do: where the tissue is softer by a factor, it gives way more by that factor, and the probe's depth
+    is shared out anew. Effects that are no field of stiffness leave the lines. A simulation at one size, and
+    at the fitted one, puts right what this misses (`diagnosis_changes`, `SiteCurves.repair`).
+
+    Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
+    18(4):e0284721.
+    """
+    assert curves.log_line is not None
+    below = np.exp(curves.log_line)
+    found = [each for each in ingredients if each[0].stiffness is not None]
+    if not found:
+        return np.zeros_like(below)
+    rest = below[0]
+    end = curves.thickness if curves.thickness > rest[-1] else _BEYOND * rest[-1]
+    z = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * end
+    places = Places(np.column_stack([np.zeros((_SAMPLES, 2)), -z]), model)
+    softer = np.ones(_SAMPLES)
+    for effect, theta in found:
+        assert effect.stiffness is not None
+        softer = softer / np.maximum(effect.stiffness(places, theta), 1e-6)
+    knots = np.r_[0.0, rest, end]
+    lost = np.column_stack([np.zeros(len(below)), rest - below, curves.depth])
+    of_part = np.searchsorted(knots, z, side="right") - 1
+    rates = np.diff(lost, axis=1) / np.diff(knots)
+    squeezed = np.maximum(rates[:, of_part], 0.0)
+
+    def left(weight: Array) -> Array:
+        """mm (n, n_lines) of the lines with so much lost at each place."""
+        lost = np.cumsum(weight, axis=1) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+        share = np.array([np.interp(rest, z + 0.5 * end / _SAMPLES, row) for row in lost])
+        return np.maximum(rest - curves.depth[:, None] * share, _LEFT * rest)
+
+    return np.asarray(np.log(left(squeezed * softer) / left(squeezed)))

@@ -18,7 +18,7 @@ from limbcli.effects.reading import Curves, Protocol, continued, read
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_layers import BorderLines
+from limbcli.stages.diagnosis_layers import BorderLines, line_shift
 from limbcli.stages.diagnosis_report import diagnosis_json, gap_picture
 from limbcli.stages.layer_readings import LayerReadings
 from tests.stages import block_case
@@ -120,12 +120,39 @@ def test_soft_fat_is_named_by_its_layers(rng, tmp_path):
     levels, layers = measured(rng, fat)
     the_bench = bench(levels, layers)
     found = diagnose(the_bench, n_draws=1500)
-    assert "layers" in found.flagged
+    assert found.family.of("adipose-layer").p_adjusted < 0.01
     assert ("adipose-layer",) in found.confidence_set
     fitted = next(r.fitted for r in found.refits if r.explanation == ("adipose-layer",))
     assert fitted.values["log_fat_softness"] == pytest.approx(0.9, abs=0.4)
     gap_picture(found, [the_bench.site], tmp_path / "gap.png")
     assert diagnosis_json(found, the_bench.site, the_bench)["channels"].count("layer") == 1
+
+
+def test_without_layers_the_same_fat_is_not_seen(rng):
+    """It is the layers that tell: force and mean speeds are bent to fit by another c and m."""
+    fat = ((effect("adipose-layer"), {"fat_thickness_mm": 8.0, "log_fat_softness": 0.9}),)
+    levels, layers = measured(rng, fat)
+    p = {}
+    for name, seen in (("with", layers), ("without", None)):
+        the_bench = bench(levels, seen, names=("adipose-layer", "force-zero"))
+        base = the_bench.fit((), {})
+        fitted = the_bench.fit(("adipose-layer",), {})
+        left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, fitted)]
+        p[name] = float(left[0] @ left[0] - left[1] @ left[1])
+    assert p["with"] > p["without"] + 9.0
+
+
+def test_the_stand_in_of_the_lines_is_near_a_simulation(layered_block):
+    """Springs in series against the solver: fat of a third of the stiffness."""
+    layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
+    fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
+    book = CurveBook(layered_block, [1.0, 2.0], c=0.006, threads=1, borders=BorderLines(layers))
+    plain, soft = book.curves(3.0), book.curves(3.0, fat)
+    book.close()
+    moved = line_shift(book.model, plain, fat)
+    assert np.all(moved[0] == 0.0)
+    np.testing.assert_allclose(moved[1:, 1], (soft.log_line - plain.log_line)[1:, 1], rtol=0.6)
+    assert not line_shift(book.model, plain, ((effect("force-zero"), {"force_zero_n": 1.0}),)).any()
 
 
 def test_curves_carry_lines_beyond_their_end():
