@@ -15,6 +15,7 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.places import Places
 from limbcli.effects.reading import Curves, Protocol, continued, read
+from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis_bench import SiteBench
 from limbcli.stages.diagnosis_curves import CurveBook
 from limbcli.stages.diagnosis_data import site_data
@@ -155,6 +156,37 @@ def test_the_stand_in_of_the_lines_is_near_a_simulation(layered_block):
     assert not line_shift(book.model, plain, ((effect("force-zero"), {"force_zero_n": 1.0}),)).any()
 
 
+@pytest.mark.slow
+def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
+    """Truth by the solver on another mesh, noise on force, depth and layers; no wave speeds at all."""
+    layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.05, False)
+    fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
+    depths = [0.5, 1.0, 2.0, 3.2]
+    fine = CurveBook(skinned((6, 4, 6)), depths, c=0.0065, threads=1, borders=BorderLines(layers))
+    truth = fine.curves(4.0, fat)
+    fine.close()
+    n, nan = 7, np.full(7, np.nan)
+    protocol = Protocol(np.zeros(n), np.linspace(0.0, 3.0, n), np.zeros(n))
+    so, noise = read(truth, protocol), Noise(0.02, 0.03, layer=0.05, source="repeats")
+    off = [sd * np.r_[0.0, rng.standard_normal(n - 1)] for sd in (noise.force, noise.depth)]
+    levels = Levels(
+        so.force + off[0], protocol.depth + off[1], nan, nan, nan, ("load",) * n, nan, nan, nan, Path("x")
+    )
+    seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
+    book = CurveBook(layered_block, depths, c=0.006, threads=1, borders=BorderLines(seen))
+    the_bench = SiteBench(
+        site_data("p1", levels, noise, windows=book.windows, layers=seen), book, [effect("adipose-layer")]
+    )
+    base = the_bench.fit((), {})
+    found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
+    book.close()
+    left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
+    assert left[0] @ left[0] > left[1] @ left[1] + 15.0
+    assert left[1] @ left[1] < 2.0 * len(levels.force) * 3
+    assert found.values["log_fat_softness"] == pytest.approx(1.1, abs=0.4)
+    assert abs(np.log(found.values["c_kpa"] / 6.5)) < abs(np.log(base.values["c_kpa"] / 6.5))
+
+
 def test_curves_carry_lines_beyond_their_end():
     depth = np.linspace(0.0, 4.0, 5)
     below = np.outer(1.0 - depth / 20, [1.5, 8.0])
@@ -170,7 +202,12 @@ def test_curves_carry_lines_beyond_their_end():
 
 @pytest.fixture(scope="module")
 def layered_block():
-    model = block_case.block_model(counts=(4, 2, 4))
+    return skinned((4, 2, 4))
+
+
+def skinned(counts):
+    """The block with its skin known by that name."""
+    model = block_case.block_model(counts=counts)
     surfaces = {**model.mesh.surfaces, "skin": model.mesh.surfaces["contact"]}
     return replace(model, mesh=replace(model.mesh, surfaces=surfaces))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.reporting.figures.layers import LayerPicture, layers_figure
+from limbcli.reporting.sections.layers import layers
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
@@ -60,6 +62,12 @@ def layered_case(root, truth, *, fat_gone=None) -> Case:
     return case
 
 
+def shown(result):
+    """What the page says of the layers."""
+    outcomes = SimpleNamespace(of=lambda stage, site: SimpleNamespace(result=result))
+    return layers(SimpleNamespace(outcomes=outcomes), SimpleNamespace(name="p1"))
+
+
 def test_derivatives_of_lines_by_the_law_are_those_of_differences():
     curve = law_curve()
     exact = curve(SHAPE, (0, 1))
@@ -91,6 +99,8 @@ def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
     )
     assert float(rows[0]["muscle_predicted_mm"]) == pytest.approx(9.5)
     assert result.path("layers_picture").stat().st_size > 5000
+    assert shown(result).mood == "fine"
+    assert shown(result).pictures[0].source == result.path("layers_picture")
 
 
 def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
@@ -103,6 +113,8 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
     assert told["p"] < 1e-6
     assert told["measured_less_predicted"]["fat"]["last_mm"] == pytest.approx(-0.6, abs=0.05)
     assert any("the layers do not move as in this model" in text for text in result.warnings)
+    assert shown(result).mood == "warning"
+    assert any("fat: measured less predicted -0.6 mm" in text for text in shown(result).notes)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ class LayerPicture:
 def layers_figure(shown: LayerPicture) -> Figure:
     """Left: depth below the probe of every border; right: what measured thicknesses are beyond predicted."""
     with style():
-        figure = new_figure(7.6, 3.8)
+        figure = new_figure(7.6, 4.3)
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         order = np.argsort(shown.force, kind="stable")
         force = shown.force[order]
@@ -36,24 +36,22 @@ def layers_figure(shown: LayerPicture) -> Figure:
         seen = np.cumsum(shown.measured[order], axis=1)
         top = np.zeros(len(force))
         for j, name in enumerate(shown.names):
-            left.fill_between(
-                force, top, below[:, j], color=_BANDS.get(name, QUIET), lw=0, label=f"{name}, predicted"
-            )
+            colour = _BANDS.get(name, QUIET)
+            left.fill_between(force, top, below[:, j], color=colour, lw=0, label=f"{name}, predicted")
             top = below[:, j]
-            spread = shown.deviation * np.sqrt(j + 1.0)
             left.errorbar(
-                force, seen[:, j], yerr=spread, fmt="o", ms=4, capsize=2, color=INK,
-                label="borders, measured (±1 SD)" if j == 0 else None,
+                force, seen[:, j], yerr=shown.deviation * np.sqrt(j + 1.0), fmt="o", ms=4, capsize=2,
+                color=INK, label="borders, measured (±1 SD)" if j == 0 else None,
             )  # fmt: skip
             gap = shown.measured[order, j] - shown.predicted[order, j]
-            right.plot(force, gap, "o-", ms=4, color=_BANDS.get(name, QUIET), mec=INK, label=name)
+            right.plot(force, gap, "o-", ms=5, color=colour, mec=INK, label=name)
         left.invert_yaxis()
         left.grid(False)
         left.set(xlabel="probe force [N]", ylabel="below the probe [mm]", title="layers, level by level")
-        left.legend(loc="lower left", fontsize=7.5, frameon=True, framealpha=0.85)
         spread = np.sqrt(2.0) * shown.deviation
         right.axhspan(-spread, spread, color=QUIET, alpha=0.18, lw=0, label="±1 SD of two readings")
         right.axhline(0.0, color=QUIET, lw=0.8)
         right.set(xlabel="probe force [N]", ylabel="measured − predicted [mm]", title="thickness")
-        right.legend(loc="best", fontsize=7.5)
+        for axes in (left, right):
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=8)
     return figure
