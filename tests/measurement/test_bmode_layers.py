@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.bmode_layers import follow_borders
+from limbcli.measurement.ultrasound_image import read_image
 from tests.measurement.test_bmode import COLUMNS, MM_PER_PIXEL, ROWS, image_of, speckle
 
 # Depth of the borders of skin, fat and bone (pixels) at the levels: fat gives way more than muscle.
@@ -67,3 +69,20 @@ def test_a_lost_border_is_said_with_its_name(images, rng):
     with pytest.raises(MeasurementError, match="the border of the skin is lost") as caught:
         follow_borders([images[0], noise], {"skin": 1.5}, bone)
     assert "skin_mm, a list" in str(caught.value)
+
+
+def test_the_fascia_of_real_images_is_followed(shared):
+    """Gastrocnemius while the ankle turns: the brightest line of each frame, found there by itself."""
+    files = sorted((shared / "data" / "b-mode" / "dataset_2_range-of-motion").glob("*.png"))
+    images = [read_image(path, mm_per_pixel=0.1, box_pixels=(110, 60, 685, 500)) for path in files]
+    assert len(images) == 3
+    fascia = []
+    for image in images:
+        region = image.main_region()
+        middle = (region.left + region.right) // 2
+        strip = image.grey[region.top : region.bottom + 1, middle - 50 : middle + 50]
+        fascia.append(0.1 * float(np.argmax(gaussian_filter1d(strip.mean(axis=1), 4.0))))
+    bone = [BoneLine(43.0, 0.1, 1.0)] * 3
+    found = follow_borders(images, {"skin": 2.0, "fat": fascia[0] - 2.0}, bone)["fat"]
+    np.testing.assert_allclose([each.distance for each in found], fascia, atol=0.6)
+    assert all(each.correlation > 0.9 for each in found)
