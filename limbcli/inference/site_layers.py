@@ -32,7 +32,7 @@ class LayerData:
 
     @cached_property
     def _factor(self) -> Array:
-        return np.linalg.cholesky(self.covariance)
+        return np.asarray(np.linalg.cholesky(self.covariance), dtype=float)
 
     def whitened(self, values: Array) -> Array:
         """Values (n, ...) mm in units of independent deviations."""

@@ -92,7 +92,7 @@ def _sum_against_bone(
     allowed = max(_LEAST, _BEYOND_CHANCE * float(np.hypot(chance, noise.thickness)))
     found = []
     for k in np.flatnonzero(np.abs(total - levels.skin_bone) > allowed):
-        what = f"the layers do not add up to the thickness: {_sum_words(levels, k)}, but skin_bone_mm is "
+        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, but skin_bone_mm is "
         what += f"{levels.skin_bone[k]:g}"
         fix = "read layers and bone on one image; muscle_mm goes down to the bone"
         found.append(problem(what, path, fix, line=lines[k]))
@@ -101,7 +101,7 @@ def _sum_against_bone(
     allowed = max(_LEAST, _BEYOND_CHANCE * float(np.hypot(np.sqrt(2) * chance, noise.depth)))
     off = total[0] - levels.depth - total
     for k in np.flatnonzero(np.abs(off) > allowed):
-        what = f"the layers do not add up to the thickness: {_sum_words(levels, k)}, but "
+        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, but "
         what += f"{total[0]:g} mm at the first level less depth_mm leave {total[0] - levels.depth[k]:.3g} mm"
         fix = "depth_mm is the loss of skin-bone distance since level 0, muscle_mm goes down to the bone"
         found.append(problem(what, path, fix, line=lines[k]))

@@ -54,7 +54,7 @@ class Kept:
             np.savez(
                 path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
                 window_depth=curves.window_depth, thickness=curves.thickness, work=work, n_reached=n_reached,
-                **lines,
+                **lines,  # type: ignore[arg-type]
             )  # fmt: skip
 
     def cells(self, key: str) -> Array | None:
