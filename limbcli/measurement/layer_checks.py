@@ -92,8 +92,8 @@ def _sum_against_bone(
     allowed = max(_LEAST, _BEYOND_CHANCE * float(np.hypot(chance, noise.thickness)))
     found = []
     for k in np.flatnonzero(np.abs(total - levels.skin_bone) > allowed):
-        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, but skin_bone_mm is "
-        what += f"{levels.skin_bone[k]:g}"
+        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, "
+        what += f"but skin_bone_mm is {levels.skin_bone[k]:g}"
         fix = "read layers and bone on one image; muscle_mm goes down to the bone"
         found.append(problem(what, path, fix, line=lines[k]))
     if np.isfinite(levels.skin_bone).any() or not np.isfinite(total[0]):
