@@ -319,6 +319,7 @@ def _make_site(
             depth=float(noise["depth_mm"]),
             swe_level_fraction=float(noise["swe_level_fraction"]),
             swe_pixel_fraction=float(noise["swe_pixel_fraction"]),
+            layer=float(noise["layer_mm"]),
             source=noise["source"],
         ),
         instruments=instruments,

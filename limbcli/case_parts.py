@@ -38,13 +38,14 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation each; `source` says where they come from."""
+    """One standard deviation each (`layer`: mm, of a thickness); `source` says where they come from."""
 
     force: float = 0.1
     depth: float = 0.3
     swe_level_fraction: float = 0.05
     swe_pixel_fraction: float = 0.10
     source: str = "assumed"
+    layer: float = 0.2
 
 
 @dataclass(frozen=True, eq=False)

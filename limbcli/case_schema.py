@@ -126,6 +126,14 @@ def bone_places(value: object) -> str | None:
     return one(value)
 
 
+def layer_places(value: object) -> str | None:
+    """A thickness in mm (at level 0), or one for every level."""
+    one = number(0.2, 60.0, "mm")
+    if isinstance(value, list) and value:
+        return next((wrong for each in value if (wrong := one(each))), None)
+    return one(value)
+
+
 def thickness(value: object) -> str | None:
     """A thickness in mm, or "mri" for what the images show."""
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
@@ -186,6 +194,8 @@ B_MODE = {
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
     "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "bone_mm": Key("mm, or a list of them", bone_places),
+    "skin_mm": Key("mm, or a list of them", layer_places),
+    "fat_mm": Key("mm, or a list of them", layer_places),
 }
 SWE_IMAGES = {
     "folder": Key("folder", text, required=True),
@@ -214,6 +224,7 @@ NOISE = {
     "depth_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.3),
     "swe_level_fraction": Key("1", number(0.0, 0.5, ""), default=0.05),
     "swe_pixel_fraction": Key("1", number(0.0, 1.0, ""), default=0.10),
+    "layer_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.2),
     "source": Key("repeats | spec | assumed", one_of("repeats", "spec", "assumed"), default="assumed"),
 }
 TOP = {

@@ -18,6 +18,8 @@ def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbo
         emit_json(result.to_json())
     else:
         print(f"{case}: looked at {', '.join(result.looked_at)}")
+        for line in result.shown:
+            print(line)
         for k, problem in enumerate(result.problems, 1):
             print(f"{k}. {problem.severity}: {pasted_text(str(problem), case)}")
         n_errors = sum(each.severity == "error" for each in result.problems)

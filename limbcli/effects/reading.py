@@ -26,6 +26,7 @@ class Curves:
     depth (n,) mm from 0; force (n,) N; log_speed (n, n_windows) ln of m/s, NaN where no
     wave runs, or (n, 0); window_depth (n_windows,) mm below the face; thickness: skin to bone
     along the beam, mm, NaN where the beam meets no bone
+    log_line (n, n_lines) ln of mm below the skin of the borders of layers on the beam; None: not followed
     """
 
     depth: Array
@@ -33,6 +34,18 @@ class Curves:
     log_speed: Array
     window_depth: Array
     thickness: float = float("nan")
+    log_line: Array | None = None
+
+    @property
+    def columns(self) -> Array:
+        """(n, n_windows + n_lines): ln speeds, then ln depths of lines."""
+        lines = [] if self.log_line is None else [self.log_line]
+        return np.column_stack([self.log_speed, *lines])
+
+    def with_columns(self, table: Array) -> dict[str, Array | None]:
+        """What of these curves such a table replaces."""
+        n = self.log_speed.shape[1]
+        return {"log_speed": table[:, :n], "log_line": None if self.log_line is None else table[:, n:]}
 
     @cached_property
     def force_curve(self) -> Monotone:
@@ -71,12 +84,13 @@ class Protocol:
 @dataclass(frozen=True, eq=False)
 class Readout:
     """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows); thickness at
-    the first."""
+    the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
 
     force: Array
     log_speed: Array
     travel: Array
     thickness: float
+    layers: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,7 @@ def read(
         log_speed=speed,
         travel=protocol.depth + reading.compliance * protocol.force,
         thickness=curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0),
+        layers=_layers_at(curves, depth),
     )
     for change in reading.after:
         shown = change(shown, curves, protocol)
@@ -186,26 +201,28 @@ def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = 
     """
     further, last = np.asarray(depths, dtype=float), curves.depth[-2:]
     if like is None:
-        rise = (curves.log_speed[-1] - curves.log_speed[-2]) / (last[1] - last[0])
-        speed = curves.log_speed[-1] + np.multiply.outer(further - last[1], rise)
+        columns = curves.columns
+        rise = (columns[-1] - columns[-2]) / (last[1] - last[0])
+        table = columns[-1] + np.multiply.outer(further - last[1], rise)
         log_force = log_force_at(curves, further)
     else:
-        known = np.column_stack([np.log(np.maximum(curves.force[-2:], 1e-9)), curves.log_speed[-2:]])
-        apart = known - _logs_at(like, last)
+        known = np.column_stack([np.log(np.maximum(curves.force[-2:], 1e-9)), curves.columns[-2:]])
+        apart = known - _logs_at(like, last)[:, : known.shape[1]]
         rise = (apart[1] - apart[0]) / (last[1] - last[0])
-        found = _logs_at(like, further) + apart[1] + np.multiply.outer(further - last[1], rise)
-        log_force, speed = found[:, 0], found[:, 1:]
+        found = _logs_at(like, further)[:, : known.shape[1]] + apart[1]
+        found = found + np.multiply.outer(further - last[1], rise)
+        log_force, table = found[:, 0], found[:, 1:]
     return replace(
         curves,
         depth=np.concatenate([curves.depth, further]),
         force=np.concatenate([curves.force, np.exp(log_force)]),
-        log_speed=np.vstack([curves.log_speed, speed]),
+        **curves.with_columns(np.vstack([curves.columns, table])),  # type: ignore[arg-type]
     )
 
 
 def _logs_at(curves: Curves, depth: Array) -> Array:
-    """ln force and ln speeds (n, 1 + n_parts) at depths > 0."""
-    speeds = [np.interp(depth, curves.depth, column) for column in curves.log_speed.T]
+    """ln force, ln speeds and ln lines (n, 1 + n_parts + n_lines) at depths > 0."""
+    speeds = [np.interp(depth, curves.depth, column) for column in curves.columns.T]
     return np.column_stack([log_force_at(curves, depth), *speeds])
 
 
@@ -244,6 +261,13 @@ def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
         beyond_middle = curves.window_depth - curves.window_depth.mean()
         speed = speed + np.log(np.maximum(1.0 - reading.speed_slope * beyond_middle, 0.05))
     return np.asarray(speed)
+
+
+def _layers_at(curves: Curves, depth: Array) -> Array:
+    """mm (n_levels, n_lines) at depths."""
+    if curves.log_line is None:
+        return np.zeros((len(depth), 0))
+    return np.diff(np.exp(_one_curve(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
 
 
 def _at_depths(curves: Curves, depth: Array) -> Array:

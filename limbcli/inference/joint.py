@@ -2,10 +2,10 @@
 
 Force is controlled and depth is the noisy reading, so the residual is a depth: measured
 minus the depth at which the simulation reaches the measured force. A level's wave speed
-enters by its logarithm, at the simulated depth of that force. All sites share c and the
-law's other parameters ("shape"); each has a gain of its own for the numerical error of
-its mesh. At fixed shape every stress is proportional to c, so forces go with c and speeds
-with its root: only the shape costs simulations.
+enters by its logarithm, the thickness of its layers as it is, at the simulated depth of
+that force. All sites share c and the law's other parameters ("shape"); each has a gain of
+its own for the numerical error of its mesh. At fixed shape every stress is proportional to
+c, so forces go with c and speeds with its root: only the shape costs simulations.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class JointProblem:
         self.profiled = tuple(range(1 + self.n_shape))
         self.emulators = [Emulator(each) for each in task.curves]
         self._starts = list(starts)
-        n_data = sum(len(each.force) + len(each.log_speed) for each in task.data)
+        n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
         self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
         self._weights = [self._depth_deviation(k) for k in range(len(task.data))]
 
@@ -95,6 +95,8 @@ class JointProblem:
                 slopes += [self._spread(-found.depth_slope / self._weights[k][:, None], k, theta)]
                 rows += [(data.log_speed - found.log_speed) / data.speed_deviation]
                 slopes += [self._spread(-found.log_speed_slope / data.speed_deviation[:, None], k, theta)]
+                rows += [data.layers.whitened(data.layers.thickness - found.layers)]
+                slopes += [self._spread(-data.layers.whitened(found.layers_slope), k, theta)]
             priors, prior_slopes = self._priors(theta)
             return Residual(np.concatenate([*rows, priors]), np.vstack([*slopes, prior_slopes]))
 
@@ -148,8 +150,11 @@ class JointProblem:
             total += float(np.sum((force / self._weights[k]) ** 2))
             if len(data.log_speed):
                 at = np.interp(data.speed_force, data.force, found.depth)
-                speed = np.interp(at, data.knots, deviation[n:]) * (data.speed_force > 0.0)
+                speed = np.interp(at, data.knots, deviation[n : 2 * n]) * (data.speed_force > 0.0)
                 total += float(np.sum((speed / data.speed_deviation) ** 2))
+            if len(data.layers):
+                borders = deviation[n + n * bool(len(data.log_speed)) :].max() * data.layers.rest
+                total += float(np.sum(data.layers.whitened(borders[data.layers.layer]) ** 2))
         return float(np.sqrt(total))
 
     def distance(self, theta: Array) -> float:

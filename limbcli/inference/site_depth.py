@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import Curve
+from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
 
 
@@ -23,7 +24,7 @@ class SiteData:
     knots (n_knots,) mm: depths of the simulated levels, increasing
     force, depth (n,): levels past first touch; speed_force (n_speeds,) N with ln speed
     (n_speeds,) and its deviation, first touch included; all deviations one standard deviation
-    gain_deviation : of the simulated force, relative (mesh, element)
+    gain_deviation : of the simulated force, relative (mesh, element); layers : their thickness at given force
     """
 
     name: str
@@ -36,6 +37,7 @@ class SiteData:
     log_speed: Array
     speed_deviation: Array
     gain_deviation: float = 0.0
+    layers: LayerData = NO_LAYERS
 
     def without(self, levels: NDArray[np.bool_]) -> SiteData:
         """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
@@ -45,18 +47,22 @@ class SiteData:
             self.name, self.knots, self.force[keep], self.depth[keep], self.force_deviation,
             self.depth_deviation, self.speed_force[speeds], self.log_speed[speeds],
             self.speed_deviation[speeds], self.gain_deviation,
+            self.layers.without(np.isin(self.layers.force, self.force[levels])),
         )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class SitePrediction:
-    """depth (n,) mm at the measured forces, log_speed (n_speeds,), with d / d (ln c, ln gain, ln shape)."""
+    """depth (n,) mm at the measured forces, log_speed (n_speeds,), layers (n_layers,) mm, each with
+    d / d (ln c, ln gain, ln shape)."""
 
     depth: Array
     depth_slope: Array
     stiffness: Array
     log_speed: Array
     log_speed_slope: Array
+    layers: Array
+    layers_slope: Array
 
 
 def predict_site(
@@ -64,8 +70,9 @@ def predict_site(
 ) -> SitePrediction:
     """What a site's simulation says of its measurement.
 
-    curve : shape -> (forces at the knots (N), speeds at the knots (m/s)), (2 n_knots,), for
-        c_ratio 1 and gain 1; forces alone where the data hold no speed
+    curve : shape -> forces at the knots (N), then, where the data hold speeds, speeds there (m/s), then,
+        where they hold layers, depths below the skin (mm) of all borders at the first knot, the second, ...;
+        for c_ratio 1 and gain 1
     log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho))
     stiffness (n,) : dF/dd at the forces, N/mm
     """
@@ -75,22 +82,44 @@ def predict_site(
     knots = np.r_[0.0, data.knots]
     force = np.r_[0.0, answer.values[:n]] * c_ratio * gain
     force_by = np.vstack([np.zeros(len(shape)), by_log[:n]]) * c_ratio * gain
-    wanted, m = np.r_[data.force, data.speed_force], len(data.force)
+    wanted, m = np.r_[data.force, data.speed_force, data.layers.force], len(data.force)
     reached = invert(knots, force, wanted)
     stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
-    depth, at, at_by = reached[:m], reached[m:], reached_by[m:]
+    of_speeds, of_layers = slice(m, m + len(data.speed_force)), slice(m + len(data.speed_force), None)
+    last = n + n * bool(len(data.speed_force))
+    thickness, thickness_by = _layers(
+        data.layers, knots, answer.values[last:], by_log[last:], reached[of_layers], reached_by[of_layers]
+    )
+    depth, at, at_by = reached[:m], reached[of_speeds], reached_by[of_speeds]
     if not len(data.speed_force):
         none = np.zeros((0, 2 + len(shape)))
-        return SitePrediction(depth, reached_by[:m], stiffness[:m], np.zeros(0), none)
-    speed = np.r_[log_speed_0, np.log(answer.values[n:])]
-    speed_by = np.vstack([np.zeros(len(shape)), by_log[n:] / answer.values[n:, None]])
+        return SitePrediction(
+            depth, reached_by[:m], stiffness[:m], np.zeros(0), none, thickness, thickness_by
+        )
+    speed = np.r_[log_speed_0, np.log(answer.values[n:last])]
+    speed_by = np.vstack([np.zeros(len(shape)), by_log[n:last] / answer.values[n:last, None]])
     sample = pchip_sample(knots, speed, np.clip(at, 0.0, knots[-1]))
     slope = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
     log_speed = sample.values + 0.5 * np.log(c_ratio)
     log_speed_by = slope[:, None] * at_by
     log_speed_by[:, 2:] += sample.weights @ speed_by
     log_speed_by[:, 0] += 0.5
-    return SitePrediction(depth, reached_by[:m], stiffness[:m], log_speed, log_speed_by)
+    return SitePrediction(
+        depth, reached_by[:m], stiffness[:m], log_speed, log_speed_by, thickness, thickness_by
+    )
+
+
+def _layers(
+    data: LayerData, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
+) -> tuple[Array, Array]:
+    """Thickness (n,) and its derivatives, of borders (n_knots * n_borders,) and theirs by ln shape."""
+    if not len(data):
+        return np.zeros(0), np.zeros((0, at_by.shape[1]))
+    n_borders = len(data.rest)
+    table = np.vstack([data.rest, borders.reshape(-1, n_borders)])
+    table_by = borders_by.reshape(-1, n_borders, borders_by.shape[1])
+    table_by = np.concatenate([np.zeros((1, *table_by.shape[1:])), table_by])
+    return data.predicted(knots, table, table_by, at, at_by)
 
 
 def invert(knots: Array, force: Array, wanted: Array) -> Array:

@@ -117,7 +117,7 @@ def follow_bone(
     first = find_bone(images[0]) if bone is None else BoneLine(bone, _BY_HAND, 1.0)
     lines = [first]
     for previous, image in pairwise(images):
-        lines.append(_next(previous, image, lines[-1], largest_change))
+        lines.append(follow_line(previous, image, lines[-1], largest_change))
     return lines
 
 
@@ -145,28 +145,39 @@ def _check_inside(image: UltrasoundImage, bone: float) -> None:
         )
 
 
-def _next(
-    previous: UltrasoundImage, image: UltrasoundImage, line: BoneLine, largest_change: float
-) -> BoneLine:
+def follow_line(
+    previous: UltrasoundImage, image: UltrasoundImage, line: BoneLine, largest_change: float, *,
+    name: str = "bone line", by_hand: str = "skin_bone_mm", half: float = _TEMPLATE_HALF,
+) -> BoneLine:  # fmt: skip
+    """Where a line of one image lies in the next.
+
+    largest_change : mm within which it is sought; name, by_hand : what it is, and the column for a reading by
+    hand; half : mm of image above and below it that are compared
+
+    Raises
+    ------
+    MeasurementError
+        If the scale changes, or nothing there is like it.
+    """
     old, old_step = _strip(previous)
     new, step = _strip(image)
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
             where=str(image.path),
-            fix="give every level the same depth setting, or measure this one by hand (skin_bone_mm)",
+            fix=f"give every level the same depth setting, or measure this one by hand ({by_hand})",
         )
     shifts, correlations = [], []
     for a, b in zip(_bands(old), _bands(new), strict=True):
-        shift, correlation = _match(a, b, line.distance / step, largest_change / step, step)
+        shift, correlation = _match(a, b, line.distance / step, largest_change / step, step, half)
         shifts.append(shift * step)
         correlations.append(correlation)
     best = float(np.median(correlations))
     if best < _WORST_CORRELATION:
         raise MeasurementError(
-            f"the bone line is lost: the best match correlates {best:.2f} only",
+            f"the {name} is lost: the best match correlates {best:.2f} only",
             where=str(image.path),
-            fix="measure this level by hand (skin_bone_mm), or leave the image out",
+            fix=f"measure this level by hand ({by_hand}), or leave the image out",
             correlation=best,
         )
     keep = np.array(correlations) >= min(best, 0.5)
@@ -192,9 +203,11 @@ def _bands(strip: Array) -> list[Array]:
     return np.array_split(strip, _BANDS, axis=1)
 
 
-def _match(old: Array, new: Array, row: float, reach: float, step: float) -> tuple[float, float]:
+def _match(
+    old: Array, new: Array, row: float, reach: float, step: float, half_mm: float
+) -> tuple[float, float]:
     """Shift (pixels, with fraction) of the neighbourhood of `row`, and its correlation."""
-    half = round(_TEMPLATE_HALF / step)
+    half = round(half_mm / step)
     centre = round(row)
     top = max(0, centre - half)
     template = gaussian_filter(old, 0.15 / step)[top : centre + half + 1]

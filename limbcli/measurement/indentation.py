@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.measurement.layer_checks import LayerNoise, check_layers
 from limbcli.measurement.level_checks import (
     check_columns,
     check_count,
@@ -20,7 +21,7 @@ from limbcli.measurement.level_checks import (
     check_swe,
     check_values,
 )
-from limbcli.measurement.levels import Levels
+from limbcli.measurement.levels import LAYERS, Levels
 from limbcli.measurement.tables import RawTable, read_table
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 from limbcli.problems import Problem, checked
@@ -31,6 +32,7 @@ __all__ = [
     "TEXTS",
     "TRACE_OPTIONAL",
     "TRACE_REQUIRED",
+    "LayerNoise",
     "Levels",
     "Trace",
     "check_levels",
@@ -42,19 +44,22 @@ __all__ = [
 ]
 
 REQUIRED = ("force_n", "depth_mm")
-OPTIONAL = ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm")
+OPTIONAL = (
+    "swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm",
+    *(f"{name}_mm" for name in LAYERS),
+)  # fmt: skip
 TEXTS = ("phase",)
 
 
-def read_levels(path: Path) -> Levels:
-    """Read and check `levels.csv`.
+def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
+    """Read and check `levels.csv`; noise: of its layers, so that their growth under load is judged too.
 
     Raises
     ------
     MeasurementError
         With every problem of the file and its line.
     """
-    return checked(*check_levels(path), MeasurementError)
+    return checked(*check_levels(path, noise=noise), MeasurementError)
 
 
 def doubts_about_levels(path: Path) -> tuple[str, ...]:
@@ -63,7 +68,7 @@ def doubts_about_levels(path: Path) -> tuple[str, ...]:
     return tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
 
 
-def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
+def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels | None, list[Problem]]:
     """The levels, where they can be used, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=REQUIRED, optional=OPTIONAL, texts=TEXTS)
     if table is None or any(each.severity == "error" for each in problems):
@@ -72,6 +77,8 @@ def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
     problems += check_count(levels, path)
     problems += check_phase(levels, table, path)
     problems += check_columns(levels, table, path)
+    if not any(each.severity == "error" for each in problems):
+        problems += check_layers(levels, path, lines=table.lines, noise=noise)
     if not any(each.severity == "error" for each in problems):
         speeds = check_swe(levels, table, path)
         trusted = not any(each.severity == "error" for each in speeds)
@@ -83,6 +90,7 @@ def check_levels(path: Path) -> tuple[Levels | None, list[Problem]]:
 
 def _levels(table: RawTable, path: Path) -> Levels:
     missing = np.full(len(table), np.nan)
+    thickness = {name: table.numbers.get(f"{name}_mm", missing) for name in LAYERS}
     phase = table.texts.get("phase", ["load"] * len(table))
     return Levels(
         force=table.numbers["force_n"],
@@ -95,4 +103,5 @@ def _levels(table: RawTable, path: Path) -> Levels:
         probe_travel=table.numbers.get("probe_travel_mm", missing),
         skin_bone=table.numbers.get("skin_bone_mm", missing),
         path=path,
+        layers={name: each for name, each in thickness.items() if np.isfinite(each).any()},
     )

@@ -60,6 +60,9 @@ _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
     ("swe_pixels", 1.0, 1e7, "pixels"),
     ("hold_s", 0.0, 3600.0, "s; is the time in milliseconds?"),
     ("skin_bone_mm", 0.5, 150.0, "mm"),
+    ("skin_mm", -50.0, 10.0, "mm; is it in micrometres, or the fat's?"),
+    ("fat_mm", -50.0, 120.0, "mm; is it in micrometres?"),
+    ("muscle_mm", -50.0, 150.0, "mm; is it in micrometres?"),
 )  # fmt: skip
 
 
@@ -85,6 +88,7 @@ def check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     columns = {
         "force_n": levels.force, "depth_mm": levels.depth, "swe_sd_m_per_s": levels.swe_sd_m_per_s,
         "swe_pixels": levels.swe_pixels, "hold_s": levels.hold, "skin_bone_mm": levels.skin_bone,
+        **{f"{name}_mm": values for name, values in levels.layers.items()},
     }  # fmt: skip
     return check_values(columns, path, lines=table.lines)
 

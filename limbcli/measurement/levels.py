@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.model import Array
 
+LAYERS = ("skin", "fat", "muscle")  # from the probe inward
 TOUCH_FORCE, TOUCH_DEPTH = 1.0, 1.0  # N, mm: what a level 0 has at most, the probe's first touch
 
 
@@ -19,6 +21,7 @@ class Levels:
     force N, compression positive; depth mm since level 0; swe_* m/s and pixel counts,
     hold s, probe travel and skin-bone distance mm, NaN where not measured; phase
     "load" or "unload".
+    layers : thickness along the beam (mm) of those of `LAYERS` that were measured at any level, in order
     """
 
     force: Array
@@ -31,6 +34,7 @@ class Levels:
     probe_travel: Array
     skin_bone: Array
     path: Path
+    layers: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.force)
@@ -45,6 +49,10 @@ class Levels:
         """Whether the first level is level 0: first touch, before any load."""
         first_touch = self.force[0] <= TOUCH_FORCE and self.depth[0] <= TOUCH_DEPTH
         return bool(first_touch and self.phase[0] == "load")
+
+    def layer(self, name: str) -> Array:
+        """mm (n_levels,), NaN where it was not measured."""
+        return self.layers.get(name, np.full(len(self), np.nan))
 
     @property
     def has_swe(self) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,8 +34,11 @@ def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
     figure.savefig(path, dpi=130)
 
 
-def draw_bone_lines(images: Sequence[UltrasoundImage], lines: Sequence[BoneLine], path: Path) -> None:
-    """Every level's image with the bone line that was read."""
+def draw_bone_lines(
+    images: Sequence[UltrasoundImage], lines: Sequence[BoneLine], path: Path, *,
+    borders: Mapping[str, Sequence[BoneLine]] = MappingProxyType({}),
+) -> None:  # fmt: skip
+    """Every level's image with the bone line that was read, and the lower borders of layers by their name."""
     rows = -(-len(images) // _COLUMNS)
     figure = Figure(figsize=(2.4 * _COLUMNS, 2.6 * rows), layout="constrained")
     for k, axes in enumerate(figure.subplots(rows, _COLUMNS, squeeze=False).ravel()):
@@ -47,6 +51,10 @@ def draw_bone_lines(images: Sequence[UltrasoundImage], lines: Sequence[BoneLine]
         grey = images[k].grey[region.top : region.bottom + 1, region.left : region.right + 1]
         axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
         axes.plot([-5, 5], [line.distance, line.distance], color="tab:orange", lw=1.2)
+        for name, found in borders.items():
+            at = found[k].distance
+            axes.plot([-5, 5], [at, at], color="tab:cyan", lw=1.0)
+            axes.text(5.3, at, name, color="tab:cyan", size=6, va="center", clip_on=True)
         axes.set_title(f"{k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
     figure.savefig(path, dpi=130)
 

@@ -5,7 +5,7 @@ derivatives of the probe's force.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
@@ -110,7 +110,7 @@ class ReferenceSession:
         wrt: Sequence[Parameter] = (),
         weights: Mapping[Parameter, Array] | None = None,
         records: bool = False,
-        field_gradients: bool = False,
+        field_gradients: bool | Collection[str] = False,
         required: int | None = None,
         hoped: int | None = None,
         last: int | None = None,
@@ -129,7 +129,7 @@ class ReferenceSession:
         weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
             theta moves by 1: their derivative is by theta
         records : also fill the node and element tables that the model asks for
-        field_gradients : fill them, and differentiate all that they hold by `wrt`
+        field_gradients : fill them, and differentiate all that they hold by `wrt`, or those of these files
         required : how many levels must be reached, the rest as far as the solver gets; None: all
         hoped : how many are worth the full effort, later ones are tried briefly; None: those required
         last : how many are tried at all; None: all
@@ -148,14 +148,14 @@ class ReferenceSession:
 
         model = model2 if model2 is not None else self.model
         if wrt and path_dependent(model):
-            return self._differenced(model, wrt, records, field_gradients)
+            return self._differenced(model, wrt, records, bool(field_gradients))
         moved = dict(weights or {})
         self._analysis.model = model
         warm = self._warm_start(model, wrt, moved)
         if afresh:
             self._analysis.forget()
         started = time.monotonic()
-        asked = self._records(model, records or field_gradients)
+        asked = self._records(model, records or bool(field_gradients))
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(

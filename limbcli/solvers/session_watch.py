@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,7 @@ class Watch:
 
     rows : (ids, values) of each record, time by time
     forces : d(force)/d(parameter) on the body at the levels; slopes : du/d(parameter) by time
-    fields : of each record, where asked for
+    fields : of each record, where asked for (of_fields: all, or those of these files)
     """
 
     def __init__(
@@ -32,14 +32,14 @@ class Watch:
         parameters: Mapping[Parameter, Differentiable],
         body: str,
         *,
-        of_fields: bool,
+        of_fields: bool | Collection[str],
     ):
         self.asked, self.parameters, self.body = asked, parameters, body
         self.rows: dict[str, Rows] = {each.file: [] for each in asked}
         self.forces: dict[Parameter, list[float]] = {name: [] for name in parameters}
         self.slopes: dict[float, dict[Parameter, Array]] = {}
         self._fields: dict[Parameter, dict[str, list[Array]]] = {
-            name: {each.file: [] for each in asked if of_fields} for name in parameters
+            name: {each.file: [] for each in asked if _is_asked(each.file, of_fields)} for name in parameters
         }
         self._times: list[float] = []
 
@@ -87,6 +87,10 @@ class Watch:
             }
             for name, found in self._fields.items()
         }
+
+
+def _is_asked(file: str, of_fields: bool | Collection[str]) -> bool:
+    return of_fields if isinstance(of_fields, bool) else file in of_fields
 
 
 def key_of(record: LogRecord) -> str:

@@ -20,7 +20,7 @@ from limbcli.feb.settings import Schedule, apart, least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files import sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.indentation import Levels
 from limbcli.measurement.regression import speed_against_force
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
@@ -47,6 +47,7 @@ from limbcli.stages.site_layers import (
     locking_warning,
     with_layer_laws,
 )
+from limbcli.stages.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
@@ -104,7 +105,7 @@ def _build_site(
 ) -> None:
     meshed = Chain(case, out).result("mesh", site=site.name)
     path = meshed.folder / "model.npz"
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     meshed_model, depths = load_model(path), simulated_depths(levels).tolist()
     plan = schedule(depths, start=starting_depth(meshed_model, depths[0]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,17 @@ from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
+from limbcli.stages.check_layers import layer_lines, stated_layer_noise
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What was looked at, and what was found wrong with it."""
+    """What was looked at, what was found wrong with it, and what of it is worth showing (a line each)."""
 
     case: Path
     looked_at: tuple[str, ...]
     problems: tuple[Problem, ...]
+    shown: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -43,6 +46,7 @@ class CheckResult:
             "ok": self.exit_code == 0,
             "looked_at": list(self.looked_at),
             "problems": [vars(each) for each in self.problems],
+            "shown": list(self.shown),
         }
 
 
@@ -58,7 +62,8 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
     if case is not None:
         problems += _contradictions(case)
         problems += geometry_problems(case, problems)
-    return CheckResult(folder, tuple(looked_at), tuple(problems))
+    shown = layer_lines(case) if case is not None else []
+    return CheckResult(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 
 Reader = Callable[[Path], list[Problem]]
@@ -84,7 +89,9 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     sites = raw.get("site")
     for site in sites if isinstance(sites, list) else []:
         if isinstance(site, dict):
-            listed += [(site.get("levels"), _read_levels), (site.get("trace"), _read_trace)]
+            noise = stated_layer_noise(site)
+            listed += [(site.get("levels"), partial(_read_levels, noise=noise))]
+            listed += [(site.get("trace"), _read_trace)]
             listed += [(site.get("swe_maps"), _read_maps)]
     return [
         (name, folder / name, reader)
@@ -93,10 +100,10 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     ]
 
 
-def _read_levels(path: Path) -> list[Problem]:
+def _read_levels(path: Path, *, noise: Any) -> list[Problem]:
     from limbcli.measurement.indentation import check_levels
 
-    return check_levels(path)[1] if path.is_file() else []
+    return check_levels(path, noise=noise)[1] if path.is_file() else []
 
 
 def _read_trace(path: Path) -> list[Problem]:

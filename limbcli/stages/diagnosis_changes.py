@@ -16,9 +16,10 @@ from scipy.interpolate import CubicSpline
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.reading import Curves
 from limbcli.errors import SolveError
-from limbcli.model import Array
+from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, touches_loads
+from limbcli.stages.diagnosis_layers import line_shift
 
 _REMEMBERED = 8  # values of the parameters
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
@@ -29,6 +30,7 @@ class Book(Typed):
     """What curves come out of: solved ones, and first-order changes of them."""
 
     c: float
+    model: LimbModel
 
     @property
     def spent(self) -> bool: ...
@@ -76,7 +78,7 @@ class FieldChange:
 
     def _at(self, theta: Theta) -> Array:
         size = self.effect.sizes[0]
-        moved = np.column_stack(self.book.shift(self.m, ((self.effect, {**self.point, **theta}),)))
+        moved = shifted(self.book, self.m, ((self.effect, {**self.point, **theta}),))
         moved = np.nan_to_num(filled(moved))
         if self.missed is not None:
             moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
@@ -122,7 +124,8 @@ class Changes:
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
         if effect.stiffness is not None:
             field = FieldChange(self.book, effect, point, self.m)
-            if effect.spreads:
+            # What the layers do goes through the deformation.
+            if effect.spreads or self.book.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
         splines = {}
@@ -153,7 +156,7 @@ class Changes:
                 continue
             theta = {**effect.null, **point, name: value}
             try:
-                moved = np.column_stack(self.book.shift(self.m, ((effect, theta),)))
+                moved = shifted(self.book, self.m, ((effect, theta),))
             except SolveError as error:  # too large a step; smaller ones tell the change
                 problem = error
                 continue
@@ -181,7 +184,7 @@ class Changes:
             if self.book.spent:
                 raise _spent(effect)
             true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
-            missed = true - np.column_stack(self.book.shift(m, ((effect, theta),)))
+            missed = true - shifted(self.book, m, ((effect, theta),))
         except SolveError as error:
             self.not_simulated[effect.name] = error.what
             return np.zeros_like(logs(self.book.curves(m)))
@@ -203,11 +206,19 @@ def only_febio(effect: Effect) -> SolveError:
     )  # fmt: skip
 
 
+def shifted(book: Book, m: float, ingredients: Ingredients) -> Array:
+    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines)."""
+    moved, curves = np.column_stack(book.shift(m, ingredients)), book.curves(m)
+    if curves.log_line is None:
+        return moved
+    return np.column_stack([moved, line_shift(book.model, curves, ingredients)])
+
+
 def logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts): ln force (0 at depth 0) and ln speeds."""
+    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if followed."""
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
-    return np.column_stack([log_force, curves.log_speed])
+    return np.column_stack([log_force, curves.columns])
 
 
 def filled(moved: Array) -> Array:

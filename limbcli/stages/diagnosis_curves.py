@@ -30,6 +30,7 @@ from limbcli.stages.diagnosis_cell_table import FILE, CellTable
 from limbcli.stages.diagnosis_cells import fewer_steps, first_cell, softer_jumps
 from limbcli.stages.diagnosis_kept import Kept
 from limbcli.stages.diagnosis_keys import changed_to, fingerprint
+from limbcli.stages.diagnosis_layers import BorderLines
 from limbcli.stages.diagnosis_windows import Windows
 from limbcli.stages.diagnosis_work import Work
 from limbcli.stages.fit_curves import with_tissue
@@ -79,6 +80,7 @@ class CurveBook:
     penalty : of the contact; None: four times that of the usual model
     beside : of the same depths on another mesh, whose curves lead where this one's solver stops
     enough_force : N (at c), beyond which no reading lies: the first level that bears it is the last
+    borders : of layers, that are followed
     """
 
     def __init__(
@@ -87,13 +89,16 @@ class CurveBook:
         progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
         needed: float | None = None, penalty: float | None = None, beside: CurveBook | None = None,
         enough_force: float | None = None,
+        borders: BorderLines | None = None,
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
         cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
         self._table = CellTable(cells, windows, density_kg_per_m3)
         model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
-        self.model = replace(model, records=(*model.records[:1], self._table.record))
+        followed = () if borders is None else (borders.record(model),)
+        self.model = replace(model, records=(*model.records[:1], self._table.record, *followed))
+        self.borders = borders
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
         self.work, self.beside, self.enough_force = Work(n_cells=len(cells)), beside, enough_force
         self.kept, self.progress = Kept(keep), progress
@@ -113,7 +118,10 @@ class CurveBook:
         self._changed: dict[str, str] = {}
         self._kinematics: dict[str, Kinematics] = {}
         self._plain: dict[float, _Plain] = {}
-        self._fingerprint = fingerprint(self.model, depths, c, f_kappa, windows, enough_force)
+        rest = None if borders is None else borders.rest
+        self._fingerprint = fingerprint(
+            self.model, depths, c, f_kappa, windows, enough_force=enough_force, lines=rest
+        )
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
         """The curves with exponent m and these effects (at their parameter values) in the model.
@@ -247,6 +255,8 @@ class CurveBook:
             model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces,
             fields(ingredients, waves=True),
         )  # fmt: skip
+        if self.borders is not None:
+            curves = replace(curves, log_line=self.borders.log_depths(model, result.simulation, found))
         n_reached = len(values)
         enough = self.enough_force is not None and curves.force[-1] >= self.enough_force
         if n_reached < self.n_depths:

@@ -28,6 +28,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis_holds import HeldForces
+from limbcli.stages.diagnosis_layers import CHANNEL, layer_noise, layer_rows, layer_slopes
 from limbcli.stages.diagnosis_noise import (
     MapNoise,
     ModelError,
@@ -47,6 +48,7 @@ from limbcli.stages.diagnosis_rows import (
     travel_rows,
 )
 from limbcli.stages.diagnosis_windows import Windows, pitch_of
+from limbcli.stages.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 _LEAST_N = 0.2  # below it a force tells no depth
@@ -124,6 +126,8 @@ class SiteData:
         for channel, (places, levels, parts) in self._places.items():
             if channel in ("swe", "map"):
                 out[places] = shown.log_speed[levels, parts]
+            elif channel == CHANNEL:
+                out[places] = shown.layers[levels, parts]
             else:
                 out[places] = seen[channel][levels]
         return out
@@ -144,7 +148,7 @@ def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
     model_error: Sequence[ModelError] = (), held: HeldForces | None = None, extras: Sequence[Extra] = (),
     usable: NDArray[np.bool_] | None = None, thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
-    map_slopes: Array | None = None,
+    map_slopes: Array | None = None, layers: LayerReadings | None = None,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
@@ -152,6 +156,7 @@ def site_data(
     usable : parts (n_parts,) of a map that the model shows at every level; None: all
     thickness : mm, skin to bone; map_share : of the usual error of a model's maps
     map_slopes : 1/mm (n_levels, n_parts), of a model's ln speeds over depth
+    layers : that the models' curves follow
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
@@ -160,16 +165,20 @@ def site_data(
         speed_rows(levels, keep, noise, windows, maps, usable),
         travel_rows(levels, keep),
         thickness_rows(levels, keep),
+        layer_rows(layers, keep),
         hold_rows(held),
         extra_rows(extras),
     ):
         rows, y, own = rows + more[0], y + more[1], own + more[2]
-    slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes)
+    place = SmoothDepth.through(protocol).place(protocol.force)
+    of_layers = layer_slopes(layers, protocol, place, rows, np.array(y))
+    slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes) + of_layers
     parts = noise_parts(
         protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error,
         None if maps is None else map_noise(windows, maps, noise, _depth(protocol) / thickness),
-        map_share, map_slopes,
+        map_share, map_slopes, of_layers,
     )  # fmt: skip
+    parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
@@ -180,7 +189,7 @@ def site_data(
     present = tuple(dict.fromkeys(channel))
     extra = ("swe",) if "map" in present else ()
     channels = (*present, *extra)
-    wanted = ("force", "swe", "map", "travel", "skin-bone", "hold")
+    wanted = ("force", "swe", "map", "travel", "skin-bone", "layer", "hold")
     return SiteData(
         name,
         protocol,
@@ -214,7 +223,8 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     """Channels; thirds of the levels by channel; the way back; parts of the window."""
     groups: dict[str, np.ndarray] = {}
     names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
-             "skin-bone": "skin-bone distance", "hold": "fall of the force in holds"}  # fmt: skip
+             "skin-bone": "skin-bone distance", "layer": "layers",
+             "hold": "fall of the force in holds"}  # fmt: skip
     level = np.array([row.level for row in rows])
     for channel in dict.fromkeys(row.channel for row in rows):
         mask = np.array([row.channel == channel for row in rows])

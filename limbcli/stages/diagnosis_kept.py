@@ -46,7 +46,7 @@ class Kept:
                     return None
                 curves = Curves(
                     stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
-                    float(stored["thickness"]),
+                    float(stored["thickness"]), stored.get("log_line", None),
                 )  # fmt: skip
                 return KeptCurves(curves, int(stored["work"]), int(stored["n_reached"]))
         except _UNREADABLE:
@@ -55,10 +55,12 @@ class Kept:
     def keep_curves(self, key: str, curves: Curves, *, work: int, n_reached: int) -> None:
         if self.folder is None:
             return
+        lines = {} if curves.log_line is None else {"log_line": curves.log_line}
         with atomic_file(self.folder / f"{key}.npz") as path:
             np.savez(
                 path, depth=curves.depth, force=curves.force, log_speed=curves.log_speed,
                 window_depth=curves.window_depth, thickness=curves.thickness, work=work, n_reached=n_reached,
+                **lines,  # type: ignore[arg-type]
             )  # fmt: skip
 
     def cells(self, key: str) -> Array | None:

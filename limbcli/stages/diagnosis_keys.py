@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.model import LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.results import plain
 from limbcli.stages.diagnosis_windows import Windows
 
@@ -39,11 +39,12 @@ def changed_to(*models: LimbModel) -> str:
 
 def fingerprint(
     model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows,
-    enough_force: float | None,
+    *, enough_force: float | None = None, lines: Array | None = None,
 ) -> str:  # fmt: skip
-    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read, the end."""
+    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read, the end, and
+    lines."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     penalties = [each.penalty for each in model.contacts]
     asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
-    digest.update(json.dumps(asked).encode())
+    digest.update(json.dumps(asked if lines is None else [*asked, plain(lines)]).encode())
     return digest.hexdigest()[:16]

@@ -112,13 +112,15 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 def noise_parts(
     protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
     keep: IntArray, model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
-    map_slopes: Array | None = None,
+    map_slopes: Array | None = None, layer_slopes: Array | None = None,
 ) -> list[NoisePart]:  # fmt: skip
-    """maps : of their parts, where there are maps; map_share : of the model's usual error in them"""
+    """maps : of their parts, where there are maps; map_share : of the model's usual error in them;
+    layer_slopes : over depth (n,), of the rows that are layers"""
     source = noise.source
     is_map = np.array([row.channel == "map" for row in rows])
     parts = [independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source)]
     slope = depth_slopes(protocol, rows, y, map_slopes)
+    slope = slope if layer_slopes is None else slope + layer_slopes
     levels = np.array([row.level for row in rows])
     exact = [k for k in range(len(protocol)) if protocol.force[k] == 0.0 and protocol.depth[k] == 0.0]
     by_depth = np.zeros((len(rows), len(rows)))

@@ -20,7 +20,7 @@ from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
 from limbcli.measurement.elastography import read_maps, shear_modulus_from_wave_speed
-from limbcli.measurement.indentation import read_levels, read_trace
+from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
@@ -31,14 +31,17 @@ from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
 from limbcli.stages.diagnosis_data import SiteData, site_data
 from limbcli.stages.diagnosis_holds import HeldForces, held_forces
+from limbcli.stages.diagnosis_layers import BorderLines
 from limbcli.stages.diagnosis_noise import deepest, readings
 from limbcli.stages.diagnosis_numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis_rows import Extra
 from limbcli.stages.diagnosis_site import SiteCurves
 from limbcli.stages.diagnosis_tie import F_KAPPA, Tie
 from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
+from limbcli.stages.site_levels import levels_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -161,11 +164,13 @@ class _Preparation:
     def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
-        self.levels = read_levels(site.levels)
+        self.levels = levels_of(site)
         self.maps = None if site.swe_maps is None else read_maps(site.swe_maps, len(self.levels))
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
+        self.layers: LayerReadings | None = None
+        self.borders: BorderLines | None = None
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
@@ -197,10 +202,13 @@ class _Preparation:
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
+        meshed = self._working_mesh()
+        self._mark_layers(meshed)
         return CurveBook(
-            self._working_mesh(), [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
+            meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, needed=needed, enough_force=self._enough_force(),
+            progress=self.progress, needed=needed, borders=self.borders,
+            enough_force=self._enough_force(),
         )  # fmt: skip
 
     def _enough_force(self) -> float | None:
@@ -212,6 +220,19 @@ class _Preparation:
         modulus = shear_modulus_from_wave_speed(speed, density_kg_per_m3=self.site.density_kg_per_m3)
         at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
         return float(2.0 ** np.ceil(np.log2(at_usual)))
+
+    def _mark_layers(self, meshed: LimbModel) -> None:
+        """Their borders in the working mesh; layers that do not fit into it are left out, and it is said."""
+        layers = layer_readings(self.levels, self.site)
+        if layers is None or not layers.n_told:
+            return
+        borders = BorderLines(layers)
+        try:
+            borders.check(meshed)
+        except MeasurementError as error:
+            self.notes.warnings.append(f"the layers are not used: {error.what}")
+            return
+        self.layers, self.borders = layers, borders
 
     def _skin_bone(self) -> float | None:
         """mm of tissue under the probe's centre in the site's own model, else on the B-mode image."""
@@ -263,7 +284,7 @@ class _Preparation:
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
             model_error=numerics.noise(tie, interventions), held=held, extras=extras,
             usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share,
-            map_slopes=numerics.map_slopes(),
+            map_slopes=numerics.map_slopes(), layers=self.layers,
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

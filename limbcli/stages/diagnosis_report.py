@@ -102,7 +102,7 @@ def _refit(refit: Any) -> dict[str, Any]:
 
 _WIDEST = 4.0  # plausible sizes
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
-          "hold": "fall of the force in holds"}  # fmt: skip
+          "layer": "layers", "hold": "fall of the force in holds"}  # fmt: skip
 
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:

@@ -25,7 +25,7 @@ from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_sinking import Sinking
 from limbcli.stages.diagnosis_tie import Tie
 
-_OF_LEVELS = ("force", "swe", "map", "travel")
+_OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _BEND, _NEAR = 8.0, 5  # m at which the one turns into the other; solved values that are used
 
 
@@ -96,13 +96,15 @@ class SiteCurves:
         for name, point in zip(explanation, points, strict=True):
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point).at(theta)
-        log_force, log_speed = values[:, 0], values[:, 1:]
+        log_force, others = values[:, 0], plain.with_columns(values[:, 1:])
+        log_speed = others["log_speed"]
+        assert log_speed is not None
         force = np.concatenate([[0.0], np.exp(log_force[1:])])
         times = c / self.book.c
         taller = 1.0 if self.tie is None else self.tie.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
         log_speed = log_speed + 0.5 * np.log(times)
-        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness)
+        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
         return found if self.sinking is None else self.sinking.without(found, force)
 
     def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
@@ -125,7 +127,8 @@ class SiteCurves:
             for e, q in zip(effects, points, strict=True)
             if e.solves
         )
-        true = logs(self.book.curves(m, solving)) + self._tied()
+        true = logs(self.book.curves(m, solving))
+        true = true + self._tied(true.shape[1])
         missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
         missed[0, 0] = 0.0
         key = (explanation, label(points))
@@ -157,8 +160,12 @@ class SiteCurves:
 
     # ------------------------------------------------------------
 
-    def _tied(self) -> Array | float:
-        return 0.0 if self.tie is None else np.column_stack([self.tie.log_force, self.tie.log_speed])
+    def _tied(self, width: int) -> Array | float:
+        """Of so many columns; lines are not tied."""
+        if self.tie is None:
+            return 0.0
+        known = np.column_stack([self.tie.log_force, self.tie.log_speed])
+        return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
         """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
@@ -168,7 +175,7 @@ class SiteCurves:
         for i, node in enumerate(nodes):
             others = np.delete(at, i)
             total += np.prod((bend(m) - others) / (at[i] - others)) * logs(self.nodes[node])
-        return first.depth, total + self._tied(), first
+        return first.depth, total + self._tied(total.shape[1]), first
 
 
 def bend(m: Any) -> Any:

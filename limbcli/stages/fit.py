@@ -19,7 +19,7 @@ from limbcli.feb.write import write_feb
 from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import Levels, doubts_about_levels, read_levels
+from limbcli.measurement.indentation import Levels, doubts_about_levels
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -30,11 +30,13 @@ from limbcli.stages.chain import Chain
 from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fit_layers import leave_layers
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fit_result import Identified, leave_result
 from limbcli.stages.fit_swe import leave_speeds
 from limbcli.stages.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_levels import levels_of
 
 __all__ = [
     "STAGE",
@@ -67,7 +69,8 @@ def fit(
 
     Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
     parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run, and the shear-wave
-    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png.
+    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; where
+    layers were read, layers.csv and layers.png.
 
     Raises
     ------
@@ -101,7 +104,7 @@ def _fit_site(
 ) -> None:  # fmt: skip
     clock = time.perf_counter()
     model = built_model(case, site, out, writer)
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
     curve, knots, cold = _first_solve(solver, model, c, options, progress)
@@ -136,6 +139,7 @@ def _fit_site(
     if options.contact_check:
         leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
     leave_speeds(fitted, simulation, levels, site, writer)
+    leave_layers(fitted, simulation, levels, site, writer)
 
 
 def _tissue_c(

@@ -8,7 +8,7 @@ there are.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -25,7 +25,9 @@ from limbcli.progress import SILENT, Progress
 from limbcli.scratch import scratch_folder
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
-from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.material_lines import FILE as LINES
+from limbcli.solvers.material_lines import MaterialLines
+from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.stages.fit_speeds import mean_speeds
 from limbcli.stages.indentation_model import TISSUE
@@ -121,17 +123,21 @@ class ReferenceCurve:
 
 
 class LawCurve:
-    """Forces and mean wave speeds at the levels for any law, as a function of its shape.
+    """Forces, mean wave speeds and layers at the levels for any law, as a function of its shape.
 
-    Values are (forces (n_levels,), speeds (n_levels,)), or forces alone without `speeds`;
-    forces have exact derivatives, speeds none. `depths` (n_levels,) mm after a solve.
+    Values are forces (n_levels,), then with `speeds` speeds (n_levels,), then with `lines` their depths below
+    the skin (mm), all of the first level, all of the second, ...; forces and lines have exact derivatives,
+    speeds none. `depths` (n_levels,) mm after a solve.
     """
 
     def __init__(
         self, model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: float, speeds: bool = True,
-        threads: int = 2, progress: Progress = SILENT,
+        lines: MaterialLines | None = None, threads: int = 2, progress: Progress = SILENT,
     ):  # fmt: skip
-        self._model, self._law, self._c, self._speeds = model, law, c, speeds
+        if lines is not None:
+            others = tuple(each for each in model.records if speeds or each.kind == "rigid_body")
+            model = replace(model, records=(*others, lines.record))
+        self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
         self._session = ReferenceSession(start, progress=progress, threads=threads)
@@ -145,8 +151,9 @@ class LawCurve:
         model = self._model.with_material(TISSUE, material)
         try:
             result = self._session.solve(
-                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds
-            )
+                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
+                field_gradients=(LINES,) if self._lines is not None else False,
+            )  # fmt: skip
         except ArithmeticError as error:
             raise SolveError(
                 f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
@@ -158,15 +165,32 @@ class LawCurve:
         by_shape = sum(
             np.outer(result.force_gradient[(TISSUE, name)], slope) for name, slope in searched.items()
         )
-        if not self._speeds:
-            return Prediction(points.forces, np.asarray(by_shape))
+        values, slopes = [points.forces], [np.asarray(by_shape)]
         rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
-        speeds = mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)
-        unknown = np.full((len(speeds), len(theta)), np.nan)
-        return Prediction(np.r_[points.forces, speeds], np.vstack([np.asarray(by_shape), unknown]))
+        if self._speeds:
+            values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
+            slopes += [np.full((len(rows), len(theta)), np.nan)]
+        if self._lines is not None:
+            values += [_line_depths(self._lines, result, rows)]
+            slopes += [_line_slopes(self._lines, result, searched)]
+        return Prediction(np.concatenate(values), np.vstack(slopes))
 
     def close(self) -> None:
         self._session.close()
+
+
+def _line_depths(lines: MaterialLines, result: SessionResult, rows: Array) -> Array:
+    """mm below the skin (n_levels * n_lines,)."""
+    return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
+
+
+def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[str, Array]) -> Array:
+    """d below skin / d shape (n_levels * n_lines, n_shape); searched: d material parameter / d shape."""
+    total: Array | float = 0.0
+    for name, slope in searched.items():
+        moved = result.field_gradient[(TISSUE, name)][LINES].column("uz") @ lines.weights.T
+        total = total + np.multiply.outer(moved.ravel(), slope)
+    return np.asarray(total)
 
 
 class FileCurve:

@@ -17,7 +17,6 @@ from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
 from limbcli.inference.identify import FittedStep, two_step
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -33,6 +32,7 @@ from limbcli.stages.fit import (
 )
 from limbcli.stages.fit_curves import ReferenceCurve
 from limbcli.stages.fit_exports import write_table
+from limbcli.stages.site_levels import levels_of
 from limbcli.units import kpa_from_mpa
 
 STAGE = "fit-elements"
@@ -90,7 +90,7 @@ def _compare_site(
     case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> None:
     model = built_model(case, site, out, writer)
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     stiffness, source = initial_stiffness(levels, site, options)
     data = force_depth_data(levels, site)
     found: list[ElementFit] = []

@@ -1,8 +1,8 @@
-"""fit --objective joint: one tissue for all sites, from depth and shear-wave speed together.
+"""fit --objective joint: one tissue for all sites, from depth, shear-wave speed and layers together.
 
 Depth is the noisy reading, so it is what the simulation predicts at the measured force;
-each level's speed enters by its logarithm; c is free. Only the reference solver can do
-it: exact derivatives, and the deformation that the speeds need.
+each level's speed enters by its logarithm, its layers by their thickness; c is free. Only the
+reference solver can do it: exact derivatives, and the deformation that the speeds need.
 """
 
 from __future__ import annotations
@@ -13,22 +13,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from limbcli.case import Case, Site
-from limbcli.errors import CaseError, FitError, SolveError
+from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.inference.site_layers import NO_LAYERS, LayerData
+from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
+from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_levels import levels_of
 
 STAGE = "fit-joint"
 
@@ -52,6 +57,7 @@ class Measured:
     """A site as it enters: its model, its levels, c of its own SWE reading.
 
     studied_error : numerical error of the force, relative, where `mesh --study` was run
+    layers, lines : what was read of layers, and their borders in the model; None where they are not used
     """
 
     site: Site
@@ -59,6 +65,8 @@ class Measured:
     levels: Levels
     c: float
     studied_error: float | None = None
+    layers: LayerReadings | None = None
+    lines: MaterialLines | None = None
 
 
 def fit_joint(
@@ -116,10 +124,16 @@ def fit_joint(
 
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
     model = built_model(case, site, out, writer, label=site.name)
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
-    return Measured(site, model, levels, stiffness.c, error)
+    layers, lines = layer_readings(levels, site), None
+    if layers is not None:
+        try:
+            lines = layers.lines(model)
+        except MeasurementError as problem:
+            writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
+    return Measured(site, model, levels, stiffness.c, error, layers if lines else None, lines)
 
 
 # ---------------------------------------------------------------- identification
@@ -134,7 +148,7 @@ def _identify(
         speeds = each.levels.has_swe
         curve = LawCurve(
             each.model, law, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
-            progress=progress,
+            lines=each.lines, progress=progress,
         )  # fmt: skip
         memory = Memory(curve)
         for shape in _first_shapes(law):
@@ -198,8 +212,25 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     return SiteData(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
-        np.maximum(deviation, 1e-4), gain_deviation(measured.model, given),
+        np.maximum(deviation, 1e-4), gain_deviation(measured.model, given), _layer_data(measured),
     )  # fmt: skip
+
+
+def _layer_data(measured: Measured) -> LayerData:
+    """Thicknesses under load, layer after layer; none where no layers are used."""
+    layers, levels = measured.layers, measured.levels
+    if layers is None or measured.lines is None:
+        return NO_LAYERS
+    used = layers.used(levels)
+    parts = [np.flatnonzero(used[:, j]) for j in range(layers.n_told)]
+    rows = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+    if not len(rows):
+        return NO_LAYERS
+    layer = np.repeat(np.arange(layers.n_told), [len(each) for each in parts])
+    thickness = layers.thickness[rows, layer]
+    blocks = [layers.covariance(layers.thickness[each, j], j) for j, each in enumerate(parts)]
+    force = np.maximum(levels.force[rows], 0.0)
+    return LayerData(force, layer, thickness, block_diag(*blocks), measured.lines.rest)
 
 
 def _check_noise(site: Site, *, speeds: bool) -> None:

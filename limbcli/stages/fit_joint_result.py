@@ -10,6 +10,7 @@ import numpy as np
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, held_out_error
 from limbcli.inference.uncertainty import Verdict, correlation, verdict
+from limbcli.measurement.levels import LAYERS
 from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
@@ -49,6 +50,10 @@ def leave_joint(
     draw_joint(problem, found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    n_layers = sum(len(each.layers) for each in problem.task.data)
+    writer.data["n_layer_readings"] = n_layers
+    if n_layers:
+        writer.summary.append(f"{n_layers} readings of layers entered")
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
@@ -84,16 +89,17 @@ def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[s
 
 
 def _leave_levels(writer: StageWriter, problem: JointProblem, found: Intervals) -> None:
-    """levels-<site>.csv: measured and predicted depths, and speeds at each force."""
+    """levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
     for k, data in enumerate(problem.task.data):
         seen = problem.predict(k, found.best)
         quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
+        quantity += [f"{LAYERS[j]}_mm" for j in data.layers.layer]
         write_table(
             writer.file(f"levels_{data.name}", f"levels-{data.name}.csv"),
             {
-                "force_n": np.r_[data.force, data.speed_force], "quantity": quantity,
-                "measured": np.r_[data.depth, np.exp(data.log_speed)],
-                "predicted": np.r_[seen.depth, np.exp(seen.log_speed)],
+                "force_n": np.r_[data.force, data.speed_force, data.layers.force], "quantity": quantity,
+                "measured": np.r_[data.depth, np.exp(data.log_speed), data.layers.thickness],
+                "predicted": np.r_[seen.depth, np.exp(seen.log_speed), seen.layers],
             },
         )  # fmt: skip
 

@@ -78,7 +78,7 @@ def leave_speeds(
 def _predict(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> Predicted:
-    numbers, rows = _rows(levels, simulation.probe_depth())
+    numbers, rows = simulated_rows(levels, simulation.probe_depth())
     width = probe_length(fitted)
     measured = tuple(_measured_map(site, levels, int(k), width, writer) for k in numbers)
     maps = level_maps(
@@ -89,7 +89,7 @@ def _predict(
     return Predicted(numbers, force, tuple(maps), measured)
 
 
-def _rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
+def simulated_rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
     """Loading levels that were simulated, and the simulation's time of each (AT_REST at first touch)."""
     numbers, rows = [], []
     for k in np.flatnonzero(levels.loading):

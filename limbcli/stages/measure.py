@@ -28,12 +28,15 @@ from limbcli.measurement.indentation import (
     doubts_about_levels,
     read_levels,
 )
+from limbcli.measurement.levels import LAYERS
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.measure_images import box_of, images_of, measured_speeds, tissue_between
+from limbcli.stages.measure_layers import layer_columns, read_borders
+from limbcli.stages.site_levels import layer_noise
 
 STAGE = "measure"
 _FEW_LOST = 0.01  # of the samples
@@ -105,7 +108,8 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
     path.write_text(text, encoding="utf-8")
     if {"force_n", "depth_mm"} <= set(columns):
         # What a later stage would refuse is refused here.
-        found = [replace(each, where=f"the levels of site {site.name}") for each in check_levels(path)[1]]
+        problems = check_levels(path, noise=layer_noise(site))[1]
+        found = [replace(each, where=f"the levels of site {site.name}") for each in problems]
         raise_errors(found, MeasurementError)
         writer.warnings.extend(doubts_about_levels(path))
     writer.data["n_levels"] = len(next(iter(columns.values())))
@@ -206,7 +210,8 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
-    draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"))
+    borders = read_borders(images, table, lines, writer)
+    draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"), borders=borders)
     writer.data["bone"] = [vars(each) for each in lines]
     worst = max(each.sd for each in lines)
     span = f"{lines[0].distance:.2f} to {lines[-1].distance:.2f} mm"
@@ -214,6 +219,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     return {
         "skin_bone_mm": [each.distance for each in lines],
         "depth_mm": [lines[0].distance - each.distance for each in lines],
+        **layer_columns(borders, lines),
     }
 
 
@@ -252,6 +258,7 @@ def _as_csv(columns: Mapping[str, Sequence[float]]) -> str:
         "swe_pixels",
         "hold_s",
         "skin_bone_mm",
+        *(f"{name}_mm" for name in LAYERS),
     ]
     names = [name for name in order if name in columns]
     lines = [",".join(names)]

@@ -15,13 +15,16 @@ _CLOSE_TO_CUT = 0.9  # of the margin asked for
 
 
 def measured_skin_bone(site: Site) -> float | None:
-    """Skin-bone distance (mm) on the B-mode image of level 0; None where there is none."""
+    """Skin-bone distance (mm) on the B-mode image of level 0, or its layers' sum; None without either."""
     if not site.levels.is_file():
         return None
     try:
-        value = float(read_levels(site.levels).skin_bone[0])
+        levels = read_levels(site.levels)
     except MeasurementError:
         return None  # build-feb reads the file again and tells what is wrong with it
+    value = float(levels.skin_bone[0])
+    if np.isnan(value) and "muscle" in levels.layers:
+        value = float(sum(each[0] for each in levels.layers.values()))
     return value if np.isfinite(value) and value > 0 else None
 
 

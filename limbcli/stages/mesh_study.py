@@ -10,7 +10,6 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.settings import schedule
-from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.convergence import Extrapolation, extrapolate
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.probe import ProbeShape
@@ -24,6 +23,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.indentation_model import indentation_model, starting_depth
 from limbcli.stages.mesh_inputs import MeshInputs
 from limbcli.stages.site_layers import layer_laws, layers_in, with_layer_laws
+from limbcli.stages.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "mesh-study"
@@ -120,7 +120,7 @@ def variants(
 def full_depth(site: Site) -> float:
     """The deepest loading level (mm), or 8 mm where no table can be read."""
     try:
-        levels = read_levels(site.levels)
+        levels = levels_of(site)
     except (MeasurementError, CaseError):
         return _DEPTH
     return float(levels.depth[levels.loading].max())

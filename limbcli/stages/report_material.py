@@ -22,6 +22,7 @@ from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.results import StageResult
 from limbcli.stages.report_stale import stale_results
 from limbcli.stages.report_state import read_deformed, read_residuals
+from limbcli.stages.site_levels import layer_noise
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
@@ -46,7 +47,7 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
 def _measured(site: Site) -> SiteMaterial:
     """The levels with their speed lines, or why there are none."""
     material = SiteMaterial(site.name, _place(site))
-    levels, problems = check_levels(site.levels)
+    levels, problems = check_levels(site.levels, noise=layer_noise(site))
     if levels is None or errors_of(problems):
         why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
         return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")

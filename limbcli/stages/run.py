@@ -11,7 +11,7 @@ from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.xml import model_text
 from limbcli.files import atomic_folder, sha256
-from limbcli.measurement.indentation import Levels, read_levels
+from limbcli.measurement.indentation import Levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.solvers import choose
@@ -21,6 +21,7 @@ from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.asked import asked_of_options
 from limbcli.stages.chain import Chain
 from limbcli.stages.run_files import leave_simulation
+from limbcli.stages.site_levels import levels_of
 from limbcli.stages.vtu import write_series
 
 STAGE = "run"
@@ -98,7 +99,7 @@ def _run_site(
         raise CaseError(
             f"{MODEL_FILE} is missing", where=str(built.folder), fix="run `limbcli build-feb` again"
         )
-    levels = read_levels(site.levels)
+    levels = levels_of(site)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
         writer.warnings.extend(built.warnings)
         writer.used_result(built, files=["feb"])

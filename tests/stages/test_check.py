@@ -110,3 +110,20 @@ def test_a_label_map_of_other_geometry_than_its_series_is_told(tmp_path: Path):
     assert any("lies elsewhere" in each.what for each in check(folder).problems)
     with pytest.raises(CaseError, match="lies elsewhere"):
         segment(Case.open(folder), out=tmp_path / "out")
+
+
+def test_layers_are_shown_and_judged_by_the_noise_of_the_case(tmp_path):
+    from tests.stages import block_case as block
+
+    depths = np.array([0.9, 1.8, 2.7])
+    case = block.make_case(tmp_path / "case", tmp_path / "out", depths, depths, c=0.008, build=False)
+    path = case.folder / "levels.csv"
+    head, *rows = path.read_text().splitlines()
+    layers = ["1.5,5", "1.5,4.8", "1.4,6.4", "1.4,4.2"]
+    path.write_text("\n".join([head + ",skin_mm,fat_mm", *map(",".join, zip(rows, layers, strict=True))]))
+    found = check(case.folder)
+    assert any("the fat grows under load" in each.what for each in found.problems)
+    assert found.shown[0].startswith("site p1: skin 1.5 to 1.4 mm (0 to ")
+    toml = case.file.read_text()
+    case.file.write_text(toml.replace("depth_mm = 0.1", "depth_mm = 0.1\nlayer_mm = 0.4"))
+    assert not any("grows" in each.what for each in check(case.folder).problems)

@@ -240,3 +240,20 @@ def test_half_a_table_is_not_written_into_the_case(folder: Path, tmp_path: Path)
     with pytest.raises(MeasurementError, match="no force_n and no depth_mm"):
         measure(Case.open(case.folder), out=tmp_path / "a", write=True)
     assert not (case.folder / "p1.csv").exists()
+
+
+def test_layers_of_the_images_become_columns_that_add_up_to_the_bone(folder: Path, tmp_path: Path):
+    case = without(folder, tmp_path / "case", "-")
+    toml = (folder / "case.toml").read_text()
+    layers = "skin_mm = [1.5, 1.4, 1.4, 1.3]\nfat_mm = [7.0, 6.4, 6.0, 5.7]\n"
+    (tmp_path / "case" / "case.toml").write_text(toml.replace("[site.b_mode]\n", "[site.b_mode]\n" + layers))
+    result = measure(Case.open(case.folder), out=tmp_path / "a")[0]
+    levels = read_levels(result.path("levels"))
+    assert list(levels.layers) == ["skin", "fat", "muscle"]
+    np.testing.assert_allclose(levels.layers["fat"], [7.0, 6.4, 6.0, 5.7])
+    np.testing.assert_allclose(sum(levels.layers.values()), levels.skin_bone, atol=1e-4)
+    assert any(text.startswith("fat 7.00 to 5.70 mm") for text in result.summary)
+    alone = "fat_mm = 7.0\n"
+    (tmp_path / "case" / "case.toml").write_text(toml.replace("[site.b_mode]\n", "[site.b_mode]\n" + alone))
+    with pytest.raises(MeasurementError, match="fat_mm is stated without skin_mm"):
+        measure(Case.open(case.folder), out=tmp_path / "b")

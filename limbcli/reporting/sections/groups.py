@@ -15,6 +15,7 @@ from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint import joint, laws
+from limbcli.reporting.sections.layers import layers
 from limbcli.reporting.sections.mesh import mesh
 from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
@@ -32,7 +33,8 @@ class Group:
 
 
 SITE_REPORTLETS: tuple[Callable[[Page, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study, convergence,
+    force_over_depth, layers, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study,
+    convergence,
 )  # fmt: skip
 
 

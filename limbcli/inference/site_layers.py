@@ -1,0 +1,76 @@
+"""Layers of a site at given force, by its simulated borders, with their derivatives.
+
+A border is a material line; its depth below the skin is simulated at the knots and read at the simulated
+depth of each reading's force. A thickness is the difference of a layer's two borders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.inference.interpolation import pchip_sample
+from limbcli.model import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class LayerData:
+    """Readings of thickness: force (n,) N, layer (n,) from 0 at the skin, thickness (n,) mm and their
+    covariance (n, n) mm^2; rest (n_borders,) mm: the layers' lower borders below the skin before loading."""
+
+    force: Array
+    layer: IntArray
+    thickness: Array
+    covariance: Array
+    rest: Array
+
+    def __len__(self) -> int:
+        return len(self.force)
+
+    @cached_property
+    def _factor(self) -> Array:
+        return np.asarray(np.linalg.cholesky(self.covariance), dtype=float)
+
+    def whitened(self, values: Array) -> Array:
+        """Values (n, ...) mm in units of independent deviations."""
+        return np.asarray(np.linalg.solve(self._factor, values)) if len(self) else values
+
+    def without(self, gone: NDArray[np.bool_]) -> LayerData:
+        """Some readings left out: (n,) bool."""
+        keep = ~gone
+        return LayerData(
+            self.force[keep], self.layer[keep], self.thickness[keep],
+            self.covariance[np.ix_(keep, keep)], self.rest,
+        )  # fmt: skip
+
+    def predicted(
+        self, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
+    ) -> tuple[Array, Array]:
+        """Thickness (n,) mm and its derivatives (n, 2 + n_shape) by ln c, ln gain, ln shape.
+
+        knots (n_knots,) mm from 0; borders (n_knots, n_borders) mm below the skin, and by ln shape
+        (n_knots, n_borders, n_shape); at (n,) mm, the simulated depths of the readings' forces, and at_by
+        (n, 2 + n_shape)
+        """
+        values, slopes = np.zeros((len(self), len(self.rest) + 1)), np.zeros((len(self), len(self.rest) + 1))
+        by_shape = np.zeros((len(self), len(self.rest) + 1, borders_by.shape[2]))
+        inside = np.clip(at, 0.0, knots[-1])
+        for j in range(len(self.rest)):
+            sample = pchip_sample(knots, borders[:, j], inside)
+            values[:, j + 1] = sample.values
+            slopes[:, j + 1] = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
+            by_shape[:, j + 1] = sample.weights @ borders_by[:, j]
+        rows = np.arange(len(self))
+
+        def layer(table: Array) -> Array:
+            return np.asarray(table[rows, self.layer + 1] - table[rows, self.layer])
+
+        found = layer(slopes)[:, None] * at_by
+        found[:, 2:] += layer(by_shape)
+        return layer(values), found
+
+
+NO_LAYERS = LayerData(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0))

@@ -1,0 +1,91 @@
+"""Borders of skin, fat and muscle on B-mode images, followed through the force levels as the bone line is.
+
+Where a border is at the first level is read by a person: which of several bright lines in fat is the fascia
+cannot be told from one image without doubt. From there on the strip around it is sought in the next image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from limbcli.errors import MeasurementError
+from limbcli.measurement.bmode import BoneLine, follow_line
+from limbcli.measurement.ultrasound_image import UltrasoundImage
+
+_BY_HAND = 0.2  # mm: SD of a border that someone marked
+_HALF = 1.2  # mm above and below a border: layers next to it are strained otherwise
+_LARGEST_CHANGE = 4.0  # mm between neighbouring levels
+_APART = 0.2  # mm that borders keep between them
+
+Stated = float | Sequence[float]
+
+
+def follow_borders(
+    images: Sequence[UltrasoundImage], stated: Mapping[str, Stated], bone: Sequence[BoneLine]
+) -> dict[str, list[BoneLine]]:
+    """The lower border of each layer below the probe face at every level, by the layer's name.
+
+    stated : thickness (mm) of skin, then of fat, at the first level (they are followed) or at every level
+    bone : where the bone is at every level
+
+    Raises
+    ------
+    MeasurementError
+        If fat is stated without skin, a border is lost, or borders cross each other or the bone.
+    """
+    if stated and next(iter(stated)) != "skin":
+        raise MeasurementError(
+            "fat_mm is stated without skin_mm", where="[site.b_mode]",
+            fix="state skin_mm too: the fat begins where the skin ends",
+        )  # fmt: skip
+    found: dict[str, list[BoneLine]] = {}
+    above: list[float] = [0.0] * len(images)
+    for name, thickness in stated.items():
+        if isinstance(thickness, Sequence):
+            lines = _by_hand(images, name, thickness, above)
+        else:
+            lines = _followed(images, name, above[0] + float(thickness))
+        _check_order(images, name, lines, above, bone)
+        found[name], above = lines, [each.distance for each in lines]
+    return found
+
+
+def _followed(images: Sequence[UltrasoundImage], name: str, first: float) -> list[BoneLine]:
+    lines = [BoneLine(first, _BY_HAND, 1.0)]
+    for previous, image in pairwise(images):
+        line = follow_line(
+            previous, image, lines[-1], min(_LARGEST_CHANGE, lines[-1].distance),
+            name=f"border of the {name}", by_hand=f"{name}_mm, a list in [site.b_mode]", half=_HALF,
+        )  # fmt: skip
+        lines.append(replace(line, sd=float(np.hypot(line.sd, lines[-1].sd))))
+    return lines
+
+
+def _by_hand(
+    images: Sequence[UltrasoundImage], name: str, thickness: Sequence[float], above: Sequence[float]
+) -> list[BoneLine]:
+    if len(thickness) != len(images):
+        raise MeasurementError(
+            f"{name}_mm states {len(thickness)} thicknesses, there are {len(images)} images",
+            where=str(images[0].path.parent), fix="state one an image, or only that of the first",
+        )  # fmt: skip
+    return [BoneLine(top + float(each), _BY_HAND, 1.0) for top, each in zip(above, thickness, strict=True)]
+
+
+def _check_order(
+    images: Sequence[UltrasoundImage], name: str, lines: Sequence[BoneLine], above: Sequence[float],
+    bone: Sequence[BoneLine],
+) -> None:  # fmt: skip
+    """Borders follow one another down to the bone."""
+    for image, line, top, end in zip(images, lines, above, bone, strict=True):
+        if not top + _APART <= line.distance <= end.distance - _APART:
+            raise MeasurementError(
+                f"the border of the {name} would be {line.distance:.1f} mm below the probe face, between "
+                f"{top:.1f} mm (what lies above) and the bone at {end.distance:.1f} mm: interfaces cross",
+                where=str(image.path),
+                fix=f"check {name}_mm of level 0, or state it for every level as a list",
+            )

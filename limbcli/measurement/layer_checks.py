@@ -1,0 +1,143 @@
+"""What readings of layers cannot be: skin, fat and muscle along the beam, level by level.
+
+Each fault has its own message. How far readings may lie apart by chance is told by their noise; where
+nobody states it, only what no reading can be is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.measurement.levels import LAYERS, Levels
+from limbcli.measurement.tables import problem
+from limbcli.model import Array
+from limbcli.problems import Problem
+
+USUAL_DEVIATION = 0.2  # mm, of a thickness marked on a B-mode image; edges are marked within 0.1 to 0.2 mm
+_BEYOND_CHANCE = 4.0  # deviations: in fifty readings one in a thousand data sets is refused by chance
+_LEAST = 1.0  # mm, that columns of different origin may lie apart whatever the noise
+
+
+@dataclass(frozen=True)
+class LayerNoise:
+    """One standard deviation (mm) of a layer's thickness and of the depth."""
+
+    thickness: float = USUAL_DEVIATION
+    depth: float = 0.3
+
+
+def check_layers(
+    levels: Levels, path: Path, *, lines: list[int], noise: LayerNoise | None = None
+) -> list[Problem]:
+    """Every fault of the layers' columns, with its line.
+
+    lines : of the file, one a level
+    noise : None where it is not known: growth under load is not judged then
+    """
+    if not levels.layers:
+        return []
+    found: list[Problem] = []
+    checks: list[Callable[[Levels, Path, list[int], LayerNoise | None], list[Problem]]]
+    checks = [_without_skin, _crossing, _sum_against_bone, _growing, _first_touch]
+    for check in checks:
+        found += check(levels, path, lines, noise)
+    return found
+
+
+def _without_skin(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
+    """Fat or muscle begin where the skin ends."""
+    skin = levels.layer("skin")
+    below = [name for name in LAYERS[1:] if name in levels.layers]
+    other = np.any([np.isfinite(levels.layers[name]) for name in below], axis=0) if below else np.array([])
+    fix = "add skin_mm (a skin that is not told apart counts to the fat: write what is above the fat)"
+    if below and not np.isfinite(skin).any():
+        names = " and ".join(f"{name}_mm" for name in below)
+        return [problem(f"there are layers without skin: {names}, but no skin_mm", path, fix)]
+    return [
+        problem("the level has layers below the skin but no skin_mm", path, fix, line=lines[k])
+        for k in np.flatnonzero(np.isnan(skin) & other if below else [])
+    ]
+
+
+def _crossing(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
+    """The lower border of a layer lies below its upper one, and above the bone."""
+    found = []
+    for name, values in levels.layers.items():
+        for k in np.flatnonzero(values <= 0):
+            what = f"interfaces cross: {name}_mm is {values[k]:g}, so the {name} ends above its beginning"
+            fix = "mark the interfaces in their order; leave the cell empty where a layer is not seen"
+            found.append(problem(what, path, fix, line=lines[k]))
+    if "muscle" in levels.layers:
+        return found
+    above = _total(levels)
+    for k in np.flatnonzero(above > levels.skin_bone + _LEAST):
+        what = f"interfaces cross: the layers end {above[k]:g} mm below the skin, "
+        what += f"beyond the bone at {levels.skin_bone[k]:g} mm"
+        found.append(problem(what, path, "mark the interfaces and the bone on the same image", line=lines[k]))
+    return found
+
+
+def _sum_against_bone(
+    levels: Levels, path: Path, lines: list[int], noise: LayerNoise | None
+) -> list[Problem]:
+    """With muscle measured the layers reach from skin to bone."""
+    if "muscle" not in levels.layers:
+        return []
+    noise, total = noise or LayerNoise(), _total(levels)
+    chance = noise.thickness * np.sqrt(len(levels.layers))
+    allowed = max(_LEAST, _BEYOND_CHANCE * float(np.hypot(chance, noise.thickness)))
+    found = []
+    for k in np.flatnonzero(np.abs(total - levels.skin_bone) > allowed):
+        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, "
+        what += f"but skin_bone_mm is {levels.skin_bone[k]:g}"
+        fix = "read layers and bone on one image; muscle_mm goes down to the bone"
+        found.append(problem(what, path, fix, line=lines[k]))
+    if np.isfinite(levels.skin_bone).any() or not np.isfinite(total[0]):
+        return found
+    allowed = max(_LEAST, _BEYOND_CHANCE * float(np.hypot(np.sqrt(2) * chance, noise.depth)))
+    off = total[0] - levels.depth - total
+    for k in np.flatnonzero(np.abs(off) > allowed):
+        what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, but "
+        what += f"{total[0]:g} mm at the first level less depth_mm leave {total[0] - levels.depth[k]:.3g} mm"
+        fix = "depth_mm is the loss of skin-bone distance since level 0, muscle_mm goes down to the bone"
+        found.append(problem(what, path, fix, line=lines[k]))
+    return found
+
+
+def _growing(levels: Levels, path: Path, lines: list[int], noise: LayerNoise | None) -> list[Problem]:
+    """Under a probe that presses on it a layer gets thinner."""
+    if noise is None:
+        return []
+    allowed = _BEYOND_CHANCE * np.sqrt(2) * noise.thickness
+    found = []
+    for name, values in levels.layers.items():
+        for k in np.flatnonzero((values - values[0] > max(allowed, 1e-9)) & levels.loading):
+            what = f"the {name} grows under load, from {values[0]:g} to {values[k]:g} mm; layer_mm of "
+            what += f"[site.noise] allows {allowed:.2g} mm"
+            fix = "look at the marks of this level; state a larger layer_mm if edges are that hard to see"
+            found.append(problem(what, path, fix, line=lines[k]))
+    return found
+
+
+def _first_touch(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
+    """Layers tell how they move against what they were at first touch."""
+    lacking = [name for name, values in levels.layers.items() if not np.isfinite(values[0])]
+    if not lacking and levels.begins_at_zero:
+        return []
+    names = ", ".join(f"{name}_mm" for name in lacking or levels.layers)
+    what = f"there is no reading of {names} at first touch; they are shown, but not used"
+    return [problem(what, path, "read the layers on the image of level 0", line=lines[0], warning=True)]
+
+
+def _total(levels: Levels) -> Array:
+    """Sum (n_levels,) of the layers that are measured anywhere; NaN where one of them is not."""
+    return np.asarray(np.sum(list(levels.layers.values()), axis=0))
+
+
+def _sum_words(levels: Levels, k: int) -> str:
+    parts = " + ".join(f"{each[k]:g}" for each in levels.layers.values())
+    return f"{parts} = {float(_total(levels)[k]):.4g} mm"

@@ -1,0 +1,209 @@
+"""Material lines below the probe: points of the unloaded tissue on the beam, carried by a simulation.
+
+The interfaces of skin, fat and muscle are lines of the tissue: where they were seen at first touch they are
+marked in the unloaded mesh, and the displacements, interpolated by the elements' own shape functions, say
+where they are at any other time. Depths count from the skin's own point on the beam, so that a probe that
+sinks into the skin by its contact's penalty does not count.
+
+Source: isoparametric interpolation, Zienkiewicz & Taylor, The Finite Element Method, chapter 8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeasurementError
+from limbcli.fem.element import shape
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.solvers.base import Simulation, Table
+
+FILE = "material_lines.csv"
+_TETRAHEDRA = ("tet4", "tet10")
+_ITERATIONS, _SETTLED = 12, 1e-12
+_OUTSIDE = 1e-6  # of the natural coordinates, by which a point on a facet may seem to lie outside
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialLines:
+    """rest (n_lines,) mm below the skin on the beam (x = y = 0 in the site's frame) before loading.
+
+    items (n_items,) : the nodes that carry them; weights (n_lines, n_items) : of their displacements along
+    z, the skin's less the line's, so that the depth below the skin is rest + weights @ u_z
+    slopes (n_lines, n_items) : d weights / d rest, 1/mm
+    """
+
+    rest: Array
+    items: IntArray
+    weights: Array
+    slopes: Array
+
+    @property
+    def record(self) -> LogRecord:
+        """What a simulation must write."""
+        return LogRecord("node", ("ux", "uy", "uz"), FILE, self.items)
+
+    def below_skin(self, u_z: Array) -> Array:
+        """mm (..., n_lines) below the skin, of displacements (..., n_items) of `items`."""
+        return np.asarray(self.rest + u_z @ self.weights.T)
+
+    def by_rest(self, u_z: Array) -> Array:
+        """d(below_skin) / d(rest) (..., n_lines): the tissue's stretch along the beam at the line."""
+        return np.asarray(1.0 + u_z @ self.slopes.T)
+
+    def drift(self, u: Array) -> float:
+        """mm that lines leave the beam sideways at most, of displacements (n_times, n_items, 3)."""
+        moved = np.abs(np.einsum("li,tid->tld", self.weights, u[..., :2]))
+        return float(np.linalg.norm(moved, axis=-1).max(initial=0.0))
+
+    def of_table(self, table: Table) -> Array:
+        """Displacements (n_times, n_items, 3) of `items`, from a record of these or of more nodes.
+
+        Raises
+        ------
+        MeasurementError
+            If the record lacks some.
+        """
+        place = np.full(max(int(table.items.max(initial=0)), int(self.items.max())) + 1, -1)
+        place[table.items] = np.arange(len(table.items))
+        if np.any(place[self.items] < 0):
+            raise _no_record()
+        u = np.stack([table.column(name) for name in ("ux", "uy", "uz")], axis=-1)
+        return np.asarray(u[:, place[self.items]])
+
+
+def displacements(lines: MaterialLines, simulation: Simulation) -> Array:
+    """(n_times, n_items, 3) of the nodes that carry the lines.
+
+    Raises
+    ------
+    MeasurementError
+        If the simulation recorded no displacements of them.
+    """
+    for table in simulation.nodes.values():
+        if {"ux", "uy", "uz"} <= set(table.fields):
+            return lines.of_table(table)
+    raise _no_record()
+
+
+def material_lines(model: LimbModel, rest: Array) -> MaterialLines:
+    """Lines at depths `rest` (n_lines,) mm below the skin of a model in the site's frame.
+
+    NaN marks the bone: a line that stays where it is.
+
+    Raises
+    ------
+    MeasurementError
+        If the beam meets no tissue, or a line lies beyond the bone.
+    """
+    column = _Column(model)
+    rest = np.asarray(rest, dtype=float)
+    top, bottom = column.ends()
+    within = rest[np.isfinite(rest)]
+    if len(within) and within.max() > top - bottom + _OUTSIDE:
+        raise MeasurementError(
+            f"an interface was read {within.max():.1f} mm below the skin, but the model's tissue is "
+            f"{top - bottom:.1f} mm thick there",
+            where="layers on the beam",
+            fix="check the layers of level 0 in levels.csv against skin_bone_mm, and the site's position",
+        )
+    heights = [top, *(top - within), *(top - np.maximum(within - _STEP, 0.0))]
+    rows = [column.weights(float(z)) for z in heights]
+    items = np.unique(np.concatenate([nodes for nodes, _ in rows]))
+    table = np.zeros((len(rows), len(items)))
+    for k, (nodes, values) in enumerate(rows):
+        np.add.at(table[k], np.searchsorted(items, nodes), values)
+    n, known = len(within), np.isfinite(rest)
+    weights = np.tile(table[0], (len(rest), 1))
+    weights[known] -= table[1 : n + 1]
+    slopes = np.zeros_like(weights)
+    steps = np.minimum(within, _STEP)
+    slopes[known] = -(table[1 : n + 1] - table[n + 1 :]) / np.where(steps > 0, steps, 1.0)[:, None]
+    depths = np.where(known, rest, top - bottom)
+    return MaterialLines(depths, items, weights, slopes)
+
+
+class _Column:
+    """The tetrahedra that the beam may cross."""
+
+    def __init__(self, model: LimbModel):
+        self.points = model.mesh.points
+        self.cells: list[tuple[str, IntArray]] = []
+        for block in model.mesh.solid_blocks:
+            if block.kind not in _TETRAHEDRA:
+                raise MeasurementError(
+                    f"layers are followed in tetrahedra, not in {block.kind}", where=f"part {block.name!r}",
+                    fix="mesh with tet10 elements (the default)",
+                )  # fmt: skip
+            xy = self.points[block.cells[:, :4], :2]
+            near = (xy.min(axis=1) <= _OUTSIDE).all(axis=1) & (xy.max(axis=1) >= -_OUTSIDE).all(axis=1)
+            self.cells += [(block.kind, cell) for cell in block.cells[near]]
+
+    def ends(self) -> tuple[float, float]:
+        """Heights of the skin and of the tissue's end below it (the bone), mm."""
+        spans = sorted(span for kind, cell in self.cells if (span := self._span(cell)) is not None)
+        if not spans:
+            raise MeasurementError(
+                "the beam meets no tissue of the model", where="layers on the beam",
+                fix="check the site's position: it should lie on the skin",
+            )  # fmt: skip
+        top, bottom = spans[-1][1], spans[-1][0]
+        for low, high in reversed(spans):
+            if high >= bottom - _OUTSIDE:
+                bottom = min(bottom, low)
+        return top, bottom
+
+    def _span(self, cell: IntArray) -> tuple[float, float] | None:
+        """Heights between which the beam is in a cell (by its corners)."""
+        at, up = self._affine(cell)
+        low, high = -np.inf, np.inf
+        for a, b in zip(at, up, strict=True):
+            if abs(b) < 1e-14:
+                if a < -_OUTSIDE:
+                    return None
+            elif b > 0:
+                low = max(low, -a / b)
+            else:
+                high = min(high, -a / b)
+        return (float(low), float(high)) if high - low > _OUTSIDE else None
+
+    def _affine(self, cell: IntArray) -> tuple[Array, Array]:
+        """Barycentric coordinates of (0, 0, z): at + up z, (4,) each."""
+        corners = np.vstack([self.points[cell[:4]].T, np.ones(4)])
+        solved = np.linalg.solve(corners, np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
+        return solved[:, 0], solved[:, 1]
+
+    def weights(self, z: float) -> tuple[IntArray, Array]:
+        """Nodes and what each counts at (0, 0, z)."""
+        best: tuple[float, IntArray, Array] | None = None
+        for kind, cell in self.cells:
+            natural = self._natural(kind, cell, z)
+            inside = float(min(natural.min(), 1.0 - natural.sum()))
+            if best is None or inside > best[0]:
+                best = (inside, cell, shape(kind, natural[None])[0][0])
+        assert best is not None
+        return best[1], best[2]
+
+    def _natural(self, kind: str, cell: IntArray, z: float) -> Array:
+        """Natural coordinates (3,), by Newton's method where edges are bent."""
+        at, up = self._affine(cell)
+        natural, X = (at + up * z)[1:], self.points[cell]
+        for _ in range(_ITERATIONS if kind == "tet10" else 0):
+            N, dN = shape(kind, natural[None])
+            off = N[0] @ X - [0.0, 0.0, z]
+            if np.abs(off).max() < _SETTLED:
+                break
+            natural = natural - np.linalg.solve((X.T @ dN[0]), off)
+            if not np.isfinite(natural).all() or np.abs(natural).max() > 1e3:
+                return (at + up * z)[1:]
+        return natural
+
+
+def _no_record() -> MeasurementError:
+    return MeasurementError(
+        "the simulation recorded no displacements below the probe",
+        where="layers on the beam",
+        fix="run it again with our templates: they ask for the displacements of all nodes of the tissue",
+    )

@@ -1,0 +1,61 @@
+"""What `check` shows of the layers that were measured: how thick they are, and how they thin under load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from limbcli.case import Case, Noise
+
+if TYPE_CHECKING:
+    from limbcli.measurement.indentation import LayerNoise, Levels
+
+
+def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
+    """Of a site's raw table in case.toml; the usual values where it states none that can be used."""
+    from limbcli.measurement.indentation import LayerNoise
+
+    table, usual = site.get("noise"), Noise()
+    table = table if isinstance(table, Mapping) else {}
+    found = {"layer_mm": usual.layer, "depth_mm": usual.depth} | dict(table)
+    good = all(isinstance(found[key], int | float) for key in ("layer_mm", "depth_mm"))
+    return LayerNoise(found["layer_mm"], found["depth_mm"]) if good else LayerNoise()
+
+
+def layer_lines(case: Case) -> list[str]:
+    """A line for each site that has layers.
+
+    Files that cannot be read have been told of already.
+    """
+    from limbcli.measurement.indentation import check_levels
+
+    lines = []
+    for site in case.sites:
+        levels = check_levels(site.levels)[0] if site.levels.is_file() else None
+        if levels is not None and levels.layers:
+            lines.append(f"site {site.name}: {layer_words(levels)}")
+    return lines
+
+
+def layer_words(levels: Levels) -> str:
+    """Thickness at the first and at the last loading level that has it, mm.
+
+    >>> from types import SimpleNamespace
+    >>> some = SimpleNamespace(
+    ...     layers={"skin": np.array([1.5, 1.4, np.nan]), "fat": np.array([6.0, 4.9, 4.1])},
+    ...     loading=np.ones(3, dtype=bool), force=np.array([0.0, 4.0, 8.0]),
+    ... )
+    >>> layer_words(some)
+    'skin 1.5 to 1.4 mm (0 to 4 N), fat 6 to 4.1 mm (0 to 8 N)'
+    """
+    parts = []
+    for name, values in levels.layers.items():
+        seen = np.flatnonzero(np.isfinite(values) & levels.loading)
+        if not len(seen):
+            continue
+        first, last = seen[0], seen[-1]
+        forces = f"{levels.force[first]:.3g} to {levels.force[last]:.3g} N"
+        parts.append(f"{name} {values[first]:.3g} to {values[last]:.3g} mm ({forces})")
+    return ", ".join(parts)

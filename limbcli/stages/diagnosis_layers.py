@@ -1,0 +1,167 @@
+"""Layers as a channel of the diagnosis: rows, slopes, noise, and the lines of a model.
+
+A datum is the thickness of a layer at a level under load; the layer on the bone tells nothing beyond the
+depth and is left out. The models carry the layers' borders as material lines, marked where they were read at
+first touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limbcli.diagnostics.noise import NoisePart, common
+from limbcli.effects.base import Effect, Theta
+from limbcli.effects.places import Places
+from limbcli.effects.reading import Curves, Protocol
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.solvers.base import Simulation
+from limbcli.solvers.material_lines import FILE, material_lines
+from limbcli.stages.diagnosis_rows import Row, Stacked
+from limbcli.stages.indentation_model import tissue_nodes
+from limbcli.stages.layer_readings import LayerReadings
+
+CHANNEL = "layer"
+FIRST_TOUCH = "measurement: layers at first touch"
+# One deviation of a thickness by the model's own error: a share of what the layer gets thinner, and of the
+# depth. On a block 16 mm thick, pressed 4 mm, tet10 edges of 5 to 9 mm and of 3 to 6 mm put a border at rest
+# 1.5 mm below the skin 0.07 mm apart, those at 4 to 10 mm 0.02 to 0.06 mm.
+_OF_THINNING, _OF_DEPTH = 0.05, 0.02
+_LEAST_LINE = 1e-3  # mm
+_SAMPLES = 240  # along the beam
+_LEFT = 0.03  # of a line's depth at rest, that it keeps at least
+_BEYOND = 2.0  # times the deepest border: how far the squeezed column goes where no bone is known
+
+
+def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
+    """Readings under load; keep (n_levels used,) : the levels of the protocol, by their numbers."""
+    rows: list[Row] = []
+    y: list[float] = []
+    if layers is None:
+        return rows, y, []
+    for layer in range(layers.n_told):
+        for level, number in enumerate(keep.tolist()):
+            value = float(layers.thickness[number, layer])
+            if number > 0 and np.isfinite(value):
+                rows.append(Row(CHANNEL, level, layer))
+                y.append(value)
+    return rows, y, [layers.deviation] * len(rows)
+
+
+def layer_slopes(
+    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Sequence[Row], y: Array
+) -> Array:
+    """How each datum changes with depth (n,), 0 for other channels.
+
+    place (n_levels,) : ln(1 + F/unit) of the smooth depth, with which layers get thinner evenly
+    """
+    out = np.zeros(len(rows))
+    if layers is None:
+        return out
+    for layer, members in _members(rows):
+        levels = [rows[k].level for k in members]
+        x = np.r_[0.0, place[levels]]
+        depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
+        thickness = np.r_[layers.thickness[0, layer], y[members]]
+        span = float(x @ x)
+        if span <= 0:
+            continue
+        rate, thinning = float(x @ depth) / span, float(x @ (thickness - thickness[0])) / span
+        out[members] = thinning / rate if rate > 0 else 0.0
+    return out
+
+
+def layer_noise(
+    layers: LayerReadings | None, protocol: Protocol, rows: Sequence[Row], y: Array, source: str
+) -> list[NoisePart]:
+    """What readings of one layer have in common: where it began, and what the model does to it."""
+    parts = []
+    for layer, members in _members(rows) if layers is not None else ():
+        assert layers is not None
+        first, model = np.zeros(len(rows)), np.zeros(len(rows))
+        first[members] = layers.deviation * layers.growth(np.maximum(y[members], 0.0), layer)
+        thinner = layers.thickness[0, layer] - y[members]
+        depth = np.maximum(protocol.depth[[rows[k].level for k in members]], 0.0)
+        model[members] = np.hypot(_OF_THINNING * thinner, _OF_DEPTH * depth)
+        name = layers.names[layer]
+        parts.append(common(f"{FIRST_TOUCH}, {name}", first, source=source))
+        parts.append(common(f"model: layers, {name}", model, source="assumed"))
+    return parts
+
+
+def _members(rows: Sequence[Row]) -> list[tuple[int, list[int]]]:
+    """Of every layer, where its data are."""
+    found: dict[int, list[int]] = {}
+    for k, row in enumerate(rows):
+        if row.channel == CHANNEL:
+            found.setdefault(row.part, []).append(k)
+    return list(found.items())
+
+
+class BorderLines:
+    """The borders of a site's layers in its models.
+
+    rest (n_borders,) mm below the skin at first touch, without that at the bone
+    """
+
+    def __init__(self, layers: LayerReadings):
+        self.rest = np.asarray(layers.rest[: layers.n_told])
+
+    def record(self, model: LimbModel) -> LogRecord:
+        """What a simulation must write: of all nodes, as an effect may move the mesh under the beam."""
+        return LogRecord("node", ("ux", "uy", "uz"), FILE, tissue_nodes(model))
+
+    def check(self, model: LimbModel) -> None:
+        """
+        Raises
+        ------
+        MeasurementError
+            If a border does not lie in the model's tissue.
+        """
+        material_lines(model, self.rest)
+
+    def log_depths(self, model: LimbModel, simulation: Simulation, rows: IntArray) -> Array:
+        """ln of mm below the skin (1 + n_rows, n_borders), at rest first."""
+        lines = material_lines(model, self.rest)
+        below = lines.below_skin(lines.of_table(simulation.nodes[FILE])[rows][..., 2])
+        return np.log(np.maximum(np.vstack([self.rest, below]), _LEAST_LINE))
+
+
+def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Effect, Theta]]) -> Array:
+    """About what effects add to the lines' ln depths (n, n_lines), without a simulation.
+
+    Below the probe's middle the layers bear nearly the same pressure one after the other, as springs in
+    series do: where the tissue is softer by a factor, it gives way more by that factor, and the probe's depth
+    is shared out anew. Effects that are no field of stiffness leave the lines. A simulation at one size, and
+    at the fitted one, puts right what this misses (`diagnosis_changes`, `SiteCurves.repair`).
+
+    Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
+    18(4):e0284721.
+    """
+    assert curves.log_line is not None
+    below = np.exp(curves.log_line)
+    found = [each for each in ingredients if each[0].stiffness is not None]
+    if not found:
+        return np.zeros_like(below)
+    rest = below[0]
+    end = curves.thickness if curves.thickness > rest[-1] else _BEYOND * rest[-1]
+    z = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * end
+    places = Places(np.column_stack([np.zeros((_SAMPLES, 2)), -z]), model)
+    softer = np.ones(_SAMPLES)
+    for effect, theta in found:
+        assert effect.stiffness is not None
+        softer = softer / np.maximum(effect.stiffness(places, theta), 1e-6)
+    knots = np.r_[0.0, rest, end]
+    lost = np.column_stack([np.zeros(len(below)), rest - below, curves.depth])
+    of_part = np.searchsorted(knots, z, side="right") - 1
+    rates = np.diff(lost, axis=1) / np.diff(knots)
+    squeezed = np.maximum(rates[:, of_part], 0.0)
+
+    def left(weight: Array) -> Array:
+        """mm (n, n_lines) of the lines with so much lost at each place."""
+        lost = np.cumsum(weight, axis=1) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+        share = np.array([np.interp(rest, z + 0.5 * end / _SAMPLES, row) for row in lost])
+        return np.maximum(rest - curves.depth[:, None] * share, _LEFT * rest)
+
+    return np.asarray(np.log(left(squeezed * softer) / left(squeezed)))
