@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from limbcli.case import Site
+from limbcli.drawing import save_figure
 from limbcli.errors import LimbError
 from limbcli.measurement.levels import Levels
 from limbcli.model import Array, IntArray, LimbModel
@@ -59,7 +60,7 @@ def leave_layers(
     picture = LayerPicture(
         levels.force[k], layers.names, layers.thickness[k], found.thickness, layers.deviation
     )
-    layers_figure(picture).savefig(writer.file("layers_picture", "layers.png"))
+    save_figure(layers_figure(picture), writer.file("layers_picture", "layers.png"))
     _tell(layers, found, levels, writer)
 
 
