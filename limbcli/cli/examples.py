@@ -15,6 +15,7 @@ EXAMPLES = {
     "diagnose": "limbcli diagnose S12 --site p1 --measured tare_n=0.4",
     "report": "limbcli report S12 --out results/S12",
     "batch": "limbcli batch S12 S13 --out results",
+    "cohort": "limbcli cohort people.csv --out results/people",
     "phantom": "limbcli phantom subject --seed 7 --max-force-n 10",
     "synth": "limbcli synth S12 --out-case S12-known --c-kpa 8 --m 6 --noise 0",
 }

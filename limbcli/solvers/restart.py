@@ -21,6 +21,7 @@ from limbcli.files import atomic_file
 if TYPE_CHECKING:
     from limbcli.fem.state import State
     from limbcli.fem.system import System
+    from limbcli.fem.warm import Solved as Solved
 
 RESTART_FILE = "restart.npz"
 
@@ -64,6 +65,23 @@ class Restart:
             if str(stored["key"]) == self.key:
                 return levels_of(stored)
         return {}
+
+
+def solved_arrays(solved: Solved) -> dict[str, Any]:
+    """A solve's levels, which later ones start from, as arrays to be stored by name."""
+    lame = {f"lame{k}": each for k, each in enumerate(solved.lame)}
+    names, values = np.array(list(solved.values)), np.array(list(solved.values.values()))
+    return {**level_arrays(solved.states), "names": names, "values": values, "n_lame": len(lame), **lame}
+
+
+def solved_of(stored: Any) -> Solved:
+    """The levels out of what `solved_arrays` gave."""
+    from limbcli.fem.warm import Solved
+
+    names = [(str(material), str(name)) for material, name in stored["names"]]
+    lame = tuple(stored[f"lame{k}"] for k in range(int(stored["n_lame"])))
+    values = dict(zip(names, stored["values"].tolist(), strict=True))
+    return Solved(values, levels_of(stored), {}, lame)
 
 
 def level_arrays(states: Mapping[float, State]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from limbcli.stages.indentation_model import (
 )
 
 if TYPE_CHECKING:
-    from limbcli.fem.warm import Solved
+    from limbcli.solvers.restart import Solved
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.

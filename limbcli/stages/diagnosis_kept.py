@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from limbcli.effects.reading import Curves
 from limbcli.files import atomic_file
 from limbcli.model import Array
-from limbcli.solvers.restart import level_arrays, levels_of
+from limbcli.solvers.restart import solved_arrays, solved_of
 
 if TYPE_CHECKING:
-    from limbcli.fem.warm import Solved
+    from limbcli.solvers.restart import Solved
 
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)  # solved again, then
 
@@ -76,29 +76,20 @@ class Kept:
 
     def levels(self, key: str) -> Solved | None:
         """Converged levels that later solves start from."""
-        from limbcli.fem.warm import Solved
-
         path = None if self.folder is None else self.folder / f"{key}-levels.npz"
         if path is None or not path.is_file():
             return None
         try:
             with np.load(path, allow_pickle=False) as stored:
-                names = [tuple(each) for each in stored["names"].tolist()]
-                values = dict(zip(names, stored["values"].tolist(), strict=True))
-                lame = tuple(stored[f"lame{k}"] for k in range(int(stored["n_lame"])))
-                return Solved(values, levels_of(stored), {}, lame)
+                return solved_of(stored)
         except _UNREADABLE:
             return None
 
     def keep_levels(self, key: str, solved: Solved) -> None:
         if self.folder is None:
             return
-        arrays = level_arrays(solved.states) | {f"lame{k}": each for k, each in enumerate(solved.lame)}
         with atomic_file(self.folder / f"{key}-levels.npz") as path:
-            np.savez(
-                path, names=np.array(list(solved.values)), values=np.array(list(solved.values.values())),
-                n_lame=len(solved.lame), **arrays,
-            )  # fmt: skip
+            np.savez(path, **solved_arrays(solved))
 
     def keep_cells(self, key: str, values: NDArray[np.float32]) -> None:
         if self.folder is not None:

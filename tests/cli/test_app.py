@@ -87,7 +87,7 @@ def test_error_is_json_where_json_was_asked_for(tmp_path: Path):
 
 
 def test_every_error_family_has_an_exit_code_of_its_own():
-    families = [each for each in vars(errors).values() if isinstance(each, type)]
+    families = {each for each in vars(errors).values() if isinstance(each, type)}
     codes = [each.exit_code for each in families if issubclass(each, errors.LimbError)]
     assert sorted(codes) == [1, 2, 3, 4, 5, 6, 7, 70]
 
