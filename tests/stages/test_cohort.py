@@ -49,7 +49,7 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     page = (out / "cohort.html").read_text()
     assert page.count("data:image") == 4
     assert "Who stands out?" in page
-    assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg"}
+    assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
     assert result.summary[0] == "12 rows of 12 people"
 
 
