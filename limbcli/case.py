@@ -197,6 +197,13 @@ def _read_imaging(
     for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
+    mri = paths["mri"]
+    if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
+        what = f"imaging.mri: {mri.name!r} is not a folder, and no volume that is read here"
+        fix = (
+            f"name a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
+        )
+        problems.append(Problem(what, file, fix))
     bones = []
     for k, name in enumerate(table.get("bones") or []):
         bone, found = files.existing(name, f"imaging.bones[{k}]", is_folder=False)

@@ -139,6 +139,8 @@ def thickness(value: object) -> str | None:
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
 
 
+VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # of an MRI in one file
+
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
     "limb": Key("left | right", one_of("left", "right"), required=True),

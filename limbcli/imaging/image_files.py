@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.case_schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
 from limbcli.imaging.nifti import read_nifti
@@ -13,7 +14,7 @@ from limbcli.imaging.nrrd import read_nrrd_image
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 
-ENDINGS = {".nii": read_nifti, ".nii.gz": read_nifti, ".nrrd": read_nrrd_image, ".nhdr": read_nrrd_image}
+ENDINGS = {end: read_nifti if ".nii" in end else read_nrrd_image for end in VOLUME_ENDINGS}
 _LEAST = 3  # voxels along every axis
 _RIGHT_ANGLE = 1e-2  # largest cosine between two axes
 _AIR_HU = -500.0  # no MRI has such a share of such values; the air of a CT is at -1000

@@ -51,7 +51,7 @@ def test_every_subject_has_a_row_and_a_link_that_leads_to_its_page(tmp_path):
     assert html.count("<h2>Side by side</h2>") == 1
     assert (tmp_path / "study.svg").read_text().startswith("<?xml")
     assert "What failed, and why" in html
-    assert "κ′" in (tmp_path / "study-data.csv").read_text()
+    assert ",m [–]," in (tmp_path / "study-data.csv").read_text()
 
 
 def test_study_page_gives_every_failure_its_reasons(tmp_path):
