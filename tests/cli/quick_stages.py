@@ -1,7 +1,7 @@
 """Stages that leave a small result at once, in the place of the real ones: a preload of Dask workers.
 
 What befalls them is said by empty files in the case folder: `fail-mesh-p2` (an error that was foreseen),
-`fault-mesh-p2` (one that was not), `wait-mesh-p2` (the first process that gets there stays for a minute, its
+`fault-mesh-p2` (one that was not), `wait-mesh-p2` (the first process that gets there stays for long, its
 number in `at-mesh-p2`), `crash-mesh-p2` (every process that gets there is killed). Every beginning and end of
 a stage is a line of `log.txt` there.
 """
@@ -46,12 +46,15 @@ def told(case: Path, word: str, label: str) -> None:
     os.close(handle)
 
 
+WAIT_S = 900.0  # longer than any test waits for a batch to end
+
+
 def befalls(case: Path, label: str) -> None:
     name = label.replace(" ", "-")
     if (case / f"wait-{name}").exists() and not (case / f"at-{name}").exists():
         (case / f"at-{name}.new").write_text(str(os.getpid()))
         (case / f"at-{name}.new").rename(case / f"at-{name}")
-        time.sleep(60)
+        time.sleep(WAIT_S)
     if (case / f"crash-{name}").exists():
         os.kill(os.getpid(), signal.SIGKILL)
     if (case / f"fail-{name}").exists():
