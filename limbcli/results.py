@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from limbcli import __version__
 from limbcli.errors import CaseError
 from limbcli.files import atomic_folder, sha256
+from limbcli.version import __version__
 
 FORMAT = 1
 _PICTURES = (".png", ".svg", ".html")

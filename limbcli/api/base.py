@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 from limbcli.api.call import folder_of
-from limbcli.api.tables import Row, Table, structured, to_frame
+from limbcli.api.tables import Row, Tabular
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, plain, read_result
 
 if TYPE_CHECKING:
-    import pandas
-
     from limbcli.api.call import PathLike
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Tabular):
     """What a stage left: its numbers as attributes, and everything else it wrote.
 
     Attributes
@@ -85,20 +83,6 @@ class Result:
         """The rows of `table()` as plain values."""
         return [self._named({})]
 
-    def table(self) -> Table:
-        """A structured array (n_rows,), a field a column; the names carry units, what is missing is NaN."""
-        return structured(self.rows())
-
-    def to_frame(self) -> pandas.DataFrame:
-        """The same rows as a pandas table.
-
-        Raises
-        ------
-        ToolError
-            If pandas is not installed.
-        """
-        return to_frame(self.table())
-
     def to_json(self) -> dict[str, Any]:
         """The result as the command line's --json prints it."""
         return {**self.stage_result.to_json(), "folder": str(self.folder)}
@@ -117,7 +101,7 @@ AnyResult = TypeVar("AnyResult", bound=Result)
 
 
 @dataclass(frozen=True, eq=False)
-class SiteResults(Sequence[AnyResult], Generic[AnyResult]):
+class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
     """One result a site, in the order of the case: by number, by site name, or all as one table.
 
     Attributes
@@ -155,20 +139,6 @@ class SiteResults(Sequence[AnyResult], Generic[AnyResult]):
     def rows(self) -> list[dict[str, Any]]:
         """The rows of all results, one after the other."""
         return [row for each in self.results for row in each.rows()]
-
-    def table(self) -> Table:
-        """The rows of all results as one structured array (n_rows,)."""
-        return structured(self.rows())
-
-    def to_frame(self) -> pandas.DataFrame:
-        """The rows of all results as one pandas table.
-
-        Raises
-        ------
-        ToolError
-            If pandas is not installed.
-        """
-        return to_frame(self.table())
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.results))

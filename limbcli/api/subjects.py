@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
-from limbcli.api.tables import Table, plain_rows, read_columns, structured, to_frame
+from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.problems import Problem
 from limbcli.results import StageResult
 
-if TYPE_CHECKING:
-    import pandas
-
 
 @dataclass(frozen=True)
-class CheckResult:
+class CheckResult(Tabular):
     """What was looked at of a case, and what was found. `table()` has a row a problem.
 
     Attributes
@@ -37,20 +34,10 @@ class CheckResult:
         """Whether nothing stops the work."""
         return all(each.severity != "error" for each in self.problems)
 
-    def table(self) -> Table:
-        """A structured array (n_problems,): severity, what, where, fix."""
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a problem: severity, what, where, fix."""
         names = ("severity", "what", "where", "fix")
-        return structured([{name: getattr(each, name) for name in names} for each in self.problems])
-
-    def to_frame(self) -> pandas.DataFrame:
-        """The same as a pandas table.
-
-        Raises
-        ------
-        ToolError
-            If pandas is not installed.
-        """
-        return to_frame(self.table())
+        return [{name: getattr(each, name) for name in names} for each in self.problems]
 
 
 @dataclass(frozen=True, eq=False)

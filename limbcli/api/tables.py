@@ -79,6 +79,28 @@ def to_frame(table: Table) -> pandas.DataFrame:
     return pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
 
 
+class Tabular:
+    """What has rows, as a table."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of `table()` as plain values."""
+        raise NotImplementedError
+
+    def table(self) -> Table:
+        """A structured array (n_rows,), a field a column; the names carry units, what is missing is NaN."""
+        return structured(self.rows())
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The same rows as a pandas table.
+
+        Raises
+        ------
+        ToolError
+            If pandas is not installed.
+        """
+        return to_frame(self.table())
+
+
 def read_columns(path: Path) -> Table:
     """A CSV of numbers with one row of names; what is empty is NaN."""
     with path.open(newline="", encoding="utf-8") as stream:

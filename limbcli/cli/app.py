@@ -12,11 +12,12 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from limbcli import __version__
 from limbcli.cli.examples import EXAMPLES
+from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.errors import CaseError, LimbError
 from limbcli.faults import NO_MEMORY, in_words
+from limbcli.version import __version__
 
 app = typer.Typer(
     name="limbcli",
@@ -98,10 +99,14 @@ def main(arguments: list[str] | None = None) -> None:
         _leave(NO_MEMORY, arguments)
 
 
-def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
-    from limbcli.cli.fixes import for_command_line
+def command_options() -> dict[str, frozenset[str]]:
+    """Every option of every command."""
+    found = getattr(typer.main.get_command(app), "commands", {})
+    return {name: frozenset(text for each in found[name].params for text in each.opts) for name in COMMANDS}
 
-    report_error(for_command_line(error, arguments), as_json="--json" in arguments)
+
+def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
+    report_error(for_command_line(error, arguments, command_options()), as_json="--json" in arguments)
     sys.exit(error.exit_code)
 
 

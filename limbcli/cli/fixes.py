@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 
 from limbcli.pasting import AnyError, pasted
 
+Options = Mapping[str, Set[str]]
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 _OTHERS = re.compile(r"(limbcli|pip|apt-get|fslroi) [^`;,\n]*")
 
 
-def for_command_line(error: AnyError, arguments: Sequence[str]) -> AnyError:
-    """The error with what can be pasted; an option that the command lacks is told with one that has it."""
+def for_command_line(error: AnyError, arguments: Sequence[str], options: Options) -> AnyError:
+    """The error with what can be pasted; an option that the command lacks is told with one that has it.
+
+    options : of every command, in the order in which newcomers meet them
+    """
     case = case_of(arguments)
     told = pasted(error, case, out_of(arguments))
     name = arguments[0] if arguments else ""
-    strangers = list(dict.fromkeys(_strangers(told.fix, name)))
+    strangers = list(dict.fromkeys(_strangers(told.fix, options.get(name, set()), options)))
     if not strangers:
         return told
     place = shlex.quote(str(case)) if case else "CASE"
-    said = [f"{each} is an option of `limbcli {owner_of(each)} {place}`" for each in strangers]
+    said = [f"{each} is an option of `limbcli {owner_of(each, options)} {place}`" for each in strangers]
     return type(told)(told.what, where=told.where, fix=f"{told.fix} ({'; '.join(said)})", **told.facts)
 
 
@@ -44,28 +47,13 @@ def out_of(arguments: Sequence[str]) -> Path | None:
     return None
 
 
-def _strangers(fix: str, command: str) -> Iterator[str]:
+def _strangers(fix: str, own: Set[str], options: Options) -> Iterator[str]:
     """Options in a fix, outside whole commands, that this command does not have and another has."""
-    known = options_of(command)
     for found in _OPTION.findall(_OTHERS.sub("", fix)):
-        if known and found not in known and owner_of(found):
+        if own and found not in own and owner_of(found, options):
             yield found
 
 
-@cache
-def options_of(command: str) -> frozenset[str]:
-    """Every option of a command; empty where there is no such command."""
-    import typer
-
-    from limbcli.cli.app import app
-
-    found = getattr(typer.main.get_command(app), "commands", {}).get(command)
-    return frozenset(each for option in found.params for each in option.opts) if found else frozenset()
-
-
-@cache
-def owner_of(option: str) -> str:
+def owner_of(option: str, options: Options) -> str:
     """The first command that has an option, or nothing."""
-    from limbcli.cli.app import COMMANDS
-
-    return next((name for name in COMMANDS if option in options_of(name)), "")
+    return next((name for name, known in options.items() if option in known), "")

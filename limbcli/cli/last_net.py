@@ -11,9 +11,9 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from limbcli import __version__
 from limbcli.config import default_out
 from limbcli.errors import UnforeseenError
+from limbcli.version import __version__
 
 
 def unforeseen(error: BaseException, folder: Path | None) -> UnforeseenError:

@@ -39,6 +39,7 @@ ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table tells
 FORCE_NOISE = 0.02  # of the force, one deviation: transducer and hold
 _STEEPNESS = 1.4  # d ln force / d ln depth, typically: what an error of the depth makes of the force
 _LEAST_NEAR_LINE, _NEAR_LINE, _ASSUMED_SLOPE = 20, 0.003, 0.05
+_LOGISTIC = 0.25  # largest slope of a share by its logit
 _TO_DEVIATION = 1.4826  # of a Gaussian, over the median absolute deviation
 
 
@@ -121,7 +122,7 @@ def reading_noise(
     out[:, 0, 0] = FORCE_NOISE**2 + (_STEEPNESS * edge / depth) ** 2 + emulator_error[FORCE] ** 2
     out[:, 1, 1] = slope_deviation**2 + emulator_error[CONVEXITY] ** 2
     marks = (layer_deviation[1] * (1 - part)) ** 2 + (layer_deviation[2] * part) ** 2
-    out[:, 2, 2] = marks / below**2 + (0.25 * emulator_error[MUSCLE_PART]) ** 2
+    out[:, 2, 2] = marks / below**2 + (_LOGISTIC * emulator_error[MUSCLE_PART]) ** 2
     return out
 
 

@@ -93,7 +93,7 @@ def _convexity(strain: Array, force: Array) -> Array:
     found = np.empty(len(strain))
     for k, end in enumerate(strain):
         at = np.linspace(0.0, end, 101)
-        values = np.interp(at, [0.0, end], [0.0, 0.0]) + curve(at)
+        values = curve(at)
         slope = np.sum(values * at) / np.sum(at * at)
         found[k] = np.log(force[k] / slope)
     return found

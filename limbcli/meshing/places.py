@@ -14,7 +14,7 @@ from limbcli.problems import Problem
 
 MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
 MOST_MOVED_MM = 5.0  # further than this it is not the place that was measured
-_TURNED = np.array([-1.0, -1.0, 1.0])  # RAS to LPS and back
+TURNED = np.array([-1.0, -1.0, 1.0])  # RAS to LPS and back
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PlaceFault:
 def place_fault(skin: Triangles, place: Array) -> PlaceFault | None:
     """How a place (3,) (mm, patient LPS) fails to lie on a skin; None where it does."""
     point, _, far = nearest_skin_point(skin, np.asarray(place, float))
-    _, _, turned = nearest_skin_point(skin, _TURNED * place)
+    _, _, turned = nearest_skin_point(skin, TURNED * place)
     return judged(place, point, far, turned)
 
 
@@ -55,7 +55,7 @@ def judged(
         what = (
             f"lies {far:.0f} mm from the skin; with the signs of x and y turned it lies on it: RAS, not LPS?"
         )
-        fix = f"write position_mm = {triple(_TURNED * place)}: the same place in LPS"
+        fix = f"write position_mm = {triple(TURNED * place)}: the same place in LPS"
         return PlaceFault(what, fix, False, (x, y, z), far)
     there, here = triple(nearest), triple(place)
     what = f"lies {far:.1f} mm from the skin: {here} is given, {about}{there} is the skin's nearest point"
@@ -73,8 +73,13 @@ def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) 
 
     places : (3,) mm, patient LPS, by the site's name
     """
+    return [problem_of(name, each, where=where) for name, each in place_faults(skin, places).items()]
+
+
+def place_faults(skin: Triangles, places: Mapping[str, Array]) -> dict[str, PlaceFault]:
+    """By the site's name, the faults of those places (3,) (mm, patient LPS) that have one."""
     found = {name: place_fault(skin, np.asarray(place, float)) for name, place in places.items()}
-    return [problem_of(name, each, where=where) for name, each in found.items() if each is not None]
+    return {name: each for name, each in found.items() if each is not None}
 
 
 def problem_of(name: str, fault: PlaceFault, *, where: str) -> Problem:

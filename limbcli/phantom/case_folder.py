@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from limbcli import __version__
 from limbcli.case import Probe
 from limbcli.model import Array
 from limbcli.phantom.subject import Place, Subject
+from limbcli.version import __version__
 
 PROBE = Probe(name="GE 9L", length=53.0, width=14.0, edge_radius=3.0)
 LEVELS_HEADER = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels,phase,hold_s,skin_bone_mm\n"

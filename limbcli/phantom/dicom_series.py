@@ -14,9 +14,9 @@ import pydicom
 from pydicom.dataset import FileDataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, MRImageStorage, generate_uid
 
-from limbcli import __version__
 from limbcli.model import Array
 from limbcli.phantom.mri import Grid
+from limbcli.version import __version__
 
 BITS = 12
 DATE = "20260101"

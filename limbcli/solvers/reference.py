@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import limbcli
 from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.proof import marked
@@ -22,6 +21,7 @@ from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
 from limbcli.solvers.restart import Restart
 from limbcli.solvers.tables import read_finished
+from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
@@ -47,7 +47,7 @@ class ReferenceSolver:
         return True
 
     def version(self) -> str:
-        return limbcli.__version__
+        return __version__
 
     def write(self, model: LimbModel, folder: Path) -> Path:
         return write_feb(model, folder / MODEL_FILE)

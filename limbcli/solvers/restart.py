@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import limbcli
 from limbcli.files import atomic_file
+from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.state import State
@@ -35,7 +35,7 @@ class Restart:
 
     def __init__(self, feb: Path, settings: str):
         self.path = feb.parent / RESTART_FILE
-        words = f"{limbcli.__version__} {settings} ".encode()
+        words = f"{__version__} {settings} ".encode()
         self.key = hashlib.sha256(words + feb.read_bytes()).hexdigest()
         self._states: dict[float, State] = {}
         self._stored = self._read()

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-import limbcli
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
@@ -20,6 +19,7 @@ from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
 from limbcli.solvers.session_watch import Rows, Watch, key_of
+from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Snapshot
@@ -252,7 +252,7 @@ class ReferenceSession:
         counts = self._analysis.totals()
         return Simulation(
             solver=NAME,
-            version=limbcli.__version__,
+            version=__version__,
             times=times,
             rigid=tables["rigid_body"],
             nodes=tables["node"],

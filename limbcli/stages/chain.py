@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from limbcli import __version__
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
 from limbcli.stages.chain_inputs import SITES, case_value, in_words, input_path, note_case
 from limbcli.stages.commands import Step, commands
+from limbcli.version import __version__
 
 
 @dataclass(frozen=True)

@@ -47,14 +47,14 @@ def _images(case: Case) -> list[Problem]:
         return []
     from limbcli.imaging.image_files import read_image
     from limbcli.imaging.nearest_skin import RoughSkin, is_inside, reach_of
-    from limbcli.meshing.places import judged, problem_of, triple
+    from limbcli.meshing.places import TURNED, judged, problem_of, triple
 
     image = read_image(case.imaging.mri).volume
     skin = RoughSkin(image)
     found = []
     for name, place in _places(case).items():
         near, far = skin.nearest(place)
-        turned = skin.nearest(place * [-1, -1, 1])[1]
+        turned = skin.nearest(TURNED * place)[1]
         fault = judged(place, near, far, turned, most=_ROUGH, about="about ")
         if fault is not None and not fault.usable:
             found.append(problem_of(name, fault, where=str(case.file)))

@@ -18,12 +18,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from limbcli import __version__
 from limbcli.config import THREADS
 from limbcli.errors import ToolError
 from limbcli.progress import Progress
 from limbcli.scratch import scratch_folder
 from limbcli.stages.freshness import code_hash
+from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import json
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +15,19 @@ import numpy as np
 
 from limbcli.errors import MeasurementError
 from limbcli.files import atomic_file, sha256
-from limbcli.inference.cohort_model import (
-    PRIOR_DEVIATION,
-    START,
-    CohortModel,
-    reading_noise,
-    readings,
-    slope_noise,
-)
 from limbcli.inference.layered_family import LayeredFamily, layered_family
-from limbcli.inference.population import Population, Rows, estimate_population
+from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
-from limbcli.measurement.edge_noise import LayerNoise, layer_noise
-from limbcli.model import Array, IntArray
 from limbcli.problems import Problem, checked
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, provenance
 from limbcli.stages.cohort_compliance import compliance_left_out
+from limbcli.stages.cohort_estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
 from limbcli.stages.cohort_page import cohort_page
 from limbcli.stages.cohort_result import (
     c_fat_beyond,
+    family_ends,
     m_beyond,
     row_entries,
     site_entry,
@@ -46,28 +37,8 @@ from limbcli.stages.cohort_result import (
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
 FEWEST_ROWS = 5  # of a site, for a population
-
-
-@dataclass(frozen=True, eq=False)
-class SiteEstimate:
-    """One site's rows (numbers in the table), their model and what was found."""
-
-    name: str
-    rows: IntArray
-    model: CohortModel
-    readings: Array
-    noise: Array
-    population: Population
-    found: Rows
-
-
-@dataclass(frozen=True, eq=False)
-class CohortNoise:
-    """What the table's own noise is: of layers' shortening (mm), and of the ln of stiffness."""
-
-    layers: LayerNoise
-    slope: float
-    slope_from_data: bool
+FEWEST_DRAWS = 30  # effective ones behind an interval that can be relied on
+_MUCH_MISSED = 0.05  # of the force, by the emulator
 
 
 def cohort(
@@ -90,7 +61,7 @@ def cohort(
     rows, left_out_sites = _with_enough(rows)
     warnings += left_out_sites
     family = layered_family()
-    noise = _noise_of(rows)
+    noise = noise_of(rows)
     estimates = estimate_sites(rows, family, noise, seed=seed, progress=progress)
     seconds = time.process_time() - started
     progress.event("task", name="compliance of people left out", done=0, total=1)
@@ -123,73 +94,28 @@ def _told(each: Problem) -> str:
     return f"{each.what} ({each.where})"
 
 
-def _noise_of(table: CohortTable) -> CohortNoise:
-    convexity = np.log(table.force / table.face / table.depth / table.slope)
-    one, two = (table.others.get(name) for name in ("r2_line", "r2_parabola"))
-    slope, told = slope_noise(convexity, one, two)
-    return CohortNoise(layer_noise(table.shortened), slope, told)
-
-
-def estimate_sites(
-    table: CohortTable,
-    family: LayeredFamily,
-    noise: CohortNoise,
-    *,
-    seed: int = 7,
-    progress: Progress = SILENT,
-) -> list[SiteEstimate]:
-    """The population of every site and its rows' own tissue."""
-    found = []
-    for k, site in enumerate(table.sites):
-        rows = np.flatnonzero(table.site == site)
-        part = table.rows(rows)
-        model = CohortModel.of(family, part.thickness, part.face, part.depth / part.whole)
-        seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
-        covariance = reading_noise(part.shortened, noise.layers.shortened, noise.slope, family.error)
-        population, own = estimate_population(
-            model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, seed=seed
-        )
-        found.append(SiteEstimate(site, rows, model, seen, covariance, population, own))
-        progress.event("task", name="sites", done=k + 1, total=len(table.sites))
-    return found
-
-
 def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     """What a reader must know before believing the numbers."""
     outside = sum(int((~each.model.inside).sum()) for each in estimates)
-    thin = sum(int((each.found.effective < 30).sum()) for each in estimates)
+    thin = sum(int((each.found.effective < FEWEST_DRAWS).sum()) for each in estimates)
     ends = sum(int(each.model.at_an_end(each.found.mode).sum()) for each in estimates)
-    words = []
-    if outside:
-        words.append(
-            f"{outside} rows have a shape or a strain outside the family of solves; they are answered by "
-            f"its nearest "
-            "member and marked outside_family in rows.csv"
-        )
-    beyond = [each.name for each in estimates if m_beyond(each.population.mean)]
-    if beyond:
-        words.append(
-            f"{', '.join(beyond)}: the curves are straighter or more bent than any m of the family makes "
-            f"them, so that m "
-            "is known on one side only; slopes and largest forces do not tell more"
-        )
-    stiff = [each.name for each in estimates if c_fat_beyond(each.population.mean)]
-    if stiff:
-        words.append(
-            f"{', '.join(stiff)}: the layers move otherwise than with any c_fat of the family, so that c_fat "
-            "is known on one side only"
-        )
-    if ends:
-        words.append(
-            f"{ends} rows' tissue lies at an end of the family (c_fat/c_muscle 0.1 to 15, m 1.5 to 12)"
-        )
-    if thin:
-        words.append(f"{thin} rows: fewer than 30 effective draws behind their interval; do not rely on it")
-    if family.error[0] > 0.05:
-        words.append(
-            f"the emulator misses the solver's force by {100 * family.error[0]:.0f} % (one deviation)"
-        )
-    return words
+    beyond = ", ".join(each.name for each in estimates if m_beyond(each.population.mean))
+    stiff = ", ".join(each.name for each in estimates if c_fat_beyond(each.population.mean))
+    force_error = family.error[FORCE]
+    words = (
+        (outside, f"{outside} rows have a shape or a strain outside the family of solves; they are answered "
+         "by its nearest member and marked outside_family in rows.csv"),
+        (beyond, f"{beyond}: the curves are straighter or more bent than any m of the family makes them, so "
+         "that m is known on one side only; slopes and largest forces do not tell more"),
+        (stiff, f"{stiff}: the layers move otherwise than with any c_fat of the family, so that c_fat is "
+         "known on one side only"),
+        (ends, f"{ends} rows' tissue lies at an end of the family ({family_ends()})"),
+        (thin, f"{thin} rows: fewer than {FEWEST_DRAWS} effective draws behind their interval; do not rely "
+         "on it"),
+        (force_error > _MUCH_MISSED,
+         f"the emulator misses the solver's force by {force_error:.0%} (one deviation)"),
+    )  # fmt: skip
+    return [text for holds, text in words if holds]
 
 
 def _data(

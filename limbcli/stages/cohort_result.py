@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -13,10 +13,8 @@ from limbcli.inference.cohort_model import C_FAT, C_MUSCLE, PARAMETERS, M
 from limbcli.inference.layered_solves import EXPONENT, HIGH, LOW, RATIO
 from limbcli.measurement.cohort_table import LAYERS, CohortTable
 from limbcli.model import Array
+from limbcli.stages.cohort_estimate import SiteEstimate
 from limbcli.units import kpa_from_mpa
-
-if TYPE_CHECKING:
-    from limbcli.stages.cohort import SiteEstimate
 
 _LIKELY = 1.959964  # deviations on either side of a 95 % interval
 _LEVEL = 0.05
@@ -83,6 +81,13 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
         "effective_draws_median": float(np.median(site.found.effective)),
         "homogeneous": homogeneous(table, site),
     }
+
+
+def family_ends() -> str:
+    """Of tissue, in words."""
+    low, high = np.exp([LOW, HIGH])
+    named = (("c_fat/c_muscle", RATIO), ("m", EXPONENT))
+    return ", ".join(f"{name} {low[k]:.3g} to {high[k]:.3g}" for name, k in named)
 
 
 def m_beyond(mean: Array) -> str | None:

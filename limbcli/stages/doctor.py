@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 from packaging.requirements import Requirement
 
-from limbcli import __version__
 from limbcli.config import templates_folder
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose
 from limbcli.stages import doctor_libraries as libraries
+from limbcli.version import __version__
 
 State = Literal["good", "note", "missing"]
 _LEAST_PYTHON = (3, 11)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from limbcli import __version__
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
@@ -20,6 +19,7 @@ from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.asked import options_of
 from limbcli.stages.chain import Chain
 from limbcli.stages.fit_options import FitOptions
+from limbcli.version import __version__
 
 SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
 

@@ -2,41 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from limbcli.case import Case
 from limbcli.errors import MeshError
 from limbcli.imaging.surface import ClosedSurface
-from limbcli.meshing.frame import proximal_direction, ray_hits
-from limbcli.meshing.mending import Limb, mend
-from limbcli.meshing.places import place_problems, triple
+from limbcli.meshing.mending import mend
+from limbcli.meshing.places import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
-from limbcli.model import Array
 from limbcli.problems import Problem
 from limbcli.results import StageWriter
 from limbcli.stages.chain_inputs import SITES, note_case
+from limbcli.stages.segment_places_picture import draw_places
+from limbcli.stages.site_grid import grid_points, write_grid
 
 PICTURE, TABLE = "site-grid.png", "site-grid.csv"
-_STEP_MM, _MOST_ROWS = 20.0, 24
-_ANGLES = 12
-_NAMES = "ABCDEFGHIJKLMNOPQRSTUVWX"
-
-
-@dataclass(frozen=True, eq=False)
-class GridPoint:
-    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior over the left."""
-
-    name: str
-    angle_deg: float
-    point: Array
-    skin_bone: float
 
 
 def tell_places(
@@ -55,12 +38,13 @@ def tell_places(
     note_case(writer, case, [SITES, *(f"site/{site.name}/place" for site in case.sites)])
     triangles = {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
     places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
-    problems = place_problems(triangles["skin"], places, where=str(case.file))
+    faults = place_faults(triangles["skin"], places)
+    problems = {name: problem_of(name, each, where=str(case.file)) for name, each in faults.items()}
     writer.data["site_problems"] = {
-        each.what.split()[1]: {"what": each.what, "fix": each.fix, "severity": each.severity}
-        for each in problems
+        name: {"what": each.what, "fix": each.fix, "severity": each.severity}
+        for name, each in problems.items()
     }
-    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems.values())
     bones = [each for name, each in triangles.items() if name != "skin"]
     try:
         limb = mend(triangles["skin"], bones, where="skin.ply")
@@ -69,8 +53,6 @@ def tell_places(
         return
     grid = grid_points(limb)
     write_grid(writer.file("site_grid_table", TABLE), grid)
-    from limbcli.stages.segment_places_picture import draw_places
-
     at_markers = {str(each["number"]): np.array(each["position_mm"]) for each in markers}
     draw_places(writer.file("site_grid", PICTURE), limb, grid, at_markers, places, title=case.subject)
     writer.summary.append(f"where a site can be: {PICTURE}, with the coordinates of its grid in {TABLE}")
@@ -80,52 +62,3 @@ def site_errors(data: Mapping[str, Any], where: str) -> list[Problem]:
     """The errors that `tell_places` left in a result of segment."""
     found = data.get("site_problems", {}).values()
     return [Problem(each["what"], where, each["fix"]) for each in found if each["severity"] == "error"]
-
-
-def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
-    """Skin points every `step` mm along the limb (more where it is long) and every 30 degrees round it.
-
-    0 degrees is anterior (-y of LPS), 90 the patient's left. The ends of the limb are left out.
-    """
-    axis = proximal_direction(limb)
-    along = limb.skin.points @ axis
-    low, high = float(along.min()), float(along.max())
-    step = max(step, (high - low) / _MOST_ROWS)
-    anterior = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ axis) * axis
-    anterior /= np.linalg.norm(anterior)
-    left = np.cross(axis, anterior)
-    bone = cKDTree(np.concatenate([each.points for each in limb.bones])) if limb.bones else None
-    found = []
-    for row, height in enumerate(np.arange(low + step, high - 0.5 * step, step)):
-        for column in range(_ANGLES):
-            angle = 2 * np.pi * column / _ANGLES
-            point = _on_skin(limb.skin, axis, float(height), np.cos(angle) * anterior + np.sin(angle) * left)
-            if point is None:
-                continue
-            far = float(bone.query(point)[0]) if bone is not None else float("nan")
-            found.append(GridPoint(f"{_NAMES[row]}{column + 1}", 360.0 * column / _ANGLES, point, far))
-    return found
-
-
-def _on_skin(skin: Triangles, axis: Array, height: float, direction: Array) -> Array | None:
-    """The outermost skin point in a direction from the middle of a cross section, or None."""
-    along = skin.points[skin.faces] @ axis
-    crossing = (along.min(axis=1) <= height) & (along.max(axis=1) >= height)
-    if not crossing.any():
-        return None
-    corners = skin.corners[crossing]
-    middle = np.average(corners.mean(axis=1), axis=0, weights=skin.areas[crossing])
-    middle += (height - middle @ axis) * axis
-    hits = ray_hits(middle, direction, corners)
-    return middle + hits.max() * direction if len(hits) else None
-
-
-def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["name", "angle_deg", "x_mm", "y_mm", "z_mm", "skin_bone_mm", "position_mm"])
-        for each in grid:
-            place = [f"{value:.1f}" for value in each.point]
-            rows.writerow(
-                [each.name, f"{each.angle_deg:.0f}", *place, f"{each.skin_bone:.1f}", triple(each.point)]
-            )

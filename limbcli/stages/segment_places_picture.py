@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,9 +13,7 @@ from matplotlib.figure import Figure
 
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
-
-if TYPE_CHECKING:
-    from limbcli.stages.segment_places import GridPoint
+from limbcli.stages.site_grid import GridPoint
 
 # From where, the axis across the picture with its sign, and the axis towards the reader with its sign.
 _VIEWS = (

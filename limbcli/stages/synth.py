@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from limbcli import __version__
 from limbcli.case import CASE_FILE, Case, Noise, Site
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, atomic_folder
@@ -36,6 +35,7 @@ from limbcli.stages.indent import KnownTissue, indent
 from limbcli.stages.indentation_model import with_penalty
 from limbcli.stages.site_layers import MRI
 from limbcli.stages.synth_case import case_table, copy_imaging
+from limbcli.version import __version__
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from limbcli.errors import SolveError
+from limbcli.inference import layered_solves as solves
 from limbcli.meshing.slab import Counts
 from limbcli.stages.cohort_family import STRAINS, Answer, Member, solve_member
 
@@ -43,8 +44,7 @@ COLUMNS = (
     "fat_by_ratio",
     "fat_by_m",
 )
-LOW = np.array([np.log(0.35), 0.015, 0.02, np.log(0.1), np.log(1.5)])
-HIGH = np.array([np.log(4.2), 0.70, 0.14, np.log(15.0), np.log(12.0)])
+LOW, HIGH = (ends[:-1] for ends in (solves.LOW, solves.HIGH))  # of all coordinates but the strain
 THICKEST_SKIN = 0.25  # of the whole
 MESHES = {"family": Counts(), "fine": Counts(4, 3, 2, 5, 1, 2, 2)}
 FINE_STRAINS = (0.05, 0.12, 0.2)  # a finer mesh is there to tell what a mesh does; without derivatives

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.cli.app import COMMANDS, main
-from limbcli.cli.fixes import for_command_line, options_of
+from limbcli.cli.app import COMMANDS, command_options, main
+from limbcli.cli.fixes import for_command_line
 from limbcli.errors import CaseError, SolveError
 from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
 from tests.test_case_text import two_sites
 
 PACKAGE = Path(__file__).resolve().parents[2] / "limbcli"
+OPTIONS = command_options()
 COMMAND = re.compile(r"limbcli ([a-z][a-z-]*)((?: +(?:--?[a-z][a-z-]*|[^\s`;,()\n-][^\s`;,()\n]*))*)")
 
 
@@ -36,13 +37,13 @@ def test_options_of_every_advised_command_exist():
         f"{file}: limbcli {name} {option}"
         for file, name, rest in named
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest)
-        if option not in options_of(name)
+        if option not in OPTIONS[name]
     ]
     assert not wrong
 
 
 def test_commands_without_out_are_those():
-    assert {name for name in COMMANDS if "--out" not in options_of(name)} == set(WITHOUT_OUT)
+    assert {name for name in COMMANDS if "--out" not in OPTIONS[name]} == set(WITHOUT_OUT)
 
 
 def test_commands_name_the_case_and_the_output_folder():
@@ -69,9 +70,9 @@ def test_problems_carry_what_can_be_pasted():
 def test_option_of_another_command_is_told_with_that_command(tmp_path: Path):
     folder = two_sites(tmp_path / "S1")
     error = SolveError("a", where="b", fix="run again with --time-limit-s, or use --element tet4")
-    told = for_command_line(error, ["run", str(folder)])
+    told = for_command_line(error, ["run", str(folder)], OPTIONS)
     assert told.fix.endswith(f"(--element is an option of `limbcli mesh {folder}`)")
-    assert for_command_line(error, ["mesh", str(folder)]).fix.count("--time-limit-s") == 2
+    assert for_command_line(error, ["mesh", str(folder)], OPTIONS).fix.count("--time-limit-s") == 2
     assert isinstance(told, SolveError)
 
 

@@ -1,0 +1,80 @@
+"""A grid of skin points, by name: where a site can be."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.meshing.frame import proximal_direction, ray_hits
+from limbcli.meshing.mending import Limb
+from limbcli.meshing.places import triple
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+
+_STEP_MM, _MOST_ROWS = 20.0, 24
+_ANGLES = 12
+_NAMES = "ABCDEFGHIJKLMNOPQRSTUVWX"
+
+
+@dataclass(frozen=True, eq=False)
+class GridPoint:
+    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior over the left."""
+
+    name: str
+    angle_deg: float
+    point: Array
+    skin_bone: float
+
+
+def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
+    """Skin points every `step` mm along the limb (more where it is long) and every 30 degrees round it.
+
+    0 degrees is anterior (-y of LPS), 90 the patient's left. The ends of the limb are left out.
+    """
+    axis = proximal_direction(limb)
+    along = limb.skin.points @ axis
+    low, high = float(along.min()), float(along.max())
+    step = max(step, (high - low) / _MOST_ROWS)
+    anterior = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ axis) * axis
+    anterior /= np.linalg.norm(anterior)
+    left = np.cross(axis, anterior)
+    bone = cKDTree(np.concatenate([each.points for each in limb.bones])) if limb.bones else None
+    found = []
+    for row, height in enumerate(np.arange(low + step, high - 0.5 * step, step)):
+        for column in range(_ANGLES):
+            angle = 2 * np.pi * column / _ANGLES
+            point = _on_skin(limb.skin, axis, float(height), np.cos(angle) * anterior + np.sin(angle) * left)
+            if point is None:
+                continue
+            far = float(bone.query(point)[0]) if bone is not None else float("nan")
+            found.append(GridPoint(f"{_NAMES[row]}{column + 1}", 360.0 * column / _ANGLES, point, far))
+    return found
+
+
+def _on_skin(skin: Triangles, axis: Array, height: float, direction: Array) -> Array | None:
+    """The outermost skin point in a direction from the middle of a cross section, or None."""
+    along = skin.points[skin.faces] @ axis
+    crossing = (along.min(axis=1) <= height) & (along.max(axis=1) >= height)
+    if not crossing.any():
+        return None
+    corners = skin.corners[crossing]
+    middle = np.average(corners.mean(axis=1), axis=0, weights=skin.areas[crossing])
+    middle += (height - middle @ axis) * axis
+    hits = ray_hits(middle, direction, corners)
+    return middle + hits.max() * direction if len(hits) else None
+
+
+def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["name", "angle_deg", "x_mm", "y_mm", "z_mm", "skin_bone_mm", "position_mm"])
+        for each in grid:
+            place = [f"{value:.1f}" for value in each.point]
+            rows.writerow(
+                [each.name, f"{each.angle_deg:.0f}", *place, f"{each.skin_bone:.1f}", triple(each.point)]
+            )
