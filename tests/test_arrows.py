@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
-GROUND = {"version", "model", "bodies", "case", "case_files", "case_parts", "case_schema", "config", "units", "errors",
+GROUND = {"model", "bodies", "case", "case_files", "case_parts", "case_schema", "config", "units", "errors",
           "progress", "faults", "files", "results", "problems", "model_io", "monotone",
-          "scratch", "pasting", "drawing", "writing"}  # fmt: skip
+          "scratch", "pasting", "drawing", "writing", "version"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
 ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},
