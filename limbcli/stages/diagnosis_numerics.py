@@ -96,15 +96,30 @@ class Numerics:
 
     def tie(self, *, solves: bool = True) -> Tie:
         """To the site's own mesh, and a limb that is not cut; `solves`: by simulations."""
-        m, freed = self.likely_m, None
+        several, freed = self._tied_at(), {}
         if solves:
-            with contextlib.suppress(SolveError):  # told where it is tried as an intervention
-                crop = effect("crop")
-                freed = self.book.curves(m, ((crop, crop.start),))
+            crop = effect("crop")
+            for m in several:
+                with contextlib.suppress(SolveError):  # told where it is tried as an intervention
+                    freed[m] = self.book.curves(m, ((crop, crop.start),))
         return Tying(
-            self.site, self.depth, self.book, out=self.out, size=self.size, m=m,
+            self.site, self.depth, self.book, out=self.out, size=self.size, several=several,
             notes=self.notes, progress=self.progress,
         ).tie(solves=solves, freed=freed)  # fmt: skip
+
+    def _tied_at(self) -> list[float]:
+        """The likely m first; with maps, whose difference between meshes grows with m, another one too."""
+        likely = self.likely_m
+        if self.site.swe_maps is None:
+            return [likely]
+        return [likely, *(m for m in FIRST_M if m != likely and self._is_solved(m))]
+
+    def _is_solved(self, m: float) -> bool:
+        try:
+            self.book.curves(m)
+        except SolveError:
+            return False
+        return True
 
     def _at_levels(self, curves: Curves, table: Array) -> Array:
         return at_depths(self.depth, curves, table)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,10 @@ from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis_changes import Book, Changes, logs
 from limbcli.stages.diagnosis_data import SiteData
 from limbcli.stages.diagnosis_sinking import Sinking
-from limbcli.stages.diagnosis_tie import Tie
+from limbcli.stages.diagnosis_tie import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
-_BEND, _NEAR = 8.0, 5  # m at which the one turns into the other; solved values that are used
+_NEAR = 5  # solved values of m that are used
 
 
 class SiteCurves:
@@ -128,7 +127,7 @@ class SiteCurves:
             if e.solves
         )
         true = logs(self.book.curves(m, solving))
-        true = true + self._tied(true.shape[1])
+        true = true + self._tied(m, true.shape[1])
         missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
         missed[0, 0] = 0.0
         key = (explanation, label(points))
@@ -160,11 +159,11 @@ class SiteCurves:
 
     # ------------------------------------------------------------
 
-    def _tied(self, width: int) -> Array | float:
+    def _tied(self, m: float, width: int) -> Array | float:
         """Of so many columns; lines are not tied."""
         if self.tie is None:
             return 0.0
-        known = np.column_stack([self.tie.log_force, self.tie.log_speed])
+        known = self.tie.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
@@ -175,15 +174,7 @@ class SiteCurves:
         for i, node in enumerate(nodes):
             others = np.delete(at, i)
             total += np.prod((bend(m) - others) / (at[i] - others)) * logs(self.nodes[node])
-        return first.depth, total + self._tied(total.shape[1]), first
-
-
-def bend(m: Any) -> Any:
-    """Of m, what ln force and ln speed follow evenly: the law is even in m, an exponential of it where large.
-
-    Polynomials in it through m 2, 5, 10 give force and speed within 0.3 % from 1 to 9; in ln m within 80 %.
-    """
-    return np.sqrt(_BEND**2 + np.square(m))
+        return first.depth, total + self._tied(m, total.shape[1]), first
 
 
 def label(points: Sequence[Theta]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,18 +17,14 @@ from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_tie import Tie, own_curves
+from limbcli.stages.diagnosis_tie import Tie, bend, own_curves
 
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
 # h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
 _SAFETY = 1.5
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
 _FREED = 0.5  # of the way from a cut that is held to one that is free: the limb
-_USUAL_MAP, _LEAST_SHARE, _MOST_SHARE = (
-    0.07,
-    0.7,
-    1.5,
-)  # of ln speed, a unit of strain, by which meshes differ
+_UNTIED = 1.2  # times the error that maps have where the working mesh is tied
 
 
 class Tells(Protocol):
@@ -40,40 +37,52 @@ class Tells(Protocol):
 class Tying:
     """One site's working mesh, of edges `size` mm, beside its own.
 
-    depth : mm, of the levels (n_levels,); m : the tissue's likely one
+    depth : mm, of the levels (n_levels,); several : the values of m that it is tied at, the likely one first
     """
 
     def __init__(
-        self, site: Site, depth: Array, book: CurveBook, *, out: Path, size: float, m: float,
+        self, site: Site, depth: Array, book: CurveBook, *, out: Path, size: float, several: Sequence[float],
         notes: Tells, progress: Progress,
     ):  # fmt: skip
         self.site, self.depth, self.book, self.out = site, depth, book, out
-        self.size, self.m, self.notes, self.progress = size, m, notes, progress
+        self.size, self.several, self.notes, self.progress = size, several, notes, progress
 
-    def tie(self, *, solves: bool = True, freed: Curves | None = None) -> Tie:
-        """To the site's own mesh, solved there for the likely m (`solves`); without it, a usual error.
+    def tie(self, *, solves: bool = True, freed: Mapping[float, Curves]) -> Tie:
+        """To the site's own mesh, solved there (`solves`); without it, a usual error.
 
-        freed : the working mesh's curves with the cut free, at that m
+        freed : by m, the working mesh's curves with the cut free, as far as they are known
         """
-        working = self.book.curves(self.m)
-        found = self._solved_tie(working) if solves else None
+        found = self._solved_tie() if solves else None
         if found is None:
-            usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
-            found = Tie(
-                np.zeros(len(working.depth)), np.zeros_like(working.log_speed), 1.0, usual,
-                np.zeros(len(self.depth)),
-            )  # fmt: skip
-        if freed is None:
+            found = self._usual_tie(sorted(freed) or [self.several[0]])
+        if not freed:
             return found
+        known = np.array(sorted(freed))
+        nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]
+        cuts = {m: self._cut(m, freed[m]) for m in nearest}
+        return replace(
+            found, log_force=found.log_force + np.array([cuts[m][0] for m in nearest]),
+            log_speed=found.log_speed + np.array([cuts[m][1] for m in nearest]),
+        )  # fmt: skip
+
+    def _usual_tie(self, several: Sequence[float]) -> Tie:
+        """Nothing added, and the usual error."""
+        nothing = np.zeros_like(self.book.curves(several[0]).log_speed)
+        usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
+        return Tie(
+            np.array(several), np.array([nothing[:, 0]] * len(several)), np.array([nothing] * len(several)),
+            1.0, usual, np.zeros(len(self.depth)), map_share=_UNTIED,
+        )  # fmt: skip
+
+    def _cut(self, m: float, freed: Curves) -> tuple[Array, Array]:
+        """What the cut's way to the limb adds to ln force (n,) and ln speeds (n, n_parts)."""
+        working = self.book.curves(m)
         change = np.zeros(len(working.depth))
         change[1:] = np.log(np.maximum(freed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
-        speeds = np.nan_to_num(freed.log_speed - working.log_speed)
-        return replace(
-            found, log_force=found.log_force + _FREED * change, log_speed=found.log_speed + _FREED * speeds
-        )
+        return _FREED * change, _FREED * np.nan_to_num(freed.log_speed - working.log_speed)
 
-    def _solved_tie(self, working: Curves) -> Tie | None:
-        """By the law with the likely m on the site's own mesh; None where it is not to be had."""
+    def _solved_tie(self) -> Tie | None:
+        """By the law with these m on the site's own mesh; None where it is not to be had."""
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
@@ -86,34 +95,41 @@ class Tying:
             self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
             return None
         h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-        self.progress.event("note", text=f"m {self.m:g} on the site's own mesh")
+        words = " and ".join(f"m {m:g}" for m in self.several)
+        self.progress.event("note", text=f"{words} on the site's own mesh")
         try:
-            own = own_curves(model, self.book, self.m, size_ratio=h / self.size)
+            found = own_curves(model, self.book, self.several, size_ratio=h / self.size)
         except SolveError as error:
             self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
             return None
-        at = np.searchsorted(working.depth, own.depth - 1e-6)
-        ratio = np.log(own.force[1:] / working.force[at[1:]])
-        log_force = _onward(own.depth[1:], ratio, working.depth)
-        log_force[0] = 0.0
-        apart = np.nan_to_num(own.log_speed - working.log_speed[at])
-        speeds = np.array([_onward(own.depth, column, working.depth) for column in apart.T]).T
-        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
+        apart = {m: self._apart(m, own) for m, own in found.items()}
+        likely = self.several[0]
+        own, working = found[likely], self.book.curves(likely)
+        self.notes.data["working_mesh_force_ratio"] = np.exp(apart[likely][0])
         left = self._left(h)
-        off = np.abs(np.interp(self.depth, working.depth, log_force))
-        tall = _ratio(own.thickness, working.thickness)
-        in_mean = left * np.abs(np.interp(self.depth, working.depth, speeds[:, 0]))
+        tables = {m: self._onward(own, *apart[m]) for m, own in found.items()}
+        off = np.abs(np.interp(self.depth, working.depth, tables[likely][0]))
+        in_mean = left * np.abs(np.interp(self.depth, working.depth, tables[likely][1][:, 0]))
+        rising = sorted(found)
         return Tie(
-            log_force, speeds, tall, np.maximum(left * off, _LEAST_ERROR), in_mean,
-            self._map_share(own, apart),
+            np.array(rising), np.array([tables[m][0] for m in rising]),
+            np.array([tables[m][1] for m in rising]), _ratio(own.thickness, working.thickness),
+            np.maximum(left * off, _LEAST_ERROR), in_mean,
         )  # fmt: skip
 
-    def _map_share(self, own: Curves, apart: Array) -> float:
-        """By how much two meshes of this site differ in their maps, over the usual."""
-        strain = own.depth[1:] / own.thickness if own.thickness > 0 else own.depth[1:] * np.nan
-        inside = apart[1:, 1:] - apart[1:, 1:].mean(axis=1, keepdims=True)
-        share = float(np.sqrt(np.mean((inside / strain[:, None]) ** 2))) / _USUAL_MAP
-        return float(np.clip(share, _LEAST_SHARE, _MOST_SHARE)) if np.isfinite(share) else 1.0
+    def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
+        """Ln force (n_own - 1,) and ln speeds (n_own, n_parts) of the own mesh over the working mesh."""
+        working = self.book.curves(m)
+        at = np.searchsorted(working.depth, own.depth - 1e-6)
+        ratio = np.log(own.force[1:] / working.force[at[1:]])
+        return ratio, np.nan_to_num(own.log_speed - working.log_speed[at])
+
+    def _onward(self, own: Curves, ratio: Array, apart: Array) -> tuple[Array, Array]:
+        """The same at all depths of the working mesh: (n,), (n, n_parts)."""
+        depth = self.book.curves(self.several[0]).depth
+        log_force = _onward(own.depth[1:], ratio, depth)
+        log_force[0] = 0.0
+        return log_force, np.array([_onward(own.depth, column, depth) for column in apart.T]).T
 
     def _left(self, h: float) -> float:
         """Of what the own mesh, edges h mm, differs from the working mesh: the share it still errs by."""

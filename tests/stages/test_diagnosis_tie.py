@@ -56,11 +56,11 @@ def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
 
 def test_the_same_mesh_solved_again_is_the_same(tmp_path):
     book = _book(tmp_path)
-    again = own_curves(block.block_model("tet4"), book, 5.0, size_ratio=1.0)
+    again = own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
     working = book.curves(5.0)
     book.close()
     at = np.searchsorted(working.depth, again.depth - 1e-6)
-    assert len(at) == 3
+    assert len(at) == 4
     assert again.force == pytest.approx(working.force[at], rel=1e-3)
 
 
@@ -71,7 +71,7 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
     asked = book.model.contacts[0].penalty
     models = []
     for ratio in (0.5, 1.0):
-        own = own_curves(fine, book, 2.0, size_ratio=ratio)
+        own = own_curves(fine, book, [2.0], size_ratio=ratio)[2.0]
         working = book.curves(2.0)
         models.append(own.force[-1] / np.interp(own.depth[-1], working.depth, working.force))
     book.close()
@@ -83,5 +83,5 @@ def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkey
     monkeypatch.setattr("limbcli.stages.diagnosis_tie._LEAST_WORK", 1.0)
     book = _book(tmp_path)
     with pytest.raises(SolveError, match="several times the work"):
-        own_curves(block.block_model("tet4"), book, 5.0, size_ratio=1.0)
+        own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
     book.close()
