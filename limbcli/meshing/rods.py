@@ -167,7 +167,7 @@ def _inside(limb: Limb) -> Field:
 
 
 def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod:
-    """The rod, both ways as far as all of its surface stays `clear` mm inside; through the limb's cut ends."""
+    """The rod, both ways as far as all of its surface stays `clear` mm inside; through cut ends."""
     low, high = limb.skin.points.min(0), limb.skin.points.max(0)
     most = float(np.linalg.norm(high - low))
     ends = []

@@ -136,7 +136,9 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
         f"the layers do not add up to the thickness: {parts}, but the skin-bone distance of site {site.name} "
         f"is {seen[0]:g} mm ({seen[1]})"
     )
-    return [Problem(what, str(case.file), "read layers and bone on one image; muscle_mm goes down to the bone")]
+    return [
+        Problem(what, str(case.file), "read layers and bone on one image; muscle_mm goes down to the bone")
+    ]
 
 
 # ---------------------------------------------------------------- made
@@ -157,7 +159,9 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
         sites[site.name] = Looked(
             shape.skin_bone, "[imaging] shape", made, BONE, _triple(on_skin), _triple(normal)
         )
-    aside = [name for name, each in sites.items() if each.made is None or abs(each.made - shape.skin_bone) > 0.5]
+    aside = [
+        name for name, each in sites.items() if each.made is None or abs(each.made - shape.skin_bone) > 0.5
+    ]
     warnings = tuple(
         f"site {name} does not lie in front, where [imaging] shape tells the layers: the tissue there is as "
         "thick as the round limb makes it" for name in aside

@@ -105,7 +105,9 @@ class CaseRun:
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes), *self._seen())
+        key = key_of(
+            code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes), *self._seen()
+        )
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
         if not done:
             for site in self.case.sites:

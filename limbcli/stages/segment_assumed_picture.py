@@ -27,7 +27,9 @@ def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
     words = title.split(" ")
     lines = [""]
     for word in words:
-        lines[-1:] = [f"{lines[-1]} {word}".strip()] if len(lines[-1]) < _WRAP * len(names) / 2 else [lines[-1], word]
+        lines[-1:] = (
+            [f"{lines[-1]} {word}".strip()] if len(lines[-1]) < _WRAP * len(names) / 2 else [lines[-1], word]
+        )
     figure.suptitle("\n".join(lines), fontsize=10)
     figure.savefig(path, dpi=90, format="png")
 
@@ -46,7 +48,10 @@ def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: Looked | None)
             axes.plot(*piece.T, color=colour, linewidth=1.4, label=each if k == 0 else None)
     if limb.shape is not None:
         angle = np.linspace(0, 2 * np.pi, 181)
-        for word, below in (("skin to fat", limb.shape.skin), ("fat to muscle", limb.shape.skin + limb.shape.fat)):
+        for word, below in (
+            ("skin to fat", limb.shape.skin),
+            ("fat to muscle", limb.shape.skin + limb.shape.fat),
+        ):
             radius = limb.shape.radius - below
             axes.plot(radius * np.cos(angle), radius * np.sin(angle) - limb.shape.radius, color=_FAT,
                       linewidth=0.7, linestyle="--", label=word)  # fmt: skip
