@@ -99,7 +99,7 @@ def deeper(points: Array, rod: Rod, by: float) -> Array:
 
 
 def flatter(points: Array, rod: Rod, touched: Array, factor: float) -> Array:
-    """Displacement (n, 3) of skin whose section becomes an ellipse, `factor` times as flat where it is touched.
+    """Displacement (n, 3) of skin whose section becomes an ellipse, `factor` times as flat at the touch.
 
     Lengths across grow by the cube root of the factor, those along the beam shrink by it: the radius of
     curvature a^2/b changes by the factor, the circumference hardly.

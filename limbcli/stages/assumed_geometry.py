@@ -29,14 +29,14 @@ from limbcli.stages.segment_surfaces import read_body
 
 LENGTH = 300.0  # mm of a limb in numbers: longer than any usual model with its margin
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, as of imaged surfaces
-_SUM_OFF = 1.0  # mm that the layers may differ from the thickness: marks of edges are good to 0.2 mm each
+_SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0  # mm, and deviations, that the layers may differ from the thickness
 _DEPTH_OFF = 1.0  # mm between a bone that several sites share and what one of them saw
 BONE = "bone_1"
 
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """One site's skin-bone distance: measured (mm, and where that comes from), and in the model made of it."""
+    """One site's skin-bone distance (mm): measured, and where that comes from, and in the model made."""
 
     measured: float
     source: str
@@ -116,20 +116,21 @@ def assumed_problems(case: Case) -> list[Problem]:
 
 
 def seen_depth(site: Site) -> tuple[float, str] | None:
-    """mm from skin to bone at first touch, and where it is from: by hand, else of levels.csv, else of [b_mode]."""
+    """mm from skin to bone at first touch, and its source: by hand, else levels.csv, else [b_mode]."""
     if site.skin_bone is not None:
         return site.skin_bone, "skin_bone_mm of the site"
     measured = measured_skin_bone(site)
     if measured is not None:
         return measured, "levels.csv, first row"
-    marked = site.instruments.get("b_mode", {}).get("bone_mm")
-    first = marked[0] if isinstance(marked, list) and marked else marked
+    marked: Any = site.instruments.get("b_mode", {}).get("bone_mm")
+    first = marked[0] if isinstance(marked, list) else marked
     return None if first is None else (float(first), "bone_mm of [site.b_mode]")
 
 
 def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
     seen = seen_depth(site)
-    if seen is None or abs(seen[0] - shape.skin_bone) <= _SUM_OFF:
+    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # of three layers and the whole
+    if seen is None or abs(seen[0] - shape.skin_bone) <= allowed:
         return []
     parts = f"skin {shape.skin:g} + fat {shape.fat:g} + muscle {shape.muscle:g} = {shape.skin_bone:g} mm"
     what = (
@@ -200,8 +201,8 @@ def _disagreement(name: str, measured: float, made: float | None, names: list[st
         return []
     lies = "its beam passes by it" if made is None else f"it lies {made:.1f} mm deep there"
     return [
-        f"site {name} saw bone {measured:g} mm deep; with the one straight bone that {', '.join(names)} share, "
-        f"{lies}"
+        f"site {name} saw bone {measured:g} mm deep; with the one straight bone that {', '.join(names)} "
+        f"share, {lies}"
     ]
 
 

@@ -64,9 +64,14 @@ class Varied:
     why_not: str = ""
 
     @property
-    def mode(self) -> Array:
+    def known(self) -> Array:
+        """(n_levels,) of a variation that was solved."""
         assert self.log_force is not None
-        return np.asarray(np.sqrt(self.variation.weight) * self.log_force)
+        return self.log_force
+
+    @property
+    def mode(self) -> Array:
+        return np.asarray(np.sqrt(self.variation.weight) * self.known)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,6 @@ from limbcli.results import StageWriter
 from limbcli.stages.fit_geometry import GeometryDoubt
 from limbcli.stages.fit_table import NAMES, Identified, inside
 
-_LARGE = 0.2  # ln m by one variation: the linear estimate is rough beyond
-
 
 def leave_geometry(
     found: Identified, doubt: GeometryDoubt, of_noise: Intervals | None, writer: StageWriter
@@ -36,10 +34,11 @@ def leave_geometry(
         "standard_error_fraction": _deviations(rows, doubt),
     }
     writer.data["geometry_doubt"] = told
-    writer.warnings.insert(0, doubt.words) if doubt.words not in writer.warnings else None
+    if doubt.words not in writer.warnings:
+        writer.warnings.insert(0, doubt.words)
     writer.summary.append(
-        f"the assumed geometry puts the force off by {100 * share:.2g} % (one deviation, {len(doubt.done)} shapes); "
-        f"{_widening(told)}"
+        f"the assumed geometry puts the force off by {100 * share:.2g} % (one deviation, {len(doubt.done)} "
+        f"shapes); {_widening(told)}"
     )
 
 
@@ -51,13 +50,13 @@ def _rows(found: Identified, doubt: GeometryDoubt) -> list[dict[str, Any]]:
     depth = found.data.depth[found.data.loaded]
     moved = np.full((len(doubt.done), len(NAMES)), np.nan)
     if free:
-        change = np.array([each.log_force for each in doubt.done])
+        change = np.array([each.known for each in doubt.done])
         newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
         moved[:, free] = shifts(answer.jacobian[:, free], newtons)
     return [
         {
             "kind": each.variation.kind, "words": each.variation.words, "part": each.part,
-            "weight": each.variation.weight, "force_change_fraction": np.expm1(each.log_force),
+            "weight": each.variation.weight, "force_change_fraction": np.expm1(each.known),
             "log_shift": dict(zip(NAMES, row, strict=True)),
         }
         for each, row in zip(doubt.done, moved, strict=True)
@@ -81,4 +80,5 @@ def _widening(told: dict[str, Any]) -> str:
     before, after = (told[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
     if None in before or None in after:
         return "the interval of m is open" if told["interval_95"] else "no interval was computed"
-    return f"95 % of m: {before[0]:.3g} to {before[1]:.3g} by noise alone, {after[0]:.3g} to {after[1]:.3g} with it"
+    narrow, wide = (f"{low:.3g} to {high:.3g}" for low, high in (before, after))
+    return f"95 % of m: {narrow} by noise alone, {wide} with it"
