@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import pi
+from math import nan, pi
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ SHAPE = {
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm"), default=BONE_RADIUS_MM),
 }
 _LEAST_DEPTH, _LEAST_BEHIND = 3.0, 2.0  # mm of tissue above the bone, and behind it
+_FAULTY = Shape(nan, nan, nan, nan, nan)
 _WAYS = ("mri", "labels", "skin", "shape")
 
 
@@ -52,6 +53,8 @@ def read_imaging(
             bones.append(bone)
     shape, found = (None, []) if table.get("shape") is None else read_shape(table["shape"], file)
     radius = float(table["bone_radius_mm"]) if table.get("bone") else None
+    if found:
+        shape = _FAULTY  # its sites still need no place
     imaging = Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
     return imaging, problems + found
 

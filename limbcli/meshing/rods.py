@@ -13,13 +13,15 @@ import numpy as np
 
 from limbcli.meshing.distance import Field, grid_over, signed_distance
 from limbcli.meshing.mending import Limb, principal_axis
+from limbcli.meshing.sections import middle_of, section
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 _NEAR_SITE = 70.0  # mm along the limb on either side, of which its axis is that of the sections' middles
-_BIN, _FEWEST = 10.0, 5  # mm along, and sections that make an axis
+_BIN, _FEWEST = 10.0, 5  # mm between sections, and how many make an axis
 _CLEAR = 8.0  # mm: a rod ends where it would come nearer to the skin than this (or than it is at its site)
 _STEP = 4.0  # mm along a rod at which that is looked at
+_LONGER = 3.0  # edges along a rod by those round it
 _CELLS = 100  # of the grid along the limb
 
 
@@ -46,9 +48,12 @@ class Rod:
         return float((-b - np.sqrt(b * b - a * c)) / a)
 
     def surface(self, *, edge: float) -> Triangles:
-        """Closed, normals outward; its sides are chords of the circle, so `towards` is met exactly."""
+        """Closed, normals outward; its sides are chords of the circle, so `towards` is met exactly.
+
+        edge : mm round the rod; along it, where nothing bends, three times as long
+        """
         around = max(24, int(np.ceil(2 * np.pi * self.radius / edge)))
-        rings = max(1, int(np.ceil((self.high - self.low) / edge)))
+        rings = max(1, int(np.ceil((self.high - self.low) / (_LONGER * edge))))
         angle = 2 * np.pi * np.arange(around) / around
         aside = np.cross(self.axis, self.towards)
         ring = self.radius * (np.outer(np.cos(angle), self.towards) + np.outer(np.sin(angle), aside))
@@ -97,17 +102,15 @@ def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
 
     proximal : (3,) unit, roughly along it; where the limb is too short the skin's principal axis is taken
     """
-    along = limb.skin.centroids @ proximal
+    along = limb.skin.points @ proximal
     reach = points @ proximal
-    near = (along > reach.min() - _NEAR_SITE) & (along < reach.max() + _NEAR_SITE)
-    whole = (along > along.min() + _BIN) & (along < along.max() - _BIN)
-    flat = np.abs(limb.skin.area_vectors @ proximal) > 0.7 * limb.skin.areas  # a cut end is no side
-    number = np.floor(along / _BIN).astype(int)
+    low = max(reach.min() - _NEAR_SITE, along.min() + _BIN)
+    high = min(reach.max() + _NEAR_SITE, along.max() - _BIN)
     middles = []
-    for each in np.unique(number[near & whole]):
-        chosen = (number == each) & ~flat
-        if chosen.sum() > 8:
-            middles.append(np.average(limb.skin.centroids[chosen], axis=0, weights=limb.skin.areas[chosen]))
+    for height in np.arange(low, high + 1e-9, _BIN):
+        pieces = section(limb.skin, height * proximal, proximal)
+        if len(pieces) > 8:
+            middles.append(middle_of(pieces))
     if len(middles) < _FEWEST:
         axis = principal_axis(limb.skin)[0]
     else:

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from limbcli.imaging.surface import ClosedSurface
-from limbcli.model import Array
+from limbcli.meshing.sections import section
+from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.assumed_geometry import AssumedLimb, Looked
 
 _SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
@@ -42,7 +42,7 @@ def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: Looked | None)
     up /= np.linalg.norm(up)
     across = np.cross(rod.axis, up)
     for each, surface in limb.surfaces.items():
-        pieces = section(surface, origin, rod.axis)
+        pieces = section(Triangles(surface.points, surface.triangles), origin, rod.axis)
         colour = _SKIN if each == "skin" else _BONE
         for k, piece in enumerate((pieces - origin) @ np.stack([across, up], axis=1)):
             axes.plot(*piece.T, color=colour, linewidth=1.4, label=each if k == 0 else None)
@@ -61,22 +61,4 @@ def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: Looked | None)
     axes.set(xlabel="mm across the limb", ylabel="mm below the skin at the site")
     axes.set_aspect("equal")
     axes.grid(True, linewidth=0.4, alpha=0.5)
-    axes.legend(fontsize=7, loc="lower right")
-
-
-def section(surface: ClosedSurface, point: Array, normal: Array) -> Array:
-    """Pieces (n, 2, 3) mm of the line in which a plane through a point (3,) cuts a surface."""
-    height = (surface.points - point) @ normal
-    height = np.where(np.abs(height) < 1e-9, 1e-9, height)
-    of_face = height[surface.triangles]
-    cut = np.flatnonzero((of_face.min(axis=1) < 0) & (of_face.max(axis=1) > 0))
-    corners, sides = surface.points[surface.triangles[cut]], of_face[cut]
-    found = []
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        share = sides[:, a] / np.where(sides[:, a] == sides[:, b], np.inf, sides[:, a] - sides[:, b])
-        crossed = sides[:, a] * sides[:, b] < 0
-        here = corners[:, a] + share[:, None] * (corners[:, b] - corners[:, a])
-        found.append(np.where(crossed[:, None], here, np.nan))
-    ends = np.stack(found, axis=1)
-    order = np.argsort(np.isnan(ends[:, :, 0]), axis=1)[:, :2]
-    return np.take_along_axis(ends, order[:, :, None], axis=1)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))

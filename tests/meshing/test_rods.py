@@ -30,7 +30,7 @@ def test_a_rod_meets_the_beam_at_its_depth():
     rod = Rod(np.array([0.0, -20.0, 0.0]), np.array([0.0, 0, 1]), 8.0, -50.0, 50.0, np.array([0.0, -1, 0]))
     point = np.array([0.0, -50.0, 3.0])
     assert rod.depth_under(point, np.array([0.0, 1, 0])) == pytest.approx(22.0, abs=1e-9)
-    assert rod.depth_under(point + [9.0, 0, 0], np.array([0.0, 1, 0])) is None
+    assert rod.depth_under(point + np.array([9.0, 0, 0]), np.array([0.0, 1, 0])) is None
     surface = rod.surface(edge=1.5)
     nearest = closest_on_triangles(point, surface.corners)
     assert np.linalg.norm(nearest - point, axis=1).min() == pytest.approx(22.0, abs=1e-9)
