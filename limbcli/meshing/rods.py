@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limbcli.errors import CaseError
 from limbcli.meshing.distance import Field, grid_over, signed_distance
 from limbcli.meshing.mending import Limb, principal_axis
 from limbcli.meshing.sections import middle_of, section
@@ -19,7 +20,8 @@ from limbcli.model import Array
 
 _NEAR_SITE = 70.0  # mm along the limb on either side, of which its axis is that of the sections' middles
 _BIN, _FEWEST = 10.0, 5  # mm between sections, and how many make an axis
-_CLEAR = 8.0  # mm: a rod ends where it would come nearer to the skin than this (or than it is at its site)
+_CLEAR = 8.0  # mm: a rod ends where it would come nearer to the skin than this
+_LEAST_CLEAR, _KEEPS = 1.5, 0.3  # mm inside the skin at its site; the share of that which it keeps on its way
 _STEP = 4.0  # mm along a rod at which that is looked at
 _LONGER = 3.0  # edges along a rod by those round it
 _CELLS = 100  # of the grid along the limb
@@ -124,6 +126,11 @@ def rods_for(seen: Mapping[str, Seen], limb: Limb, axis: Array, radius: float) -
 
     Every site alone puts the middle of its rod's section. Sites whose middles lie within one radius of each
     other look at one bone, whose middle is their mean (least squares); others have one each.
+
+    Raises
+    ------
+    CaseError
+        If a rod would stand out of the skin at its site.
     """
     groups: list[list[str]] = []
     middles = {name: _middle(each, axis, radius) for name, each in seen.items()}
@@ -141,8 +148,16 @@ def rods_for(seen: Mapping[str, Seen], limb: Limb, axis: Array, radius: float) -
     for group in groups:
         centre = _mean([middles[name] for name in group])
         towards = _unit(_across(seen[group[0]].normal, axis))
-        clear = min(_CLEAR, 0.8 * min(seen[name].depth for name in group))
         rod = Rod(centre, axis, radius, 0.0, 0.0, towards)
+        here = -float(inside.at(_ring(rod, 0.0)).max())
+        if here < _LEAST_CLEAR:
+            depth = min(seen[name].depth for name in group)
+            raise CaseError(
+                f"a bone of {radius:g} mm radius, {depth:g} mm below the skin, does not lie within the limb",
+                where=f"site {', '.join(group)}",
+                fix="give a smaller bone_radius_mm; check the bone's distance, position_mm and the scan's unit",
+            )
+        clear = min(_CLEAR, max(_LEAST_CLEAR, _KEEPS * here))
         found.append((_as_long_as_inside(rod, limb, inside, clear), group))
     return found
 
@@ -169,6 +184,10 @@ def _inside(limb: Limb) -> Field:
     return signed_distance(limb.skin, grid_over(low - 2.5 * spacing, high + 2.5 * spacing, spacing))
 
 
+def _ring(rod: Rod, at: float) -> Array:
+    return replace(rod, low=at - 1e-6, high=at).surface(edge=_STEP).points
+
+
 def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod:
     """The rod, both ways as far as all of its surface stays `clear` mm inside; through cut ends."""
     low, high = limb.skin.points.min(0), limb.skin.points.max(0)
@@ -177,7 +196,7 @@ def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod
     for sign in (-1.0, 1.0):
         end = 0.0
         for at in np.arange(_STEP, most, _STEP):
-            ring = replace(rod, low=sign * at - 1e-6, high=sign * at).surface(edge=_STEP).points
+            ring = _ring(rod, sign * at)
             beyond = [each.height(ring).min() > 0 for each in limb.ends]
             if any(beyond):  # all of it has left the limb through a cut
                 break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.mending import mend
@@ -66,6 +67,16 @@ def test_sites_that_look_at_one_bone_share_it_and_others_have_their_own(tapered)
         for name in names:
             depth = rod.depth_under(seen[name].point, -seen[name].normal)
             assert depth == pytest.approx(seen[name].depth, abs=0.5 if len(names) > 1 else 1e-6)
+
+
+def test_a_bone_that_does_not_fit_is_refused_with_its_numbers(tapered):
+    with pytest.raises(CaseError, match=r"a bone of 14 mm radius, 70 mm below the skin, does not lie within"):
+        rods_for({"a": seen_on(tapered, 0, 70.0)}, tapered, UP, 14.0)
+
+
+def test_a_bone_near_the_other_side_is_as_long_as_the_limb(tapered):
+    rod, _ = rods_for({"a": seen_on(tapered, 0, 55.0)}, tapered, np.array([0, 0.05, 1.0]), 14.0)[0]
+    assert rod.high - rod.low > 150.0
 
 
 def test_a_rod_stays_inside_and_goes_through_cut_ends(tapered):
