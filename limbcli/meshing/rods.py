@@ -21,7 +21,7 @@ from limbcli.model import Array
 _NEAR_SITE = 70.0  # mm along the limb on either side, of which its axis is that of the sections' middles
 _BIN, _FEWEST = 10.0, 5  # mm between sections, and how many make an axis
 _CLEAR = 8.0  # mm: a rod ends where it would come nearer to the skin than this
-_LEAST_CLEAR, _KEEPS = 1.5, 0.3  # mm inside the skin at its site; the share of that which it keeps on its way
+_LEAST_CLEAR, _KEEPS = 1.5, 0.3  # mm inside the skin at its site; the share of it that it keeps
 _STEP = 4.0  # mm along a rod at which that is looked at
 _LONGER = 3.0  # edges along a rod by those round it
 _CELLS = 100  # of the grid along the limb
@@ -155,7 +155,7 @@ def rods_for(seen: Mapping[str, Seen], limb: Limb, axis: Array, radius: float) -
             raise CaseError(
                 f"a bone of {radius:g} mm radius, {depth:g} mm below the skin, does not lie within the limb",
                 where=f"site {', '.join(group)}",
-                fix="give a smaller bone_radius_mm; check the bone's distance, position_mm and the scan's unit",
+                fix="give a smaller bone_radius_mm; check the distance to the bone, and position_mm",
             )
         clear = min(_CLEAR, max(_LEAST_CLEAR, _KEEPS * here))
         found.append((_as_long_as_inside(rod, limb, inside, clear), group))

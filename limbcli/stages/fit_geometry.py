@@ -37,17 +37,16 @@ from limbcli.stages.freshness import key_of
 FILE = "geometry.json"
 RADIUS, ROUNDNESS, USUAL_DEPTH = (0.7, 1.4), (0.7, 1.7), 0.3
 _TOLERANCE = 1e-4
-_PARTS = (1.0, 0.5, 0.25)  # of a variation, where cells would be crushed: what it does is then scaled up
+_PARTS = (1.0, 0.5, 0.25, 0.1)  # of a variation, where cells would be crushed: what it does is then scaled up
 
 
 @dataclass(frozen=True)
 class Variation:
-    """What is varied, in words; `value`: a factor, or mm; `weight`: its share of one deviation's square."""
+    """What is varied, in words; `value`: a factor, or mm."""
 
     kind: str
     value: float
     words: str
-    weight: float = 0.5
 
     def part(self, share: float) -> float:
         """The value of a smaller step of the same kind."""
@@ -69,10 +68,6 @@ class Varied:
         assert self.log_force is not None
         return self.log_force
 
-    @property
-    def mode(self) -> Array:
-        return np.asarray(np.sqrt(self.variation.weight) * self.known)
-
 
 @dataclass(frozen=True, eq=False)
 class GeometryDoubt:
@@ -90,7 +85,13 @@ class GeometryDoubt:
     @property
     def modes(self) -> Array:
         """(n_modes, n_levels) of ln force, one deviation each."""
-        return np.array([each.mode for each in self.done])
+        return np.array([np.sqrt(w) * each.known for w, each in zip(self.weights, self.done, strict=True)])
+
+    @property
+    def weights(self) -> Array:
+        """Share (n_modes,) in the square of its kind's deviation; one whose opposite failed counts whole."""
+        kinds = [each.variation.kind for each in self.done]
+        return np.array([1.0 / kinds.count(each) for each in kinds])
 
 
 def geometry_doubt(
@@ -135,7 +136,7 @@ def geometry_doubt(
 def variations(*, round_limb: bool, depth: float) -> tuple[Variation, ...]:
     """What is assumed of a limb, varied by one deviation; `depth`: mm."""
     found = [Variation("radius", each, f"bone's radius times {each:g}") for each in RADIUS]
-    found.append(Variation("depth", depth, f"bone {depth:g} mm deeper", 1.0))
+    found.append(Variation("depth", depth, f"bone {depth:g} mm deeper"))
     if round_limb:
         found += [
             Variation("roundness", each, f"skin's radius of curvature times {each:g}") for each in ROUNDNESS
