@@ -56,16 +56,16 @@ def _rows(found: Identified, doubt: GeometryDoubt) -> list[dict[str, Any]]:
     return [
         {
             "kind": each.variation.kind, "words": each.variation.words, "part": each.part,
-            "weight": each.variation.weight, "force_change_fraction": np.expm1(each.known),
+            "weight": weight, "force_change_fraction": np.expm1(each.known),
             "log_shift": dict(zip(NAMES, row, strict=True)),
         }
-        for each, row in zip(doubt.done, moved, strict=True)
+        for each, weight, row in zip(doubt.done, doubt.weights, moved, strict=True)
     ]  # fmt: skip
 
 
 def _deviations(rows: list[dict[str, Any]], doubt: GeometryDoubt) -> dict[str, float]:
     """Of ln f_kappa and ln m by the geometry alone."""
-    weights = np.array([each.variation.weight for each in doubt.done])
+    weights = doubt.weights
     return {
         name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))
         for name in NAMES
