@@ -9,6 +9,7 @@ import typer
 from typer.cli import get_docs_for_click
 
 from limbcli import case_schema as schema
+from limbcli.case_imaging import SHAPE
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.materials.laws import LEAVES, WRAPPERS
@@ -16,6 +17,7 @@ from limbcli.materials.laws import LEAVES, WRAPPERS
 TABLES = {
     "[subject]": schema.SUBJECT,
     "[imaging]": schema.IMAGING,
+    "[imaging] shape": SHAPE,
     "[probe]": schema.PROBE,
     "[model]": schema.MODEL,
     "[[site]]": schema.SITE,

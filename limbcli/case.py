@@ -16,6 +16,8 @@ from typing import Any
 
 from limbcli import case_schema as schema
 from limbcli.case_files import CaseFiles
+from limbcli.case_imaging import place_of, read_imaging
+from limbcli.case_instruments import read_instruments, read_layers
 from limbcli.case_parts import Imaging, ModelOptions, Noise, Probe, Site
 from limbcli.errors import CaseError
 from limbcli.problems import Problem, checked
@@ -112,10 +114,9 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
         parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
         problems += found if name in raw else []
     files = CaseFiles.of(raw, folder)
-    sites, found = _read_sites(raw.get("site"), files)
-    problems += found
-    imaging, found = _read_imaging(parts["imaging"], files, present="imaging" in raw)
-    problems += found
+    imaging, found = read_imaging(parts["imaging"], files, present="imaging" in raw)
+    sites, of_sites = _read_sites(raw.get("site"), files, imaging)
+    problems += of_sites + found
     if any(each.severity == "error" for each in problems):
         return None, problems
     return _assemble(folder, raw, parts, imaging, sites), problems
@@ -153,7 +154,7 @@ def _read_images(
     file, files = str(folder / CASE_FILE), CaseFiles.of(raw, folder)
     subject, found = schema.check_table(raw.get("subject", {}), schema.SUBJECT, name="subject", file=file)
     table, wrong = schema.check_table(raw.get("imaging", {}), schema.IMAGING, name="imaging", file=file)
-    imaging, missing = _read_imaging(table, files, present=True)
+    imaging, missing = read_imaging(table, files, present=True)
     found += [*wrong, *missing]
     if found or raw.get("format") != 1:
         return None, problems
@@ -162,7 +163,7 @@ def _read_images(
         sizes = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}
     model, _ = schema.check_table(raw.get("model", {}), schema.MODEL, name="model", file=file)
     parts = {"subject": subject, "probe": sizes, "model": model}
-    return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), files)[0]), []
+    return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), files, imaging)[0]), []
 
 
 def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
@@ -181,39 +182,7 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
 
 
-def _read_imaging(
-    table: Mapping[str, Any], files: CaseFiles, *, present: bool
-) -> tuple[Imaging, list[Problem]]:
-    file = str(files.folder / CASE_FILE)
-    problems: list[Problem] = []
-    if present and not any(table.get(key) for key in ("mri", "labels", "skin")):
-        fix = 'add `mri = "folder or file"`, `labels = "file"`, or `skin` and `bones`'
-        problems.append(Problem("[imaging] names no geometry", file, fix))
-    if table.get("bones") and not table.get("skin"):
-        problems.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
-    if table.get("mri") and table.get("skin"):
-        problems.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
-    paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
-        paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
-        problems += found
-    mri = paths["mri"]
-    if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
-        what = f"imaging.mri: {mri.name!r} is not a folder, and no volume that is read here"
-        fix = (
-            f"name a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
-        )
-        problems.append(Problem(what, file, fix))
-    bones = []
-    for k, name in enumerate(table.get("bones") or []):
-        bone, found = files.existing(name, f"imaging.bones[{k}]", is_folder=False)
-        problems += found
-        if bone:
-            bones.append(bone)
-    return Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones)), problems
-
-
-def _read_sites(tables: object, files: CaseFiles) -> tuple[list[Site], list[Problem]]:
+def _read_sites(tables: object, files: CaseFiles, imaging: Imaging) -> tuple[list[Site], list[Problem]]:
     file = str(files.folder / CASE_FILE)
     if not isinstance(tables, list) or not tables:
         return [], [Problem("case.toml has no site", file, "add a [[site]] (see the case format)")]
@@ -221,7 +190,7 @@ def _read_sites(tables: object, files: CaseFiles) -> tuple[list[Site], list[Prob
     problems: list[Problem] = []
     names: set[str] = set()
     for k, table in enumerate(tables, 1):
-        site, found = _read_site(table, files, label=f"site {k}")
+        site, found = _read_site(table, files, imaging, label=f"site {k}")
         problems += found
         if site is None:
             continue
@@ -232,22 +201,24 @@ def _read_sites(tables: object, files: CaseFiles) -> tuple[list[Site], list[Prob
     return sites, problems
 
 
-def _read_site(table: object, files: CaseFiles, *, label: str) -> tuple[Site | None, list[Problem]]:
+def _read_site(
+    table: object, files: CaseFiles, imaging: Imaging, *, label: str
+) -> tuple[Site | None, list[Problem]]:
     file = str(files.folder / CASE_FILE)
     values, problems = schema.check_table(table, schema.SITE, name=label, file=file)
     if not values:
         return None, problems
     label = f"site {values['name']}" if values.get("name") else label
     given = [key for key in ("position_mm", "marker") if isinstance(table, dict) and key in table]
-    if len(given) != 1:
-        what = "has neither position_mm nor marker" if not given else "has both position_mm and marker"
-        problems.append(Problem(f"{label} {what}", file, "give exactly one of the two"))
+    problems += place_of(values, given, imaging, label, file)
+    if imaging.shape is not None and not given:
+        values["position_mm"] = imaging.shape.place
     raw_noise = values.get("noise")
     noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
     problems += found
-    instruments, found = _read_instruments(values, files, label)
+    instruments, found = read_instruments(values, files, label)
     problems += found
-    layers, found = _read_layers(values["layers"], label, file)
+    layers, found = read_layers(values["layers"], label, file)
     problems += found
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
@@ -260,45 +231,6 @@ def _read_site(table: object, files: CaseFiles, *, label: str) -> tuple[Site | N
     if problems or paths["levels"] is None:
         return None, problems
     return _make_site(values, noise, paths, paths["levels"], instruments, layers), problems
-
-
-def _read_instruments(
-    values: Mapping[str, Any], files: CaseFiles, label: str
-) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """The tables that `limbcli measure` reads, with the path of the file or folder each names."""
-    tables: dict[str, dict[str, Any]] = {}
-    problems: list[Problem] = []
-    for name, keys in schema.INSTRUMENTS.items():
-        if values.get(name) is None:
-            continue
-        title = f"{label} {name}"
-        table, found = schema.check_table(values[name], keys, name=title, file=str(files.folder / CASE_FILE))
-        problems += found
-        kind = "file" if "file" in keys else "folder"
-        path, found = files.existing(table.get(kind), f"{title}: {kind}", is_folder=kind == "folder")
-        problems += found
-        tables[name] = {**table, "path": path}
-    if "load_cell" not in tables and isinstance(values.get("trace"), str):
-        usual, _ = schema.check_table({"file": values["trace"]}, schema.LOAD_CELL, name="", file="")
-        tables["load_cell"] = {**usual, "path": files.folder / values["trace"]}
-    return tables, problems
-
-
-def _read_layers(
-    tables: Mapping[str, Any] | None, label: str, file: str
-) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """The tables of `[site.layers]`: one for each of skin and fat that the model is to have."""
-    layers: dict[str, dict[str, Any]] = {}
-    problems: list[Problem] = []
-    for name, table in (tables or {}).items():
-        title = f"{label} layers.{name}"
-        if name not in schema.LAYER_NAMES:
-            fix = f"the layers are {' and '.join(schema.LAYER_NAMES)}"
-            problems.append(Problem(f"unknown layer {name!r} in [{label} layers]", file, fix))
-            continue
-        layers[name], found = schema.check_table(table, schema.LAYER, name=title, file=file)
-        problems += found
-    return layers, problems
 
 
 def _make_site(
@@ -331,4 +263,5 @@ def _make_site(
         ),
         instruments=instruments,
         layers=layers,
+        skin_bone=None if values["skin_bone_mm"] is None else float(values["skin_bone_mm"]),
     )  # fmt: skip

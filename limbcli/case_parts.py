@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import pi
 from pathlib import Path
 from typing import Any
+
+NOT_IMAGED = "geometry assumed, not imaged"
 
 
 @dataclass(frozen=True)
@@ -19,13 +22,74 @@ class Probe:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """A limb in numbers (mm): a straight round tube, its layers from the skin to one round bone.
+
+    The site lies in front (-y of LPS), the bone as deep below it as the layers are thick.
+    """
+
+    circumference: float
+    skin: float
+    fat: float
+    muscle: float
+    bone_radius: float
+
+    @property
+    def radius(self) -> float:
+        return self.circumference / (2.0 * pi)
+
+    @property
+    def skin_bone(self) -> float:
+        """From the skin to the bone: the sum of the layers.
+
+        >>> Shape(314.159, 1.5, 6.5, 18.0, 14.0).skin_bone
+        26.0
+        """
+        return self.skin + self.fat + self.muscle
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Of a site whose place nobody gives: in front, half-way along."""
+        return (0.0, -self.radius, 0.0)
+
+
+@dataclass(frozen=True)
 class Imaging:
-    """Where the geometry comes from: an MRI series, a label map, or closed surfaces."""
+    """Where the geometry comes from: an MRI series, a label map, surfaces, or what was measured outside.
+
+    bone_radius : mm, of a bone that no file shows, as deep as ultrasound sees it; None: a file shows it
+    shape : numbers only
+    """
 
     mri: Path | None = None
     labels: Path | None = None
     skin: Path | None = None
     bones: tuple[Path, ...] = ()
+    bone_radius: float | None = None
+    shape: Shape | None = None
+
+    @property
+    def assumed(self) -> str:
+        """What of the geometry nobody has seen, in words for every page; nothing where it was imaged.
+
+        >>> Imaging(skin=Path("scan.stl"), bone_radius=14.0).assumed[:66]
+        'geometry assumed, not imaged: the bone is a straight round rod of '
+        >>> Imaging(mri=Path("mri")).assumed
+        ''
+        """
+        if self.shape is not None:
+            one = self.shape
+            return (
+                f"{NOT_IMAGED}: a straight round limb of {one.circumference:g} mm circumference, "
+                f"{one.skin_bone:g} mm from skin to bone (skin {one.skin:g}, fat {one.fat:g}, muscle "
+                f"{one.muscle:g}), one round bone of {one.bone_radius:g} mm radius"
+            )
+        if self.bone_radius is None:
+            return ""
+        return (
+            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, as deep "
+            "below each site as ultrasound shows it; the skin is a scan"
+        )
 
 
 @dataclass(frozen=True)
@@ -59,6 +123,7 @@ class Site:
         defaults filled in and `path` added (a trace is a load cell's record too); where there are any,
         levels.csv and the folder of SWE maps may be missing
     layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
+    skin_bone : mm from skin to bone along the beam at first touch, where it is given by hand
     """
 
     name: str
@@ -72,3 +137,4 @@ class Site:
     noise: Noise
     instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    skin_bone: float | None = None

@@ -118,20 +118,16 @@ def numbers(count: int) -> Check:
     return check
 
 
-def bone_places(value: object) -> str | None:
-    """A distance in mm (at level 0), or one for every level."""
-    one = number(2.0, 120.0, "mm")
-    if isinstance(value, list) and value:
-        return next((wrong for each in value if (wrong := one(each))), None)
-    return one(value)
+def lengths(low: float, high: float) -> Check:
+    """A length in mm (at level 0), or one for every level."""
+    one = number(low, high, "mm")
 
+    def check(value: object) -> str | None:
+        if isinstance(value, list) and value:
+            return next((wrong for each in value if (wrong := one(each))), None)
+        return one(value)
 
-def layer_places(value: object) -> str | None:
-    """A thickness in mm (at level 0), or one for every level."""
-    one = number(0.2, 60.0, "mm")
-    if isinstance(value, list) and value:
-        return next((wrong for each in value if (wrong := one(each))), None)
-    return one(value)
+    return check
 
 
 def thickness(value: object) -> str | None:
@@ -139,6 +135,9 @@ def thickness(value: object) -> str | None:
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
 
 
+# The tibia's section in OpenLimb's mean residual limb has the area of a circle of 12 to 19 mm radius, 3 to
+# 9 cm above the end (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622); in others of that set 9 to 20.
+BONE_RADIUS_MM = 14.0
 VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # of an MRI in one file
 
 SUBJECT = {
@@ -150,6 +149,9 @@ IMAGING = {
     "labels": Key("file", text),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
+    "bone": Key("from-ultrasound", one_of("from-ultrasound")),
+    "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm"), default=BONE_RADIUS_MM),
+    "shape": Key("table", table),
 }
 FILES = {"allow_outside": Key("true | false", truth, default=False)}
 PROBE = {
@@ -168,6 +170,7 @@ SITE = {
     "marker": Key("number", whole(1, 99)),
     "long_axis": Key("transverse | axial | [x, y, z]", axis, required=True),
     "levels": Key("file", text, required=True),
+    "skin_bone_mm": Key("mm", number(2.0, 120.0, "mm")),
     "trace": Key("file", text),
     "swe_maps": Key("folder", text),
     "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
@@ -195,9 +198,9 @@ B_MODE = {
     "folder": Key("folder", text, required=True),
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
     "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
-    "bone_mm": Key("mm, or a list of them", bone_places),
-    "skin_mm": Key("mm, or a list of them", layer_places),
-    "fat_mm": Key("mm, or a list of them", layer_places),
+    "bone_mm": Key("mm, or a list of them", lengths(2.0, 120.0)),
+    "skin_mm": Key("mm, or a list of them", lengths(0.2, 60.0)),
+    "fat_mm": Key("mm, or a list of them", lengths(0.2, 60.0)),
 }
 SWE_IMAGES = {
     "folder": Key("folder", text, required=True),

@@ -19,6 +19,7 @@ from limbcli.inference.identify import ForceDepth, search_parameters
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.prediction import Memory, Prediction, Predictor, sampled, slopes_at
 from limbcli.inference.residual import Objective, force_residual, with_prior
+from limbcli.inference.shape_doubt import at_depths, whitened
 from limbcli.inference.uncertainty import force_variance
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -58,6 +59,7 @@ def force_intervals(
     *,
     free: Sequence[int] = (0, 1),
     max_solves: int = 12,
+    shape_modes: Array | None = None,
     progress: Progress = SILENT,
 ) -> Intervals:
     """Profiles of f_kappa and m (those in `free`), with c moving within its and the mesh's uncertainty.
@@ -67,8 +69,9 @@ def force_intervals(
     `curve`. `best` of the result is (c, the parameters in `free`).
 
     theta : (f_kappa, m) of the fit
+    shape_modes : (n_modes, n_knots) of ln force, one deviation each, by doubts of the model's shape
     """
-    problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free))
+    problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free), shape_modes)
     estimate = np.r_[stiffness.c, theta[list(free)]]
     return adaptive_profiles(problem, max_solves=max_solves, estimate=estimate, progress=progress)
 
@@ -78,7 +81,7 @@ class _ForceProblem:
 
     def __init__(
         self, curve: Memory, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
-        free: tuple[int, ...],
+        free: tuple[int, ...], shape_modes: Array | None = None,
     ):  # fmt: skip
         self.curve, self.knots, self.stiffness, self.fitted, self.free = curve, knots, stiffness, fitted, free
         self.depth, self.force = data.depth[data.loaded], data.force[data.loaded]
@@ -91,11 +94,17 @@ class _ForceProblem:
         self.profiled = tuple(range(1, 1 + len(free)))
         self.n_freedom = max(len(self.force) - len(free), 1)
         self.emulator = Emulator(curve)
+        self.spread: Array | None = None  # N (n, n_modes)
+        if shape_modes is not None and len(shape_modes):
+            known = sampled(curve, knots, self.depth, free=(0, 1), fixed=fitted)(fitted, derivative=False)
+            self.spread = known.values[:, None] * at_depths(shape_modes, knots, self.depth)
 
     def objective(self) -> Objective:
         predict = sampled(self.emulator, self.knots, self.depth, free=(0, 1), fixed=self.fitted)
         scaled = _times_c(predict, self.stiffness.c, self.fitted, self.free)
         force = force_residual(scaled, self.force, deviation=self.deviation)
+        if self.spread is not None:
+            force = whitened(force, self.deviation, self.spread)
         spread = max(self.stiffness.force_deviation, _LEAST_LOG_DEVIATION)
         return with_prior(force, 0, mean=self.stiffness.c, log_deviation=spread)
 

@@ -17,7 +17,10 @@ from limbcli.reporting.sections.parameters import interval_words, said
 
 @dataclass(frozen=True)
 class IndexRow:
-    """One site of one subject; `link` is relative to the index page, empty where there is no report."""
+    """One site of one subject; `link` is relative to the index page, empty where there is no report.
+
+    assumed : what of the geometry was not imaged, in words; nothing where all was
+    """
 
     folder: str
     subject: str
@@ -28,6 +31,7 @@ class IndexRow:
     link: str
     view: FitView | None = None
     failures: tuple[Failure, ...] = ()
+    assumed: str = ""
 
     @property
     def word(self) -> str:

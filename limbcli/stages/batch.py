@@ -105,12 +105,22 @@ class CaseRun:
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
-        key = key_of(code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes))
+        key = key_of(
+            code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes), *self._seen()
+        )
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
         if not done:
             for site in self.case.sites:
                 self._skip(SITE_STAGES, site.name, because="segment")
         return Begun(key, done, self._places() if done and self.options.diagnose else ())
+
+    def _seen(self) -> tuple[object, ...]:
+        """What the geometry is made of besides [imaging], where no image shows the bone."""
+        if self.case.imaging.bone_radius is None:
+            return ()
+        sites = self.case.sites
+        levels = [each.levels for each in sites if each.levels.is_file()]
+        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), self.case.probe, *levels)
 
     def _places(self) -> tuple[tuple[str, ...], ...]:
         from limbcli.stages.diagnose import places

@@ -14,7 +14,7 @@ from limbcli.case import Case, Site
 from limbcli.results import StageWriter, plain
 
 SITES = "sites"
-_WORDS = {"place": "place (position_mm, marker)"}
+_WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 
 def input_path(case: Case, role: str) -> Path | None:

@@ -21,7 +21,9 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
         read is left to them
     """
     try:
-        if case.imaging.skin is not None:
+        if case.imaging.assumed:
+            found = _assumed(case)
+        elif case.imaging.skin is not None:
             found = _surfaces(case)
         else:
             found = _label_map(case) if case.imaging.labels is not None else _images(case)
@@ -38,6 +40,24 @@ def _surfaces(case: Case) -> list[Problem]:
 
     surfaces = triangles_of(read_surfaces(case)[0])
     found = limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin))
+    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+
+
+def _assumed(case: Case) -> list[Problem]:
+    """That the geometry was not imaged; numbers and measurements that do not go together."""
+    from limbcli.meshing.anatomy import SKIN, limb_problems
+    from limbcli.meshing.places import place_problems
+    from limbcli.problems import errors_of
+    from limbcli.stages.assumed_geometry import assumed_limb, assumed_problems
+    from limbcli.stages.segment_assumed import FIX
+    from limbcli.stages.segment_surfaces import triangles_of
+
+    found = [Problem(case.imaging.assumed, str(case.file), FIX, severity="warning"), *assumed_problems(case)]
+    if errors_of(found):
+        return found
+    limb = assumed_limb(case)
+    surfaces = triangles_of(limb.surfaces)
+    found += limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin or case.file))
     return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
 
 

@@ -32,6 +32,7 @@ from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, IN_MEAN, ModelError, S
 from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
 from limbcli.stages.diagnosis_tying import Tells, Tying, at_depths
+from limbcli.stages.geometry_gain import assumed_gain
 
 _DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
 MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
@@ -285,6 +286,10 @@ class Numerics:
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
             touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
+        assumed, told = assumed_gain(self.case, self.site, self.out)
+        if told and told not in self.notes.warnings:
+            self.notes.warnings.append(told)
+        gain = float(np.hypot(gain, assumed))
         strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
         none = np.zeros((n, len(self.book.windows.depths)))

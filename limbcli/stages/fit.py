@@ -7,6 +7,7 @@ m = 2 first, then f_kappa and m. Beside each number stands how far it can be tru
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.inference.identify import START_F_KAPPA, ForceDepth, two_step
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.identify import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
+from limbcli.inference.shape_doubt import no_narrower
 from limbcli.measurement.indentation import Levels, doubts_about_levels
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -30,6 +33,8 @@ from limbcli.stages.chain import Chain
 from limbcli.stages.chain_inputs import note_case
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fit_geometry import geometry_doubt
+from limbcli.stages.fit_geometry_result import leave_geometry
 from limbcli.stages.fit_layers import leave_layers
 from limbcli.stages.fit_map import leave_map, tissue_map
 from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
@@ -117,7 +122,9 @@ def _fit_site(
     error = given if given is not None else studied_error(case, site, out, writer)
     gain = gain_deviation(model, error, f_kappa=float(theta[0]))
     stiffness = replace(stiffness, gain_deviation=gain)
-    intervals, why_none = None, "no interval was asked for"
+    fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
+    doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
+    intervals, of_noise, why_none = None, None, "no interval was asked for"
     if not (site.noise.force > 0 or site.noise.depth > 0):
         why_none = "the case states no noise of force or depth"
         writer.warnings.append(
@@ -127,19 +134,36 @@ def _fit_site(
     elif options.intervals:
         limit = options.max_interval_solves
         curve.expect(limit + _FIRST_SOLVES)
-        full = force_intervals(curve, knots, data, stiffness, theta, max_solves=limit, progress=progress)
-        first = force_intervals(
-            curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES
-        )
-        intervals = (first, full)
-    identified = Identified(curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none)
-    fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
+        intervals = of_noise = _intervals(curve, knots, data, stiffness, steps, limit, progress)
+        if doubt is not None:
+            wide = _intervals(curve, knots, data, stiffness, steps, limit, progress, doubt.modes)
+            intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
+    identified = Identified(
+        curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none, doubt
+    )
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+    if doubt is not None:
+        leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
     if options.contact_check:
         leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
     leave_speeds(fitted, simulation, levels, site, writer)
     leave_layers(fitted, simulation, levels, site, writer)
+
+
+def _intervals(
+    curve: Memory, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
+    limit: int, progress: Progress, modes: Array | None = None,
+) -> tuple[Intervals, Intervals]:  # fmt: skip
+    """Of both steps; `modes`: with the doubt of the geometry."""
+    theta = steps[-1].theta
+    full = force_intervals(
+        curve, knots, data, stiffness, theta, max_solves=limit, shape_modes=modes, progress=progress
+    )
+    first = force_intervals(
+        curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES, shape_modes=modes
+    )
+    return first, full
 
 
 def _tissue_c(

@@ -127,6 +127,10 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     levels = levels_of(site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
+    if case.imaging.assumed:
+        told = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
+        if told not in writer.warnings:
+            writer.warnings.append(told)
     layers, lines = layer_readings(levels, site), None
     if layers is not None:
         try:

@@ -14,6 +14,7 @@ from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.misfit import Misfit, misfit
 from limbcli.inference.prediction import Memory, slopes_at
+from limbcli.inference.shape_doubt import at_depths, shifts
 from limbcli.inference.uncertainty import (
     Verdict,
     correlation,
@@ -24,6 +25,7 @@ from limbcli.inference.uncertainty import (
 )
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
+from limbcli.stages.fit_geometry import GeometryDoubt
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
@@ -43,6 +45,7 @@ class Identified:
     intervals: Sequence[Intervals] | None
     cold_seconds: float
     why_no_intervals: str = "no interval was asked for"
+    geometry: GeometryDoubt | None = None
 
     def simulated(self, theta: Array, depths: Array) -> Array:
         values = self.curve(theta).values
@@ -94,7 +97,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
     variance = _variance(found, step)
-    free = _inside(step)
+    free = inside(step)
     columns = answer.jacobian[:, free]
     sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
     covariance = np.full((3, 3), np.nan)
@@ -104,12 +107,23 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     if not variance.any():  # without stated noise there is no standard error
         return covariance
     block = log_covariance(columns, variance, nuisance=answer.values, nuisance_deviation=sigma)
+    if found.geometry is not None:
+        moved = shifts(columns, geometry_spread(found, step))
+        block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
     if np.isfinite(block).all():
         carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
+
+
+def geometry_spread(found: Identified, step: FittedStep) -> Array:
+    """N (n, n_modes) at the loaded levels, one deviation each, by what is assumed of the geometry."""
+    assert found.geometry is not None
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    depth = found.data.depth[found.data.loaded]
+    return np.asarray(answer.values[:, None] * at_depths(found.geometry.modes, found.knots, depth))
 
 
 def step_misfit(found: Identified, step: FittedStep) -> Misfit:
@@ -124,7 +138,7 @@ def _variance(found: Identified, step: FittedStep) -> Array:
     return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
 
 
-def _inside(step: FittedStep) -> list[int]:
+def inside(step: FittedStep) -> list[int]:
     """The searched parameters that did not end on a bound."""
     pairs = zip(step.free, step.fit.parameters, step.fit.theta, strict=True)
     return [k for k, parameter, value in pairs if parameter.at_bound(float(value)) is None]

@@ -88,6 +88,7 @@ def _data(page: Page, glance: Overview) -> dict[str, Any]:
     return {
         "mood": glance.mood,
         "limb": page.case.limb,
+        "geometry_assumed": page.case.imaging.assumed,
         "stages": {each.label: each.status for each in page.outcomes.all},
         "failures": [_failure(each) for each in glance.failures],
         "n_warnings": len(glance.warnings),

@@ -113,18 +113,21 @@ def _rows(out: Path, folder: Path) -> list[IndexRow]:
 def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     failures = [each for each in report.data.get("failures", []) if each.get("site") in (site, None)]
     n_warnings = int(report.data.get("n_warnings", 0))
-    name = out.resolve().name
+    name, assumed = out.resolve().name, str(report.data.get("geometry_assumed") or "")
     if failures:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
         told = tuple(_failure(each) for each in failures)
-        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, failures=told)
+        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, told, assumed)
     try:
         view = read_fit_view(read_result(out, "fit", site=site))
     except CaseError:
-        return IndexRow(name, report.subject, site, "missing", "not fitted yet", n_warnings, link)
+        return IndexRow(
+            name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
+        )
     return IndexRow(
-        name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view
-    )
+        name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
+        assumed=assumed,
+    )  # fmt: skip
 
 
 def _failure(content: Mapping[str, Any]) -> Failure:

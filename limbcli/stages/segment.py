@@ -34,6 +34,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.asked import asked_of
 from limbcli.stages.chain_inputs import note_case
+from limbcli.stages.segment_assumed import from_assumed
 from limbcli.stages.segment_places import tell_places
 from limbcli.stages.segment_surfaces import check_limb, from_surfaces, write_surfaces
 
@@ -102,6 +103,8 @@ def segment(
         note_case(writer, case, ["imaging"])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
+        elif case.imaging.assumed:
+            from_assumed(case, writer)
         elif case.imaging.skin is not None:
             from_surfaces(case, writer)
         elif case.imaging.labels is not None:

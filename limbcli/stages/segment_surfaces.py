@@ -108,14 +108,33 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
     return surface
 
 
+def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
+    """The skin alone, as it was brought, its normals outward, and what is to be said of it.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or is of another size than a limb's in mm.
+    """
+    surface = _in_mm(read_surface(path), "skin", path)
+    return _turned(surface, "skin", path)
+
+
 def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
     """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
+    surface, told = _turned(surface, name, path)
+    writer.warnings.extend(told)
+    return surface
+
+
+def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
+    told = []
     if not surface.is_closed:
-        writer.warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
+        told.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
     if surface.volume < 0:
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
-        writer.warnings.append(f"the normals of {path.name} pointed inward and were turned")
-    return surface
+        told.append(f"the normals of {path.name} pointed inward and were turned")
+    return surface, told
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:

@@ -127,14 +127,15 @@ def wanted_layers(
     given = {"skin": skin, "fat": fat}
     asked = {name: _asked(site, name, value) for name, value in given.items()}
     seen = {name: _seen(site, segmented, name) for name, value in asked.items() if value == MRI}
+    shown = "MRI" if "geometry" not in segmented.data else "[imaging] shape"
     found, sources = {}, {}
     for name, value in asked.items():
         found[name] = seen[name] if value == MRI else float(value)
-        sources[name] = "MRI" if value == MRI else "given"
+        sources[name] = shown if value == MRI else "given"
     if asked["fat"] == MRI and found["skin"] == 0.0:
         above = float(segmented.data["layers"][site.name]["skin_mm"])
         found["fat"] += above
-        sources["fat"] = f"MRI: {seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
+        sources["fat"] = f"{shown}: {seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
     layers = layers_of(skin=found["skin"], fat=found["fat"], size=size)
     return layers, {each.name: sources[each.name] for each in layers}
 

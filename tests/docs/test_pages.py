@@ -78,11 +78,15 @@ def test_every_command_that_is_spoken_of_exists():
 
 
 def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
-    (text,) = blocks(DOCS / "case-format.md", "toml")
-    (tmp_path / "case.toml").write_text(text)
-    problems = [each.what for each in read_case(tmp_path)[1]]
-    assert problems
-    assert all("not there" in each for each in problems)
+    text, *other_geometries = blocks(DOCS / "case-format.md", "toml")
+    assert other_geometries
+    for each in ("[imaging]" + text.split("[imaging]")[1].split("[probe]")[0], *other_geometries):
+        (tmp_path / "case.toml").write_text(
+            text.split("[imaging]")[0] + each + "[probe]" + text.split("[probe]")[1]
+        )
+        problems = [problem.what for problem in read_case(tmp_path)[1]]
+        assert problems
+        assert all("not there" in problem for problem in problems), problems
     for each in blocks(REPOSITORY / "cases" / "README.md", "toml"):
         tomllib.loads(each)
 

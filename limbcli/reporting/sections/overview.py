@@ -79,9 +79,19 @@ def overview(page: Page) -> Overview:
     warnings += [Warned(f"levels {name}", text) for name, text in of_levels if text not in told]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
+    if page.case.imaging.assumed:
+        sentence = f"{sentence_of(page.case.imaging.assumed)} {sentence}"
     return Overview(
         _overall(sites, bool(failures), bool(warnings)), sentence, sites, failures, tuple(warnings)
     )
+
+
+def sentence_of(words: str) -> str:
+    """
+    >>> sentence_of("geometry assumed, not imaged: a limb")
+    'Geometry assumed, not imaged: a limb.'
+    """
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def _overall(sites: tuple[SiteGlance, ...], failed: bool, warned: bool) -> Mood:

@@ -9,6 +9,7 @@ from limbcli.reporting.numbers import DASH, cell, quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page
 from limbcli.reporting.reportlet import Cell, Mood, Reportlet, Table, head
+from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
 _NOTABLE = 1.5  # times the stated noise
@@ -29,6 +30,7 @@ def parameters(page: Page) -> Reportlet:
     views = _views(page)
     notes, warned = _notes(views)
     details = tuple(_details(str(site), view) for site, view in views.items())
+    details += tuple(each for site, view in views.items() for each in geometry_tables(str(site), view.raw))
     return Reportlet(
         KEY,
         TITLE,

@@ -10,7 +10,20 @@ from limbcli.reporting.page import Page
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
 
 KEY, TITLE = "segmentation", "Are skin and bones outlined where they are?"
-_HANDLED = {"markers"}
+TITLE_ASSUMED = "What is assumed of the limb's shape?"
+_CAPTION = (
+    "each outline follows the edge it belongs to in every slice, and the dark bone cortex lies inside the "
+    "bone outline",
+    "an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or rings a vein; "
+    "a bone that is missing in some slices. Correct the label map in 3D Slicer and name it as “labels” in "
+    "case.toml",
+)
+_CAPTION_ASSUMED = (
+    "the beam ends on the bone, and skin and bone lie as they do on the B-mode image",
+    "a second bone, or one that is not round, near the beam: none of it is in the model. The fit varies the "
+    "bone's radius and depth, and how round the limb is; it does not vary where else there is bone",
+)
+_HANDLED = {"markers", "geometry"}
 
 
 def segmentation(page: Page) -> Reportlet:
@@ -23,23 +36,23 @@ def segmentation(page: Page) -> Reportlet:
     pictures: tuple[Picture, ...] = ()
     if sheet.is_file():
         alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
+        if page.case.imaging.assumed:
+            alt = f"Sections of the assumed limb of subject {page.case.subject}: skin, bone and beam."
         pictures = (Picture("segmentation", alt, source=sheet, vector=False),)
     tables = tuple(each for each in (_markers(result.data.get("markers")),) if each)
     rest = {key: value for key, value in result.data.items() if key not in _HANDLED}
     figures = tuple(plain_rows(rest))
     more = (Table("Figures of the segmentation", (head("figure", "value"),), figures, numeric=False),)
+    look_for, bad = _CAPTION_ASSUMED if page.case.imaging.assumed else _CAPTION
     return Reportlet(
         KEY,
-        TITLE,
+        TITLE_ASSUMED if page.case.imaging.assumed else TITLE,
         "warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
         pictures=pictures,
         tables=tables,
         more=more if figures else (),
-        look_for="each outline follows the edge it belongs to in every slice, and the dark bone cortex "
-        "lies inside the bone outline",
-        bad="an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or "
-        "rings a vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and name "
-        "it as “labels” in case.toml",
+        look_for=look_for,
+        bad=bad,
         notes=result.summary,
         warned=result.warnings,
     )

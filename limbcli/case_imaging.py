@@ -1,0 +1,132 @@
+"""The table [imaging] of case.toml: images, surfaces, a skin and a bone seen by ultrasound, or numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import nan, pi
+from pathlib import Path
+from typing import Any
+
+from limbcli import case_schema as schema
+from limbcli.case_files import CaseFiles
+from limbcli.case_parts import Imaging, Shape
+from limbcli.case_schema import BONE_RADIUS_MM, Key, number
+from limbcli.problems import Problem
+
+SHAPE = {
+    "circumference_mm": Key("mm", number(80.0, 1000.0, "mm"), required=True),
+    "skin_mm": Key("mm", number(0.2, 10.0, "mm"), required=True),
+    "fat_mm": Key("mm", number(0.0, 100.0, "mm"), required=True),
+    "muscle_mm": Key("mm", number(0.0, 100.0, "mm"), required=True),
+    "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm"), default=BONE_RADIUS_MM),
+}
+_LEAST_DEPTH, _LEAST_BEHIND = 3.0, 2.0  # mm of tissue above the bone, and behind it
+_FAULTY = Shape(nan, nan, nan, nan, nan)
+_WAYS = ("mri", "labels", "skin", "shape")
+
+
+def read_imaging(
+    table: Mapping[str, Any], files: CaseFiles, *, present: bool
+) -> tuple[Imaging, list[Problem]]:
+    """The geometry's sources, and what is wrong with them; `present`: case.toml has the table at all."""
+    file = str(files.folder / "case.toml")
+    problems = _contradictions(table, file)
+    if present and not any(table.get(key) for key in _WAYS):
+        fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
+        problems.append(Problem("[imaging] names no geometry", file, fix))
+    paths: dict[str, Path | None] = {}
+    for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
+        paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
+        problems += found
+    mri = paths["mri"]
+    if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
+        what = f"imaging.mri: {mri.name!r} is not a folder, and no volume that is read here"
+        fix = (
+            f"name a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
+        )
+        problems.append(Problem(what, file, fix))
+    bones = []
+    for k, name in enumerate(table.get("bones") or []):
+        bone, found = files.existing(name, f"imaging.bones[{k}]", is_folder=False)
+        problems += found
+        if bone:
+            bones.append(bone)
+    shape, found = (None, []) if table.get("shape") is None else read_shape(table["shape"], file)
+    radius = float(table["bone_radius_mm"]) if table.get("bone") else None
+    if found:
+        shape = _FAULTY  # its sites still need no place
+    imaging = Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
+    return imaging, problems + found
+
+
+def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
+    found = []
+    if table.get("bones") and not table.get("skin"):
+        found.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
+    if table.get("mri") and table.get("skin"):
+        found.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
+    if table.get("bone") and not table.get("skin"):
+        fix = 'add `skin = "scan.stl"`, or give the whole limb in numbers: `shape = { ... }`'
+        found.append(Problem("[imaging] has a bone from ultrasound but no skin", file, fix))
+    if table.get("bone") and table.get("bones"):
+        what = "[imaging] has both `bones` and a bone from ultrasound"
+        found.append(Problem(what, file, "keep `bones` where they were imaged, else `bone`"))
+    others = [key for key in ("mri", "labels", "skin", "bones", "bone") if table.get(key)]
+    if table.get("shape") is not None and others:
+        what = f"[imaging] has both `shape` and `{others[0]}`"
+        found.append(Problem(what, file, "keep what was imaged; `shape` is for a limb of numbers only"))
+    return found
+
+
+def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
+    """A limb in numbers; None with a problem for all that no limb can be.
+
+    >>> whole = {"circumference_mm": 300, "skin_mm": 1.5, "fat_mm": 6, "muscle_mm": 20}
+    >>> read_shape(whole, "case.toml")[0].bone_radius
+    14.0
+    >>> print(read_shape({**whole, "circumference_mm": 120}, "case.toml")[1][0].what)
+    a limb of 120 mm circumference is 38.2 mm across: less than its layers (27.5 mm) and the bone (28 mm)
+    """
+    name = "imaging.shape"
+    if isinstance(raw, dict) and "skin_mm" not in raw and {"fat_mm", "muscle_mm"} & set(raw):
+        given = " and ".join(key for key in ("fat_mm", "muscle_mm") if key in raw)
+        what = f"[{name}] has layers without skin: {given}, but no skin_mm"
+        fix = "add skin_mm (1 to 2 mm where it is not told apart: take it off fat_mm)"
+        return None, [Problem(what, file, fix)]
+    values, problems = schema.check_table(raw, SHAPE, name=name, file=file)
+    if problems:
+        return None, problems
+    shape = Shape(*(float(values[key]) for key in SHAPE))
+    across, needed = shape.circumference / pi, shape.skin_bone + 2 * shape.bone_radius
+    if needed + _LEAST_BEHIND > across:
+        what = (
+            f"a limb of {shape.circumference:g} mm circumference is {across:.1f} mm across: less than its "
+            f"layers ({shape.skin_bone:g} mm) and the bone ({2 * shape.bone_radius:g} mm)"
+        )
+        fix = "circumference_mm is once round the limb, with a tape; layers and bone_radius_mm are mm, too"
+        problems.append(Problem(what, file, fix))
+    if shape.skin_bone < _LEAST_DEPTH:
+        what = f"the layers of [{name}] leave {shape.skin_bone:g} mm from skin to bone"
+        fix = f"at least {_LEAST_DEPTH:g} mm can be modelled; muscle_mm goes down to the bone"
+        problems.append(Problem(what, file, fix))
+    return (None if problems else shape), problems
+
+
+def place_of(
+    values: Mapping[str, Any], given: list[str], imaging: Imaging, label: str, file: str
+) -> list[Problem]:
+    """What is wrong with how a site's place is given; of a limb in numbers it is known without."""
+    if imaging.shape is not None and not given:
+        return []
+    if imaging.assumed and "marker" in given:
+        what = f"{label} is given by marker {values.get('marker')}, and there are no images to show one"
+        fix = (
+            "leave position_mm and marker out: the site lies in front"
+            if imaging.shape
+            else "give position_mm"
+        )
+        return [Problem(what, file, fix)]
+    if len(given) != 1:
+        what = "has neither position_mm nor marker" if not given else "has both position_mm and marker"
+        return [Problem(f"{label} {what}", file, "give exactly one of the two")]
+    return []

@@ -1,0 +1,86 @@
+"""What a doubt about the model's shape adds to a force fit: modes of the simulated force, one deviation each.
+
+Each mode is ln of the force of a varied model over that of the fitted one, at the depths that were simulated.
+A mode moves all levels together, so it adds covariance to the residuals: V = diag(noise) + U U', U the
+modes in N at the measured depths. The residuals are whitened by V's Cholesky factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.profile import Profile
+from limbcli.inference.residual import Objective, Residual
+from limbcli.model import Array
+
+
+def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
+    """Modes (n_modes, n_knots) of ln force read at measured depths (n,): (n, n_modes); flat before the first.
+
+    >>> at_depths(np.array([[0.1, 0.3]]), np.array([1.0, 3.0]), np.array([0.5, 2.0])).ravel()
+    array([0.1, 0.2])
+    """
+    return np.stack([np.interp(depth, knots, each) for each in modes], axis=1)
+
+
+def whitened(objective: Objective, deviation: Array, spread: Array) -> Objective:
+    """An objective whose first n residuals are in deviations (n,), whitened for modes in N (n, n_modes)."""
+    scaled = spread / deviation[:, None]
+    factor = np.linalg.cholesky(np.eye(len(deviation)) + scaled @ scaled.T)
+    n = len(deviation)
+
+    def white(theta: Array, derivative: bool = True) -> Residual:
+        base = objective(theta, derivative)
+        values = np.r_[np.linalg.solve(factor, base.values[:n]), base.values[n:]]
+        if base.jacobian is None:
+            return Residual(values)
+        upper = np.linalg.solve(factor, base.jacobian[:n])
+        return Residual(values, np.vstack([upper, base.jacobian[n:]]))
+
+    return white
+
+
+def shifts(columns: Array, moved: Array) -> Array:
+    """By how much ln theta (n_modes, p) of a least-squares fit moves with each mode.
+
+    columns : (n, p) d force / d ln theta; moved : (n, n_modes) N
+    """
+    return np.asarray((np.linalg.pinv(columns) @ moved).T)
+
+
+def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
+    """The intervals with the shape's doubt, none of them within those of the noise alone.
+
+    Where data scatter beyond their noise, modes may explain that, and the factor by which the noise was
+    widened falls: the answer must not get surer by a doubt.
+    """
+    profiles = {name: _hull(each, narrow.profiles[name]) for name, each in wide.profiles.items()}
+    return replace(wide, profiles=profiles)
+
+
+def _hull(wide: Profile, narrow: Profile) -> Profile:
+    return replace(
+        wide, low=min(wide.low, narrow.low), high=max(wide.high, narrow.high),
+        open_low=wide.open_low or narrow.open_low, open_high=wide.open_high or narrow.open_high,
+    )  # fmt: skip
+
+
+def ends(intervals: Intervals) -> dict[str, list[float | None]]:
+    """[low, high] by parameter; None where an interval is open."""
+    return {
+        name: [None if each.open_low else each.low, None if each.open_high else each.high]
+        for name, each in intervals.profiles.items()
+    }
+
+
+def total_share(modes: Sequence[Array]) -> float:
+    """One deviation of ln force by all modes, root mean square over the depths; 0 without modes.
+
+    >>> round(total_share([np.array([0.3, 0.3]), np.array([0.4, 0.4])]), 3)
+    0.5
+    """
+    return float(np.sqrt(np.mean(np.sum(np.square(modes), axis=0)))) if len(modes) else 0.0

@@ -1,0 +1,63 @@
+"""Of a limb that nobody imaged: how much of the intervals its assumed geometry makes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from limbcli.reporting.numbers import DASH, number, significant
+from limbcli.reporting.reportlet import Cell, Table, head
+
+_NAMES = {"f_kappa": "f_κ", "m": "m"}
+
+
+def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[Table, ...]:
+    """Both parts of the 95 % intervals, and every variation; nothing where the geometry was imaged.
+
+    data : of fit.json
+    """
+    doubt = data.get("geometry_doubt")
+    if not isinstance(doubt, Mapping):
+        return ()
+    return _parts(site, doubt), _variations(site, doubt)
+
+
+def _parts(site: str, doubt: Mapping[str, Any]) -> Table:
+    rows = []
+    for name, symbol in _NAMES.items():
+        cells = [
+            Cell(_interval((doubt.get(key) or {}).get(name))) for key in ("interval_95_noise", "interval_95")
+        ]
+        alone = number((doubt.get("standard_error_fraction") or {}).get(name))
+        share = DASH if alone is None else f"{100 * alone:.2g} %"
+        rows.append((Cell(symbol, lead=True), *cells, Cell(share)))
+    names = head(
+        "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
+    )
+    return Table(f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows))
+
+
+def _variations(site: str, doubt: Mapping[str, Any]) -> Table:
+    rows = []
+    for each in doubt.get("variations") or ():
+        changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
+        shifts = [number(each["log_shift"].get(name)) for name in _NAMES]
+        reach = f"{100 * min(changes):+.1f} to {100 * max(changes):+.1f} %" if changes else DASH
+        told = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
+        rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *told))
+    names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
+    caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
+    return Table(caption, (names,), tuple(rows))
+
+
+def _interval(found: Sequence[float | None] | None) -> str:
+    """
+    >>> _interval([3.5, None]), _interval(None)
+    ('above 3.50', '–')
+    """
+    low, high = (number(each) for each in found) if found else (None, None)
+    if low is None and high is None:
+        return "open" if found else DASH
+    if low is None or high is None:
+        return f"above {significant(low)}" if low is not None else f"below {significant(high or 0.0)}"
+    return f"{significant(low)} to {significant(high)}"

@@ -1,0 +1,242 @@
+"""A limb without MRI: surfaces by its numbers, the same chain, intervals that allow for what is assumed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.meshing.frame import closest_on_triangles
+from limbcli.meshing.rods import tube
+from limbcli.phantom.protocol import Protocol
+from limbcli.results import read_result
+from limbcli.stages.assumed_geometry import assumed_limb
+from limbcli.stages.build_feb import build_feb
+from limbcli.stages.chain import Chain
+from limbcli.stages.check import check
+from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.geometry_gain import USUAL, assumed_gain
+from limbcli.stages.indent import KnownTissue
+from limbcli.stages.mesh import mesh
+from limbcli.stages.report import report
+from limbcli.stages.run import run
+from limbcli.stages.segment import segment
+from limbcli.stages.synth import SynthOptions, synth
+
+SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"
+SCAN = 'skin = "skin.stl"\nbone = "from-ultrasound"\nbone_radius_mm = 9'
+CASE = """
+format = 1
+[subject]
+id = "N1"
+limb = "left"
+[imaging]
+{imaging}
+[probe]
+length_mm = 20.0
+width_mm = 10.0
+edge_radius_mm = 2.0
+[model]
+margin_mm = 12.0
+element = "tet4"
+[[site]]
+name = "p1"
+{place}
+long_axis = "transverse"
+levels = "levels.csv"
+[site.noise]
+force_n = 0.02
+depth_mm = 0.05
+source = "spec"
+"""
+LEVELS = (
+    "force_n,depth_mm,swe_mean_m_per_s{more}\n0,0,1.6{first}\n1,1,1.7{rest}\n2,2,1.9{rest}\n4,3,2.1{rest}\n"
+)
+SIZES = {"size": 3.5, "far_size": 8.0}
+RADIUS = 200 / (2 * np.pi)
+
+
+def numbers(folder: Path, *, shape: str = SHAPE, place: str = "", more: str = "", first: str = "") -> Case:
+    folder.mkdir(exist_ok=True)
+    (folder / "case.toml").write_text(CASE.format(imaging=shape, place=place))
+    (folder / "levels.csv").write_text(LEVELS.format(more=more, first=first, rest="," if more else ""))
+    return Case.open(folder)
+
+
+def scanned(folder: Path, *, place: str = "position_mm = [0, -31.8, 10]", first: str = ",15") -> Case:
+    """A round skin, coarse so as to be quick; the B-mode image shows bone."""
+    folder.mkdir(exist_ok=True)
+    skin = tube(RADIUS, 160.0).surface(edge=4.0)
+    write_surface(folder / "skin.ply", ClosedSurface(skin.points, skin.faces))
+    return numbers(folder, shape=SCAN.replace(".stl", ".ply"), place=place, more=",skin_bone_mm", first=first)
+
+
+def beam_length(folder: Path, point: np.ndarray) -> float:
+    """mm from a point to the bone."""
+    bone = read_surface(folder / "bone_1.ply")
+    nearest = closest_on_triangles(point, bone.points[bone.triangles])
+    return float(np.linalg.norm(nearest - point, axis=1).min())
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory) -> tuple[Case, Path]:
+    """Numbers only, from segment to run."""
+    folder = tmp_path_factory.mktemp("numbers")
+    case, out = numbers(folder / "case"), folder / "out"
+    segment(case, out=out)
+    mesh(case, out=out, **SIZES)
+    build_feb(case, out=out)
+    run(case, out=out, solver="reference")
+    return case, out
+
+
+def test_numbers_go_the_same_way_as_images(chain):
+    case, out = chain
+    segmented = read_result(out, "segment")
+    skin = read_surface(segmented.path("skin"))
+    assert skin.is_closed
+    around = np.hypot(skin.points[:, 0], skin.points[:, 1]).max() * 2 * np.pi
+    assert around == pytest.approx(200.0, rel=1e-5)  # single precision of the file
+    assert beam_length(segmented.folder, np.array([0, -RADIUS, 0])) == pytest.approx(15.0, abs=1e-4)
+    assert segmented.data["layers"]["p1"] == {"skin_mm": 1.5, "fat_mm": 4.5}
+    assert {"contact_sheet", "site_grid", "bone_1"} <= set(segmented.files)
+    meshed = read_result(out, "mesh", site="p1").data
+    assert meshed["checks"]["skin_bone_mm"] == pytest.approx(15.0, abs=0.1)
+    assert Chain(case, out).result("run", site="p1").data
+
+
+def test_every_stage_and_page_says_that_nobody_imaged_it(chain):
+    case, out = chain
+    for stage, site in (("segment", None), ("mesh", "p1"), ("build-feb", "p1"), ("run", "p1")):
+        assert case.imaging.assumed in read_result(out, stage, site=site).warnings, stage
+    page = report(case, out=out)
+    html = (page.folder / "report.html").read_text()
+    assert "Geometry assumed, not imaged: a straight round limb of 200 mm circumference" in html
+    assert "What is assumed of the limb" in html
+    assert page.data["geometry_assumed"] == case.imaging.assumed
+
+
+def test_changed_numbers_break_the_chain(chain, tmp_path):
+    _, out = chain
+    other = numbers(tmp_path / "case", shape=SHAPE.replace("fat_mm = 4.5", "fat_mm = 5.5"))
+    with pytest.raises(CaseError, match="imaging changed after `segment` was run"):
+        Chain(other, out).result("run", site="p1")
+
+
+def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
+    case, out = chain
+    gain, told = assumed_gain(case, case.sites[0], out)
+    assert gain == USUAL
+    assert "No fit has varied it" in told
+
+
+def test_check_tells_it_as_a_warning(tmp_path):
+    found = check(numbers(tmp_path / "case").folder)
+    assert found.exit_code == 0
+    assert any("geometry assumed, not imaged" in each.what for each in found.problems)
+
+
+@pytest.mark.parametrize(
+    ("more", "first"),
+    [(",skin_bone_mm", ",19"), (",skin_mm,fat_mm,muscle_mm", ",2,6,11")],
+    ids=["bone", "layers"],
+)
+def test_layers_that_do_not_add_up_are_refused(tmp_path, more, first):
+    folder = tmp_path / "case"
+    case = numbers(folder)
+    rest = "," * more.count(",")
+    (folder / "levels.csv").write_text(LEVELS.format(more=more, first=first, rest=rest))
+    what = r"do not add up to the thickness: skin 1.5 \+ fat 4.5 \+ muscle 9 = 15 mm, but .* p1 is 19 mm"
+    with pytest.raises(CaseError, match=what):
+        segment(case, out=tmp_path / "out")
+    assert any("do not add up" in each.what for each in check(folder).problems)
+
+
+def test_a_scan_gets_a_bone_as_deep_as_it_was_seen(tmp_path):
+    case = scanned(tmp_path / "case")
+    result = segment(case, out=tmp_path / "out")
+    site = result.data["geometry"]["sites"]["p1"]
+    assert (site["skin_bone_mm"], site["source"]) == (15.0, "levels.csv, first row")
+    assert site["made_mm"] == pytest.approx(15.0, abs=1e-9)
+    assert beam_length(result.folder, np.array(site["skin_point_mm"])) == pytest.approx(15.0, abs=1e-3)
+    assert set(result.provenance["made_from"]["files"]) == {"imaging/skin", "site/p1/levels"}
+    (tmp_path / "case" / "levels.csv").write_text("force_n,depth_mm\n0,0\n")
+    assert Chain(case, tmp_path / "out").broken(result) is not None
+
+
+def test_a_distance_given_by_hand_wins(tmp_path):
+    case = scanned(tmp_path / "case", place="position_mm = [0, -31.8, 10]\nskin_bone_mm = 12")
+    site = assumed_limb(case).sites["p1"]
+    assert (site.measured, site.source) == (12.0, "skin_bone_mm of the site")
+
+
+def test_a_site_without_a_distance_is_named(tmp_path):
+    case = scanned(tmp_path / "case", first=",")
+    with pytest.raises(CaseError, match="site p1 tells no distance from skin to bone"):
+        segment(case, out=tmp_path / "out")
+
+
+def test_without_sites_or_probe_ultrasound_saw_nothing(tmp_path):
+    case = scanned(tmp_path / "case")
+    with pytest.raises(CaseError, match="no site yet under which ultrasound saw the bone"):
+        segment(replace(case, sites=()), out=tmp_path / "out")
+    unknown = replace(case.probe, length=float("nan"))
+    with pytest.raises(CaseError, match="the probe under which ultrasound saw the bone is unknown"):
+        segment(replace(case, probe=unknown), out=tmp_path / "out")
+
+
+def test_a_site_off_the_scan_is_refused(tmp_path):
+    case = scanned(tmp_path / "case", place="position_mm = [0, -60, 10]")
+    with pytest.raises(CaseError, match="from the skin"):
+        segment(case, out=tmp_path / "out")
+
+
+def wide_over(doubt: dict, name: str) -> float:
+    """Width of the interval with the geometry over that without, as ratios of the ends."""
+    (low, high), (narrow_low, narrow_high) = (doubt[k][name] for k in ("interval_95", "interval_95_noise"))
+    return (high / low) / (narrow_high / narrow_low)
+
+
+@pytest.mark.slow
+def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
+    """Simulated on the same numbers: m within its interval, which the varied shapes widen."""
+    truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
+    plan = SynthOptions(tissue=truth, same_mesh=True, protocol=Protocol(step=0.75, max_force=4.0))
+    _, meshed = chain
+    made, out = tmp_path / "made", tmp_path / "out"
+    synth(chain[0], out=meshed, out_case=made, options=plan)
+    case = Case.open(made)
+    segment(case, out=out)
+    mesh(case, out=out, **SIZES)
+    build_feb(case, out=out)
+    wanted = FitOptions(
+        gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
+    )
+    found = fit(case, out=out, solver="reference", options=wanted)[0].data
+    doubt = found["geometry_doubt"]
+    for name, true in (("f_kappa", 2.0), ("m", 5.0)):
+        narrow, wide = doubt["interval_95_noise"][name], doubt["interval_95"][name]
+        assert found["interval_95"][name] == wide
+        assert wide[0] < true < wide[1]
+        assert wide[0] <= narrow[0] < narrow[1] <= wide[1]
+    # A flatter limb is stiffer as a whole: f_kappa makes up for it, not m.
+    assert np.log(wide_over(doubt, "f_kappa")) > 1.0
+    kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in doubt["variations"]}
+    assert set(kinds) == {"radius", "depth", "roundness"}
+    assert (kinds["depth"] < 0).all()  # more tissue is softer
+    assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
+    assert doubt["n_solves"] == 5
+    brief = replace(wanted, intervals=False)
+    again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_doubt"]
+    assert again["n_solves"] == 0
+    assert again["variations"] == doubt["variations"]
+    assert assumed_gain(case, case.sites[0], out)[0] == doubt["gain_fraction"]
+    page = report(case, out=out)
+    assert "what the assumed geometry adds" in (page.folder / "report.html").read_text()
+    assert json.loads((out / "fit" / "p1" / "geometry.json").read_text())["key"]
