@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from limbcli.api.base import Result
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    at_work,
+    folder_of,
+    foreseen,
+    listening,
+    names_of,
+    told,
+)
 from limbcli.api.limits import one_of, within
 from limbcli.case import Case
 from limbcli.results import StageResult
@@ -48,6 +58,7 @@ class MadeCase(Result):
         ]
 
 
+@told
 def synth(
     case: CaseLike,
     out_case: PathLike,
@@ -115,6 +126,7 @@ def synth(
     return MadeCase.of(found)
 
 
+@told
 def make_phantom(
     folder: PathLike,
     *,
