@@ -21,7 +21,7 @@ _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 def mesh_picture(
     mesh: Mesh, probe: ProbeShape, figures: Quality, path: Path, *, title: str, start_depth: float
 ) -> None:
-    """Write a PNG and an SVG. Look for small cells under the probe and bones in their places; bad are thin spikes."""
+    """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes."""
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
