@@ -9,19 +9,28 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from limbcli import ahead
 from limbcli.config import at_most
+from limbcli.errors import LimbError
 
 _FINE = 7  # cells along an edge of the self test's block: enough equations for single precision
 
 
-def compile_ahead() -> None:
-    """Begin, if it is worth it."""
-    from limbcli.solvers.reference import kernels_are_there
+def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> None:
+    """Begin, if it is worth it and this solver (as of `solvers.choose`) is the reference solver."""
+    from limbcli.solvers import choose
+    from limbcli.solvers.reference import NAME, kernels_are_there
 
+    try:
+        if choose(solver, febio).name != NAME:
+            return
+    except LimbError:  # the stage that needs it says so
+        return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if at_most(cores) > 1 and not ahead.at_work() and not kernels_are_there():
         for part in PARTS:
@@ -48,10 +57,13 @@ def equations() -> None:
 
 def simulation() -> None:
     """Of elements, contact and derivatives: a small indentation, with all that a fit asks for."""
+    from limbcli.model import LogRecord
     from limbcli.solvers.session import ReferenceSession
     from limbcli.stages.self_test import indentation
 
-    session = ReferenceSession(indentation(_FINE), tolerance=1e-4)
+    model = indentation(_FINE)
+    strain = LogRecord("element", ("Fxx",), "strain.csv", np.arange(1))
+    session = ReferenceSession(replace(model, records=(*model.records, strain)), tolerance=1e-4)
     session.solve(records=True)
     session.solve(wrt=[("tissue", "kappa"), ("tissue", "m1-m2")], field_gradients=True)
     session.close()
