@@ -11,7 +11,6 @@ from limbcli.progress import SILENT, Progress
 from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page, SiteMaterial
-from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
@@ -45,8 +44,8 @@ def report(
         writer.data.update(_data(page, glance))
         writer.summary.append(glance.sentence)
         writer.summary += [f"{site.name}: {site.sentence}" for site in glance.sites]
-        said = {site.name: in_short(page, site) for site in page.sites}
-        writer.summary += [f"{name}: {words}" for name, words in said.items() if words]
+        diagnosed = [site for site in glance.sites if site.diagnosis]
+        writer.summary += [f"{site.name}: the diagnosis says: {site.diagnosis}" for site in diagnosed]
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
         writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]

@@ -45,7 +45,7 @@ def in_short(page: Page, site: SiteMaterial) -> str | None:
         data = read_result(page.out, "diagnose", site=site.name).data
     except LimbError:
         return None
-    return f"the diagnosis says: {in_words(data)}"
+    return in_words(data)
 
 
 def in_words(data: Mapping[str, Any]) -> str:
