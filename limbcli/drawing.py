@@ -25,9 +25,15 @@ Row = tuple[object, ...]
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     """Write `path` (a PNG), and beside it the same as SVG, and its data as `<name>-data.csv`."""
-    figure.savefig(path, format="png", metadata={"Software": None}, dpi="figure" if dpi is None else dpi)
-    figure.savefig(path.with_suffix(".svg"), format="svg", metadata={"Date": None, "Creator": "limbcli"})
+    save_picture(figure, path, dpi=dpi)
     write_data(figure, data_file(path))
+
+
+def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
+    """Write `path` (a PNG), and beside it the same as SVG: what is to be looked at, and is no graph."""
+    figure.savefig(path, format="png", metadata={"Software": None}, dpi="figure" if dpi is None else dpi)
+    figure.set_layout_engine("none")  # it is laid out, which takes as long as drawing it
+    figure.savefig(path.with_suffix(".svg"), format="svg", metadata={"Date": None, "Creator": "limbcli"})
 
 
 def data_file(path: Path) -> Path:

@@ -12,6 +12,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +25,7 @@ from limbcli.files import atomic_folder, sha256
 from limbcli.version import __version__
 
 FORMAT = 1
+CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
 _PICTURES = (".png", ".svg", ".html")
 
 
@@ -216,7 +218,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
 
 
 def provenance() -> dict[str, Any]:
-    """Command, versions and unit system of this run."""
+    """Command (or call from Python), versions and unit system of this run."""
     packages = ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio")
     versions = {}
     for name in packages:
@@ -224,7 +226,7 @@ def provenance() -> dict[str, Any]:
             versions[name] = metadata.version(name)
     return {
         "limbcli": __version__,
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": CALLED.get() or " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "packages": versions,

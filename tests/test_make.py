@@ -1,12 +1,15 @@
-"""`make cases` hands any folders to one batch."""
+"""`make cases` hands any folders to one batch; `make demo` ends with what the diagnosis said."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from limbcli.results import StageResult
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -38,3 +41,24 @@ def test_no_folder_at_all_is_told(tmp_path: Path):
     done = cases(f"CASES={tmp_path}/none/*")
     assert done.returncode != 0
     assert f"there is no case folder in {tmp_path}/none/*" in done.stdout
+
+
+def test_the_demo_says_at_its_end_what_was_hidden_and_what_was_named(tmp_path: Path):
+    if shutil.which("make") is None:
+        pytest.skip("needs make")
+    for name in ("subject/truth", "results/report"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "subject/truth/truth.toml").write_text('[[hidden]]\neffect = "skin-layer"\n')
+    summary = [
+        "p1: fine",
+        "p1: the diagnosis says: skin-layer (named); the gap went from 1.47 to 0.92",
+        "page: x",
+    ]
+    report = StageResult("report", "S1", tmp_path, summary=tuple(summary))
+    (tmp_path / "results/report/report.json").write_text(json.dumps(report.to_json(), indent=1))
+    command = ["make", "-s", "-o", "env", "demo", "LIMBCLI=true", f"DEMO={tmp_path}"]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60, check=True)
+    hidden, named, page = done.stdout.splitlines()
+    assert hidden.endswith(" skin-layer")
+    assert named.endswith(" skin-layer (named); the gap went from 1.47 to 0.92")
+    assert page.endswith(f" {tmp_path}/results/report/report.html")

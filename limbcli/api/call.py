@@ -3,22 +3,52 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import ParamSpec, TypeAlias, TypeVar
 
 from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError
 from limbcli.faults import NO_MEMORY, in_words
 from limbcli.progress import SILENT, Listener, Progress
+from limbcli.results import CALLED
 from limbcli.writing import one_writer
 
 PathLike: TypeAlias = str | os.PathLike[str]
 CaseLike: TypeAlias = Case | str | os.PathLike[str]
 Heard: TypeAlias = Listener | Progress | None
+_Taken = ParamSpec("_Taken")
+_Given = TypeVar("_Given")
+
+
+def told(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]:
+    """A public function whose results say how it was called, as a command's say the command."""
+
+    @functools.wraps(function)
+    def calling(*args: _Taken.args, **kwargs: _Taken.kwargs) -> _Given:
+        given = {name: value for name, value in kwargs.items() if name != "progress"}
+        words = [*map(_in_words, args), *(f"{name}={_in_words(value)}" for name, value in given.items())]
+        before = CALLED.set(f"limbcli.{function.__name__}({', '.join(words)})")
+        try:
+            return function(*args, **kwargs)
+        finally:
+            CALLED.reset(before)
+
+    return calling
+
+
+def _in_words(value: object) -> str:
+    """
+    >>> _in_words(Path("my limb")), _in_words(2.5)
+    ("'my limb'", '2.5')
+    """
+    if isinstance(value, Case):
+        value = value.folder
+    return repr(os.fspath(value)) if isinstance(value, os.PathLike) else repr(value)
 
 
 @dataclass(frozen=True)

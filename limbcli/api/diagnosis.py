@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, told
 from limbcli.api.limits import within
 from limbcli.results import StageResult
 
@@ -87,6 +87,7 @@ class ReportResult(Result):
         ]
 
 
+@told
 def diagnose(
     case: CaseLike,
     *,
@@ -150,6 +151,7 @@ def diagnose(
     return by_site(DiagnosisResult, found)
 
 
+@told
 def report(
     case: CaseLike,
     *,

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from limbcli.api.base import SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, told
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult
 from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from limbcli.stages.fit_options import FitOptions
 
 
+@told
 def fit(
     case: CaseLike,
     *,
@@ -80,6 +81,7 @@ def fit(
     return by_site(FitResult, found)
 
 
+@told
 def fit_joint(
     case: CaseLike,
     *,
@@ -124,6 +126,7 @@ def fit_joint(
     return JointFitResult.of(found)
 
 
+@told
 def compare_elements(
     case: CaseLike,
     *,

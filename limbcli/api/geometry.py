@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, told
 from limbcli.api.limits import one_of, within
 from limbcli.errors import CaseError
 from limbcli.results import StageResult
@@ -124,6 +124,7 @@ class MeshResult(Result):
         return load_model(self.files["model"])
 
 
+@told
 def segment(
     case: CaseLike,
     *,
@@ -172,6 +173,7 @@ def segment(
     return SegmentResult.of(found)
 
 
+@told
 def mesh(
     case: CaseLike,
     *,

@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from limbcli.api.base import Result
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    at_work,
+    folder_of,
+    foreseen,
+    listening,
+    names_of,
+    told,
+)
 from limbcli.api.limits import one_of, within
 from limbcli.case import Case
 from limbcli.results import StageResult
@@ -48,6 +58,7 @@ class MadeCase(Result):
         ]
 
 
+@told
 def synth(
     case: CaseLike,
     out_case: PathLike,
@@ -115,6 +126,7 @@ def synth(
     return MadeCase.of(found)
 
 
+@told
 def make_phantom(
     folder: PathLike,
     *,
@@ -126,6 +138,7 @@ def make_phantom(
     c_kpa: float = 8.0,
     f_kappa: float = 80.0,
     m: float = 6.0,
+    effects: str | Iterable[str] = (),
     noise: float = 1.0,
     step_n: float = 2.0,
     max_force_n: float = 12.0,
@@ -157,11 +170,13 @@ def make_phantom(
         If a site cannot be meshed or simulated.
     """
     from limbcli.stages import phantom as stage
+    from limbcli.stages.hidden import hide
 
+    hidden = tuple(hide(each) for each in names_of(effects) or ())
     plan = _plan(
         "phantom", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
-        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh,
+        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
     )  # fmt: skip
     options = stage.PhantomOptions(
         seed=seed, subject_id=subject, site_names=tuple(names_of(sites) or stage.USUAL_SITES),

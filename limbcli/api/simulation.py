@@ -18,6 +18,7 @@ from limbcli.api.call import (
     listening,
     maybe_path,
     names_of,
+    told,
 )
 from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
@@ -111,6 +112,7 @@ class RunResult(Result):
         return [self._named(row) for row in plain_rows(self.curve())]
 
 
+@told
 def build_feb(
     case: CaseLike,
     *,
@@ -171,6 +173,7 @@ def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return dict(map(parse_law, texts))
 
 
+@told
 def run(
     case: CaseLike,
     *,
@@ -215,6 +218,7 @@ def run(
     return by_site(RunResult, found)
 
 
+@told
 def run_feb(
     feb: PathLike,
     *,

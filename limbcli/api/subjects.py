@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    at_work,
+    folder_of,
+    foreseen,
+    listening,
+    names_of,
+    told,
+)
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.problems import Problem
 from limbcli.results import StageResult
@@ -77,6 +87,7 @@ def check(case: PathLike, *, progress: Heard = None) -> CheckResult:
     return CheckResult(found.case, found.looked_at, found.problems)
 
 
+@told
 def measure(
     case: CaseLike,
     *,

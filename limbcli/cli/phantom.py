@@ -10,6 +10,7 @@ import typer
 from limbcli.cli.options import JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.synth_options import (
     CStiffOpt,
+    EffectOpt,
     FKappaOpt,
     MaxForceOpt,
     MaxStrainOpt,
@@ -52,6 +53,7 @@ def command(
     c_kpa: CStiffOpt = 8.0,
     f_kappa: FKappaOpt = 80.0,
     m: MOpt = 6.0,
+    effect: EffectOpt = None,
     noise: NoiseOpt = 1.0,
     step_n: StepOpt = 2.0,
     max_force_n: MaxForceOpt = 12.0,
@@ -66,6 +68,7 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
+    from limbcli.stages.hidden import hide
     from limbcli.stages.indent import KnownTissue
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
     from limbcli.stages.synth import Protocol, SynthOptions
@@ -79,6 +82,7 @@ def command(
         far_size=far_size_mm,
         margin=margin_mm,
         same_mesh=same_mesh,
+        hidden=tuple(hide(each) for each in effect or ()),
         protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
     options = PhantomOptions(

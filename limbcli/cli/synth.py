@@ -11,6 +11,7 @@ from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, S
 from limbcli.cli.synth_options import (
     ContactPenaltyOpt,
     CStiffOpt,
+    EffectOpt,
     FKappaOpt,
     MaxForceOpt,
     MaxStrainOpt,
@@ -30,15 +31,6 @@ OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
 ]
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
-EffectOpt = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--effect",
-        metavar="ID[=SIZE]",
-        help="Hide this effect in the data (may be repeated).",
-        show_default=False,
-    ),
-]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
 
 

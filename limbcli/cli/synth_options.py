@@ -19,6 +19,16 @@ FKappaOpt = Annotated[
 MOpt = Annotated[
     float, typer.Option("--m", min=1.0, max=100.0, help="Exponent of the law.", rich_help_panel=_TISSUE)
 ]
+EffectOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="ID[=SIZE]",
+        help="Hide this effect in the data (may be repeated).",
+        show_default=False,
+        rich_help_panel=_TISSUE,
+    ),
+]
 NoiseOpt = Annotated[
     float,
     typer.Option(

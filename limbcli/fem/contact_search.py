@@ -205,7 +205,8 @@ def search(
                 nu[i] = n[i] / length
             found = False
             if hint >= 0 and _hit(x2, facets2[hint], rim[hint], r, nu, tolerance, out):
-                best[:] = out
+                for i in range(15):
+                    best[i] = out[i]
                 found = True
                 place = hint
             if not found:
@@ -221,7 +222,8 @@ def search(
                     if not _hit(x2, facets2[j], rim[j], r, nu, tolerance, out):
                         continue
                     if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
-                        best[:] = out
+                        for i in range(15):
+                            best[i] = out[i]
                         found = True
                         place = j
             if not found:

@@ -174,7 +174,7 @@ def tangent_times(
         for g in range(weight.shape[1]):
             _gradient(own, grad[e, g], base, F)
             _gradient(change, grad[e, g], zero, dF)
-            J = second_piola(F, ops, par[row], S, CC, True, work)
+            J = second_piola(F, ops, par[row], S, CC, np.bool_(True), work)
             if mixed:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, D, S, CC)

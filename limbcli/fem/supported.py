@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from limbcli import ahead
 from limbcli.errors import SolveError
 from limbcli.fem.fields import check_record
 from limbcli.materials import compile_material
@@ -37,11 +38,20 @@ def _refused(what: str, where: str) -> SolveError:
 
 
 def warm_up(progress: Progress) -> None:
-    """Tell listeners, once, that the kernels are about to be compiled on this machine."""
+    """Tell listeners, once, that the kernels are about to be compiled on this machine.
+
+    Where other processes are at it already, this waits for them.
+    """
+    if not are_there() or ahead.at_work():
+        progress.event("compile", what="the reference solver's kernels (about a minute, once)")
+    ahead.wait()
+
+
+def are_there() -> bool:
+    """Whether kernels were compiled on this machine before (or in this process)."""
     from limbcli.fem import wide_kernels
 
-    folder = Path(wide_kernels.__file__).parent
-    stats = wide_kernels.internal_force.stats
-    cached = any((folder / "__pycache__").glob("wide_kernels.internal_force*.nbi"))
-    if not cached and not stats.cache_hits:
-        progress.event("compile", what="the reference solver's kernels (about a minute, once)")
+    kernel = wide_kernels.internal_force
+    return bool(kernel.signatures) or any(
+        Path(kernel.stats.cache_path).glob("wide_kernels.internal_force*.nbi")
+    )

@@ -55,7 +55,7 @@ def _gradients(w, lane, u, nodes, grad, base):
 @njit(cache=True, error_model="numpy")
 def _fill(w, rows, some, u, cells, grad, weight, par, base):
     """F and weights of the points of some cells, and how many; those that are not there are at rest."""
-    lane = 0
+    lane = np.int64(0)
     for e in some:
         _gradients(w, lane, u, cells[e], grad[e], base)
         for g in range(weight.shape[1]):

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from limbcli.drawing import save_picture
 from limbcli.imaging.fields import box_around
 from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.volume import Volume
@@ -52,7 +53,7 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
         if number % _COLUMNS == 1:
             axes.set_ylabel("mm along j", fontsize=7)
     figure.suptitle(title, fontsize=12)
-    figure.savefig(path, dpi=80, format="png")
+    save_picture(figure, path, dpi=80)
 
 
 def _ends(labels: NDArray) -> tuple[int, int]:

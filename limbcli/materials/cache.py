@@ -2,6 +2,10 @@
 
 numba looks only at the file of a kernel itself, not at those of the functions that it calls, so a
 changed law would go on being served from an old cache.
+
+What is compiled is what a fresh machine waits for. numba makes a kernel anew, with all that it calls, for
+every constant it is called with: `np.int64(0)` or `np.bool_(True)` instead of 0 or True shares the one there
+is. A slice that is assigned to a slice compiles as much as a law; a loop does not.
 """
 
 from __future__ import annotations

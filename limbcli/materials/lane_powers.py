@@ -47,8 +47,8 @@ def _turn(app, aqq, apq):
 @njit(cache=True, error_model="numpy")
 def principal_stretches(w):
     """Squares of the principal stretches, their logarithms (half), and directions, by Jacobi's method."""
-    w[SQUARES * LANES : (SQUARES + 3) * LANES] = w[C * LANES : (C + 3) * LANES]
-    w[P * LANES : (P + 3) * LANES] = w[(C + 3) * LANES : (C + 6) * LANES]
+    for k in range(3 * LANES):
+        w[SQUARES * LANES + k], w[P * LANES + k] = w[C * LANES + k], w[(C + 3) * LANES + k]
     w[VECTORS * LANES : (VECTORS + 9) * LANES] = 0.0
     for k in (VECTORS, VECTORS + 4, VECTORS + 8):
         w[k * LANES : (k + 1) * LANES] = 1.0

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from matplotlib.figure import Figure
 
+from limbcli.drawing import save_figure, save_picture
 from limbcli.measurement.bmode import BoneLine
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.holds import Hold
@@ -31,7 +32,7 @@ def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
     axes.set(xlabel="time / s", ylabel="force / N", title="holds found (orange: creep still going on)")
     low, high = np.nanpercentile(trace.force, (0.1, 99.9))  # spikes do not squeeze the holds
     axes.set_ylim(low - 0.1 * (high - low) - 0.1, high + 0.1 * (high - low) + 0.1)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)
 
 
 def draw_bone_lines(
@@ -56,7 +57,7 @@ def draw_bone_lines(
             axes.plot([-5, 5], [at, at], color="tab:cyan", lw=1.0)
             axes.text(5.3, at, name, color="tab:cyan", size=6, va="center", clip_on=True)
         axes.set_title(f"{k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
-    figure.savefig(path, dpi=130)
+    save_picture(figure, path, dpi=130)
 
 
 def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:
@@ -65,4 +66,4 @@ def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:
     axes = figure.subplots()
     axes.boxplot([each.speed_m_per_s for each in maps], positions=np.arange(len(maps)), showfliers=False)
     axes.set(xlabel="force level", ylabel="shear-wave speed / (m/s)", title="pixels read from the overlays")
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
+from limbcli.drawing import save_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import Quality, dihedral_angles_deg
 from limbcli.model import Array, IntArray, Mesh
@@ -20,7 +21,7 @@ _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 def mesh_picture(
     mesh: Mesh, probe: ProbeShape, figures: Quality, path: Path, *, title: str, start_depth: float
 ) -> None:
-    """Write a PNG. Look for small cells under the probe and bones in their places; bad are thin spikes."""
+    """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes."""
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
@@ -29,7 +30,7 @@ def mesh_picture(
     _from_above(axes[1, 0], mesh, probe)
     _histogram(axes[1, 1], mesh, figures)
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path, dpi=110)
 
 
 def _cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float) -> None:

@@ -15,7 +15,7 @@ from limbcli.errors import SolveError
 from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.model import LimbModel
+from limbcli.model import IntArray, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
@@ -25,6 +25,7 @@ from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.linear import LinearSolver
 
 NAME = "reference"
 _SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
@@ -132,3 +133,17 @@ def prepare(
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
     settings = Settings(tolerance=tolerance, linear=linear, threads=at_most(threads), stalled=stalled)
     return Analysis(model, settings, progress)
+
+
+def kernels_are_there() -> bool:
+    """Whether the solver's kernels were compiled on this machine before."""
+    from limbcli.fem.supported import are_there
+
+    return are_there()
+
+
+def direct_solver(indptr: IntArray, indices: IntArray, *, single: bool) -> LinearSolver:
+    """The usual direct solver of a matrix's pattern (upper triangle, CSR)."""
+    from limbcli.fem.linear import make
+
+    return make(indptr, indices, single=single)

@@ -25,6 +25,7 @@ from limbcli.stages.batch_steps import SITE_STAGES, parts_of, site_steps
 from limbcli.stages.chain import Chain
 from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
 from limbcli.stages.freshness import Memory, code_hash, key_of
+from limbcli.stages.kernels import compile_ahead
 
 DIAGNOSE = "diagnose"
 
@@ -43,6 +44,7 @@ def batch(
     if isinstance(case, CaseOutcome):
         return case
     run = CaseRun(case, out, options or BatchOptions(), progress)
+    compile_ahead(solver="reference" if run.options.diagnose else run.options.solver, febio=run.options.febio)
     begun = run.first()
     keys = {site.name: run.site(site.name, begun.key) for site in case.sites} if begun.done else {}
     for place in begun.places:

@@ -141,9 +141,12 @@ def _solvers(febio: Path | None, progress: Progress) -> list[Finding]:
 
 def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
     """The self test with one solver; FEBio is needed only where it is there, but then it must work."""
+    from limbcli.stages.kernels import compile_ahead
     from limbcli.stages.self_test import TOLERANCE, self_test
 
     try:
+        if kind == "reference":
+            compile_ahead()  # and waited for, before the test is timed
         test = self_test(choose(kind, febio), progress=progress)
     except LimbError as error:
         return Finding("solvers", kind, "missing", f"the self test failed: {error.what}", error.fix)

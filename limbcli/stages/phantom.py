@@ -32,6 +32,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
+from limbcli.stages.kernels import compile_ahead
 from limbcli.stages.synth import (
     SiteMeasurement,
     SynthOptions,
@@ -83,6 +84,8 @@ def phantom(
     rng_shape, rng_image = (np.random.default_rng([options.seed, k]) for k in (1, 2))
     subject = make_subject(rng_shape, voxel=options.voxel, places=places)
     progress.event("stage", name="phantom", site=None)
+    if options.synth is not None:
+        compile_ahead()
     with atomic_folder(folder) as work:
         volume = _write_image(subject, work, options, rng_image, progress)
         _write_geometry(subject, volume, work)

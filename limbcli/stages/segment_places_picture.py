@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from limbcli.drawing import save_picture
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
 from limbcli.stages.site_grid import GridPoint
@@ -52,7 +53,7 @@ def draw_places(
         f"{title}: where a site can be. Grid points by name (coordinates: site-grid.csv); "
         f"orange: less than {_NEAR:g} mm from skin to bone; magenta: markers; blue: sites of the case"
     )
-    figure.savefig(path, dpi=70, format="png")
+    save_picture(figure, path, dpi=70)
 
 
 def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:

@@ -91,9 +91,9 @@ def nominal_stress(stretch: float) -> float:
     return C / (2 * M) * (stretch ** (M - 1) - stretch ** (-M - 1)) + F_KAPPA * C * (stretch - 1)
 
 
-def indentation() -> LimbModel:
-    """The model: 8 x 8 x 6 mm, pressed by 2 mm."""
-    points, cells, top = _block()
+def indentation(n: int = 2) -> LimbModel:
+    """The model: 8 x 8 x 6 mm, pressed by 2 mm; n cubes of six tetrahedra along each edge."""
+    points, cells, top = _block(n)
     flat = {axis: np.flatnonzero(_on(points[:, k], (0.0, SIDE))) for k, axis in enumerate("xy")}
     base, face = (np.flatnonzero(_on(points[:, 2], (z,))) for z in (-HEIGHT, 0.0))
     first, over = len(points), 2.0
@@ -125,7 +125,7 @@ def indentation() -> LimbModel:
     )
 
 
-def _block(n: int = 2) -> tuple[Array, IntArray, IntArray]:
+def _block(n: int) -> tuple[Array, IntArray, IntArray]:
     """Points, tet10 cells and the top's tri6 facets (normals up) of the block, its top at z = 0."""
     axes = (np.linspace(0, SIDE, n + 1), np.linspace(0, SIDE, n + 1), np.linspace(-HEIGHT, 0, n + 1))
     corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 
 from limbcli.case import Case
+from limbcli.cli.app import app
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
@@ -95,3 +97,16 @@ def test_the_truth_is_measured_on_a_case_that_reaches_the_true_surfaces(tmp_path
     monkeypatch.setattr("limbcli.stages.phantom.measure_sites", measured)
     phantom(tmp_path / "subject", options=replace(BARE, synth=SynthOptions()))
     assert seen == ["p1", "p2"]
+
+
+def test_what_is_hidden_is_measured_and_told_by_the_command(tmp_path, monkeypatch):
+    seen = []
+
+    def measured(case, sites, *, options, **_):
+        seen.extend(each.facts() for each in options.hidden)
+        return []
+
+    monkeypatch.setattr("limbcli.stages.phantom.measure_sites", measured)
+    main = typer.main.get_command(app)
+    main(["phantom", str(tmp_path / "x"), "--effect", "skin-layer=4", "-q"], standalone_mode=False)
+    assert [(each["effect"], each["log_skin_ratio"]) for each in seen] == [("skin-layer", 4.0)]

@@ -57,7 +57,7 @@ def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-un
     for k in range(plan.column_at[first + c0], plan.column_at[first + c1]):
         panel[plan.entry_to[k]] += values[plan.entry_from[k]]
     for c in range(plan.child_at[s], plan.child_at[s + 1]):
-        _extend(plan, plan.children[c], c0, c1, 0, ld, updates, panel)
+        _extend(plan, plan.children[c], c0, c1, np.int64(0), ld, updates, panel)
 
 
 @njit(cache=True, nogil=True)
@@ -95,19 +95,20 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
 def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Fronts start..stop, one after the other; pivots made up for, or NOT_FINITE."""
     made_up = 0
+    begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared: see `materials.cache`
     for s in range(start, stop):
         first = plan.pivot_at[s]
         p = plan.pivot_at[s + 1] - first
         r = plan.rows_at[s + 1] - plan.rows_at[s]
         ld = plan.ld[s]
-        gather_panel(plan, s, 0, p, values, panel, updates)
-        found = factor_panel(blas, panel, 0, ld, p, p + r, BLOCK, sign, first, tiny, inverse, work)
+        gather_panel(plan, s, begin, p, values, panel, updates)
+        found = factor_panel(blas, panel, begin, ld, p, p + r, block, sign, first, tiny, inverse, work)
         if found < 0:
             return NOT_FINITE
         made_up += found
         if r > 0:
             u, ldu = plan.update_at[s], plan.ldu[s]
-            form_update(blas, panel, 0, ld, p, p + r, updates, u, ldu, 0, r, BLOCK, sign, first, work)
-            gather_update(plan, s, 0, r, updates)
-        keep(kept, plan.tile_at[s], plan.part_at[s], first, panel, 0, ld, p, p + r, -1)
+            form_update(blas, panel, begin, ld, p, p + r, updates, u, ldu, begin, r, block, sign, first, work)
+            gather_update(plan, s, begin, r, updates)
+        keep(kept, plan.tile_at[s], plan.part_at[s], first, panel, begin, ld, p, p + r, whole)
     return made_up

@@ -62,7 +62,8 @@ def _structure(indptr, indices, order, place, n_inner):  # type: ignore[no-untyp
     for j in range(n_inner):
         if size + n > len(rows):
             more = np.empty(2 * len(rows) + n, dtype=np.int32)
-            more[:size] = rows[:size]
+            for k in range(size):
+                more[k] = rows[k]
             rows = more
         stamp[j] = j
         low = n

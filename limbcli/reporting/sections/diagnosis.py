@@ -39,6 +39,32 @@ def diagnosis(page: Page, site: SiteMaterial) -> Reportlet | None:
     )
 
 
+def in_short(page: Page, site: SiteMaterial) -> str | None:
+    """One line: what is missing, and the gap before and after; None where `diagnose` was not run."""
+    try:
+        data = read_result(page.out, "diagnose", site=site.name).data
+    except LimbError:
+        return None
+    return in_words(data)
+
+
+def in_words(data: Mapping[str, Any]) -> str:
+    """
+    >>> gap = [{"chi2_per_nu": 1.472}, {"chi2_per_nu": 0.92}]
+    >>> in_words({"verdict": "named", "added": ["tilt"], "shrink": gap})
+    'tilt (named); the gap between model and measurement (chi2/nu) went from 1.47 to 0.92'
+    >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
+    'adequate'
+    """
+    if not data["added"] or len(data["shrink"]) < 2:
+        return str(data["verdict"])
+    before, after = (each["chi2_per_nu"] for each in (data["shrink"][0], data["shrink"][-1]))
+    return (
+        f"{' and '.join(data['added'])} ({data['verdict']}); the gap between model and measurement (chi2/nu) "
+        f"went from {before:.2f} to {after:.2f}"
+    )
+
+
 def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
     return (
         Picture(f"diagnosis-gap-{name}", "Measured minus predicted in deviations, before and after",

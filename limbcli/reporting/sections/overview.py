@@ -9,6 +9,7 @@ from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import Page, SiteMaterial
 from limbcli.reporting.reportlet import Mood
+from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
 
@@ -44,6 +45,7 @@ class SiteGlance:
     weak: tuple[str, ...] = ()
     poor: str = ""
     next_steps: tuple[str, ...] = ()
+    diagnosis: str = ""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ def _site(page: Page, site: SiteMaterial) -> SiteGlance:
         weak=weak,
         poor=view.poor,
         next_steps=next_steps(page, site, view),
+        diagnosis=in_short(page, site) or "",
     )
 
 

@@ -1,0 +1,79 @@
+"""Kernels are compiled by other processes only where that helps, and nothing waits for ever."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from limbcli import ahead
+from limbcli.config import THREADS
+from limbcli.stages.kernels import PARTS, compile_ahead
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The parts that are begun, on a machine of two cores without kernels."""
+    found: list[str] = []
+    monkeypatch.setattr("limbcli.solvers.reference.kernels_are_there", lambda: False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    monkeypatch.delenv(THREADS, raising=False)
+    monkeypatch.setattr(ahead, "start", lambda module, part: found.append(part))
+    return found
+
+
+def test_on_a_fresh_machine_all_parts_are_begun(begun: list[str]):
+    compile_ahead()
+    assert begun == list(PARTS)
+
+
+def test_nothing_is_begun_where_kernels_are_there(begun: list[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("limbcli.solvers.reference.kernels_are_there", lambda: True)
+    compile_ahead()
+    assert not begun
+
+
+def test_nothing_is_begun_on_one_core_or_thread(begun: list[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(THREADS, "1")
+    compile_ahead()
+    monkeypatch.delenv(THREADS)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    compile_ahead()
+    assert not begun
+
+
+def test_nothing_is_begun_for_another_solver(begun: list[str], tmp_path: Path):
+    compile_ahead(solver="febio", febio=tmp_path / "none")
+    assert not begun
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_part_runs_to_its_end(part: str):
+    PARTS[part]()
+
+
+def test_waiting_ends_when_they_do_and_a_failure_is_no_matter():
+    ahead.start("limbcli.stages.kernels", "no such part")
+    ahead.wait()
+    assert not ahead.at_work()
+
+
+def test_one_that_was_killed_leaves_nobody_at_work():
+    """A parent that is killed at once, with its child asleep."""
+    code = (
+        "import os, signal; from limbcli import ahead; ahead.start('timeit', '-n1', '-r1', "
+        "'import time; time.sleep(60)'); print(ahead.at_work()[0].pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
+    if not sys.platform.startswith("linux"):
+        pytest.skip("only Linux tells children")
+    child, until = int(told), time.monotonic() + 20
+    while time.monotonic() < until and Path(f"/proc/{child}/stat").exists():
+        if Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+            return
+        time.sleep(0.1)
+    assert not Path(f"/proc/{child}").exists()
