@@ -56,11 +56,12 @@ def in_words(data: Mapping[str, Any]) -> str:
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
-    if not data["added"] or len(data["shrink"]) < 2:
-        return str(data["verdict"])
-    before, after = (each["chi2_per_nu"] for each in (data["shrink"][0], data["shrink"][-1]))
+    added, shrink = data.get("added"), data.get("shrink", ())  # an older result may not say
+    if not added or len(shrink) < 2:
+        return str(data.get("verdict", DASH))
+    before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
     return (
-        f"{' and '.join(data['added'])} ({data['verdict']}); the gap between model and measurement (chi2/nu) "
+        f"{' and '.join(added)} ({data['verdict']}); the gap between model and measurement (chi2/nu) "
         f"went from {before:.2f} to {after:.2f}"
     )
 
