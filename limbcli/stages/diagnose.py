@@ -26,14 +26,14 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.chain import check_earlier, note_earlier
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_menu import known
-from limbcli.stages.diagnosis_numerics import MATTERS, Intervention, too_doubtful
-from limbcli.stages.diagnosis_prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
-from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
-from limbcli.stages.diagnosis_site import SiteCurves
-from limbcli.stages.diagnosis_tie import F_KAPPA
-from limbcli.stages.diagnosis_written import write_diagnosed
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.bench.menu import known
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
+from limbcli.stages.diagnosis.mesh_doubt.numerics import MATTERS, Intervention, too_doubtful
+from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
+from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
+from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 
 _SAME_PLACE = 2.0  # mm
@@ -44,7 +44,7 @@ class DiagnoseOptions:
     """effects : names to try (empty: all);
     size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
-    measured : numbers measured besides (see `diagnosis_menu.known`), of the first site of each place.
+    measured : numbers measured besides (see `bench.menu.known`), of the first site of each place.
     """
 
     effects: tuple[str, ...] = ()

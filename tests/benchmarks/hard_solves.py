@@ -40,8 +40,8 @@ from limbcli.model import LimbModel, Material
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import SILENT
 from limbcli.solvers.reference import prepare
-from limbcli.stages.diagnosis_cells import fewer_steps, softer_jumps
-from limbcli.stages.diagnosis_prepare import size_for
+from limbcli.stages.diagnosis.curves.cells import fewer_steps, softer_jumps
+from limbcli.stages.diagnosis.prepare import size_for
 from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, with_penalty
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))

@@ -26,9 +26,9 @@ from scipy.linalg import block_diag
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array
-from limbcli.stages.diagnosis_noise import MapNoise
-from limbcli.stages.diagnosis_rows import Row
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.data.noise import MapNoise
+from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.data.windows import Windows
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"

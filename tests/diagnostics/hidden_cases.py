@@ -23,12 +23,12 @@ from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_menu import ROTATE, items
-from limbcli.stages.diagnosis_noise import ModelError
-from limbcli.stages.diagnosis_rows import Extra
-from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.bench.menu import ROTATE, items
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.data.noise import ModelError
+from limbcli.stages.diagnosis.data.rows import Extra
 
 USUAL = (6.5, 4.0)  # c in kPa, m
 C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own

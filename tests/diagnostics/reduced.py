@@ -22,9 +22,9 @@ from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
-from limbcli.stages.diagnosis_cells import volumes
-from limbcli.stages.diagnosis_curves import fields
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.curves.cells import volumes
+from limbcli.stages.diagnosis.curves.curves import fields
+from limbcli.stages.diagnosis.data.windows import Windows
 
 HEIGHT = 25.0
 _SHIFTS: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}

@@ -13,11 +13,11 @@ import pytest
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_joint import joined, slices
-from limbcli.stages.diagnosis_noise import GAIN_OF_SPEEDS
-from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.data.joint import joined, slices
+from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 
 
 def _module(name: str):

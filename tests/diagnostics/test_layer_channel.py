@@ -16,11 +16,11 @@ from limbcli.effects import effect
 from limbcli.effects.places import Places
 from limbcli.effects.reading import Curves, Protocol, continued, read
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_layers import BorderLines, line_shift
-from limbcli.stages.diagnosis_report import diagnosis_json, gap_picture
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
+from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
 from limbcli.stages.layer_readings import LayerReadings
 from tests.stages import block_case
 

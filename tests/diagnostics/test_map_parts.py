@@ -15,9 +15,9 @@ from limbcli.diagnostics.score import Direction, Score
 from limbcli.effects import effect
 from limbcli.effects.places import Places
 from limbcli.measurement.map_noise import PixelNoise
-from limbcli.stages.diagnosis_noise import MapNoise
-from limbcli.stages.diagnosis_rows import Row
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.data.noise import MapNoise
+from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.data.windows import Windows
 from tests.stages.block_case import block_model
 
 SMALL = Windows(-8.0, 8.0, 2.0, 10.0, 4, 2, whole_is_known=True)

@@ -9,9 +9,9 @@ import pytest
 
 from limbcli.effects.reading import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_changes import filled
-from limbcli.stages.diagnosis_curves import FIRST_M
-from limbcli.stages.diagnosis_numerics import Intervention, Numerics, measured_slope, too_doubtful
+from limbcli.stages.diagnosis.bench.changes import filled
+from limbcli.stages.diagnosis.curves.curves import FIRST_M
+from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, Numerics, measured_slope, too_doubtful
 
 
 def curve(power: float) -> Curves:

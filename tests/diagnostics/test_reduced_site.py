@@ -15,11 +15,11 @@ from limbcli.diagnostics.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_changes import logs
-from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_noise import ModelError
-from limbcli.stages.diagnosis_report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.bench.changes import logs
+from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.data.noise import ModelError
+from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
 
 
 def _module(name: str):
@@ -206,7 +206,7 @@ def of_the_block(measured) -> ModelError:
 def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
     """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
     the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
-    monkeypatch.setattr("limbcli.stages.diagnosis_fits.WITHIN", 12.0)
+    monkeypatch.setattr("limbcli.stages.diagnosis.bench.fits.WITHIN", 12.0)
     the_bench.fit((), {})
     ran = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 2.9995})[1]
     usual = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 1.0})[0]

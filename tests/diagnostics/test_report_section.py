@@ -14,7 +14,7 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.sentences import sentences
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
-from limbcli.stages.diagnosis_report import (
+from limbcli.stages.diagnosis.report import (
     candidates_picture,
     diagnosis_json,
     gap_picture,

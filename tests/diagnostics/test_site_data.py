@@ -11,10 +11,10 @@ from limbcli.case import Noise
 from limbcli.effects.reading import Curves, Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis_data import site_data
-from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_noise import ModelError, deepest, depth_slopes
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.noise import ModelError, deepest, depth_slopes
+from limbcli.stages.diagnosis.data.windows import Windows
 
 N = 6
 

@@ -10,7 +10,7 @@ from limbcli.diagnostics.linear import LinearFit
 from limbcli.diagnostics.score import Direction, Trial
 from limbcli.diagnostics.sizes import sizes_95
 from limbcli.effects import EFFECTS
-from limbcli.stages.diagnosis_sizes import told_sizes
+from limbcli.stages.diagnosis.sizes import told_sizes
 
 KNOWN = {each.name: each for each in EFFECTS if each.kind != "numerical"}
 

@@ -9,8 +9,8 @@ import pytest
 
 from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.diagnosis_curves import CurveBook
-from limbcli.stages.diagnosis_tie import own_curves, own_run
+from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import own_curves, own_run
 from limbcli.stages.run import run
 from tests.stages import block_case as block
 
@@ -80,7 +80,7 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
 
 
 def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
-    monkeypatch.setattr("limbcli.stages.diagnosis_tie._LEAST_WORK", 1.0)
+    monkeypatch.setattr("limbcli.stages.diagnosis.mesh_doubt.mesh_ratio._LEAST_WORK", 1.0)
     book = _book(tmp_path)
     with pytest.raises(SolveError, match="several times the work"):
         own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]

@@ -18,8 +18,8 @@ from limbcli.effects.reading import Curves
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis_curves import FIRST_M, Ingredients, touches_loads
-from limbcli.stages.diagnosis_layers import line_shift
+from limbcli.stages.diagnosis.curves.curves import FIRST_M, Ingredients, touches_loads
+from limbcli.stages.diagnosis.data.layers import line_shift
 
 _REMEMBERED = 8  # values of the parameters
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)

@@ -1,7 +1,7 @@
 """One site's curves for any tissue and effects: out of a few simulations, interpolated and shifted.
 
 The law's exponent m is solved at a handful of values and interpolated; c scales force and
-modulus exactly. What effects change is in `diagnosis_changes`. After a refit the model with the
+modulus exactly. What effects change is in `changes`. After a refit the model with the
 effect in it is solved once as it stands, and what the stand-in missed is put right.
 """
 
@@ -19,10 +19,10 @@ from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis_changes import Book, Changes, logs
-from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_sinking import Sinking
-from limbcli.stages.diagnosis_tie import Tie, bend
+from limbcli.stages.diagnosis.bench.changes import Book, Changes, logs
+from limbcli.stages.diagnosis.curves.sinking import Sinking
+from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NEAR = 5  # solved values of m that are used

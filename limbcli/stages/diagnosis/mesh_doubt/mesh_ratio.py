@@ -23,7 +23,7 @@ from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis_curves import CurveBook
+from limbcli.stages.diagnosis.curves.curves import CurveBook
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from limbcli.model import Array, LimbModel
 from limbcli.results import plain
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.data.windows import Windows
 
 
 def changed_to(*models: LimbModel) -> str:

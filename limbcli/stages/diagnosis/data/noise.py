@@ -18,7 +18,7 @@ from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis_rows import Row
+from limbcli.stages.diagnosis.data.rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 # Of all speeds alike: a scanner's calibration (assumed, 2 %: nobody states it), and the models' own error: c

@@ -26,12 +26,12 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.diagnosis_curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis_data import USUAL_THICKNESS
-from limbcli.stages.diagnosis_noise import FEWEST_SMOOTH, IN_MEAN, ModelError, SmoothDepth, readings
-from limbcli.stages.diagnosis_sinking import LEFT_ERROR, Sinking, sinking
-from limbcli.stages.diagnosis_tie import START_M, OwnRun, Tie, own_run
-from limbcli.stages.diagnosis_tying import Tells, Tying, at_depths
+from limbcli.stages.diagnosis.curves.curves import FIRST_M, CurveBook
+from limbcli.stages.diagnosis.curves.sinking import LEFT_ERROR, Sinking, sinking
+from limbcli.stages.diagnosis.data.data import USUAL_THICKNESS
+from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, IN_MEAN, ModelError, SmoothDepth, readings
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import START_M, OwnRun, Tie, own_run
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import Tells, Tying, at_depths
 from limbcli.stages.geometry_gain import assumed_gain
 
 _DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful

@@ -14,8 +14,8 @@ from scipy.linalg import block_diag
 from limbcli.diagnostics.bench import Data
 from limbcli.diagnostics.noise import Noise, NoisePart
 from limbcli.model import Array
-from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 
 
 def joined(sites: Sequence[SiteData]) -> Data:

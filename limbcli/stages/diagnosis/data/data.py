@@ -27,9 +27,9 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_layers import CHANNEL, layer_noise, layer_rows, layer_slopes
-from limbcli.stages.diagnosis_noise import (
+from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.layers import CHANNEL, layer_noise, layer_rows, layer_slopes
+from limbcli.stages.diagnosis.data.noise import (
     MapNoise,
     ModelError,
     SmoothDepth,
@@ -37,7 +37,7 @@ from limbcli.stages.diagnosis_noise import (
     noise_parts,
     readings,
 )
-from limbcli.stages.diagnosis_rows import (
+from limbcli.stages.diagnosis.data.rows import (
     Extra,
     Row,
     extra_rows,
@@ -47,7 +47,7 @@ from limbcli.stages.diagnosis_rows import (
     thickness_rows,
     travel_rows,
 )
-from limbcli.stages.diagnosis_windows import Windows, pitch_of
+from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone

@@ -26,13 +26,13 @@ from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.diagnosis_cell_table import FILE, CellTable
-from limbcli.stages.diagnosis_cells import fewer_steps, first_cell, softer_jumps
-from limbcli.stages.diagnosis_kept import Kept
-from limbcli.stages.diagnosis_keys import changed_to, fingerprint
-from limbcli.stages.diagnosis_layers import BorderLines
-from limbcli.stages.diagnosis_windows import Windows
-from limbcli.stages.diagnosis_work import Work
+from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
+from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
+from limbcli.stages.diagnosis.curves.keys import changed_to, fingerprint
+from limbcli.stages.diagnosis.curves.store import Kept
+from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.data.layers import BorderLines
+from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.fit_curves import with_tissue
 from limbcli.stages.indentation_model import (
     indentation_model,

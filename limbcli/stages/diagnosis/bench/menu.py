@@ -11,9 +11,9 @@ from limbcli.diagnostics.bench import Fitted, Proposal
 from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
-from limbcli.stages.diagnosis_fits import Fits
-from limbcli.stages.diagnosis_rows import Extra
-from limbcli.stages.diagnosis_site import SiteCurves
+from limbcli.stages.diagnosis.bench.fits import Fits
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.data.rows import Extra
 
 See = Callable[[Curves, Reading, Protocol], Array]
 _SLOW_S, _FAST_S = 20.0, 0.5

@@ -13,8 +13,8 @@ from limbcli.effects.reading import Curves, Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis_holds import HeldForces
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.windows import Windows
 
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture

@@ -1,6 +1,6 @@
 """Fits of explanations to one site's data, or to those of several measurements of one place.
 
-They run on each site's stand-in (`diagnosis_site`): c, m and the effects' parameters by least squares, at
+They run on each site's stand-in (`site`): c, m and the effects' parameters by least squares, at
 given points of the effects' grids.
 """
 
@@ -19,11 +19,11 @@ from limbcli.effects.base import Effect, Theta
 from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import FitError
 from limbcli.model import Array
-from limbcli.stages.diagnosis_changes import Book
-from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_joint import joined
-from limbcli.stages.diagnosis_site import SiteCurves, label
-from limbcli.stages.diagnosis_slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.bench.changes import Book
+from limbcli.stages.diagnosis.bench.site import SiteCurves, label
+from limbcli.stages.diagnosis.bench.slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.units import kpa_from_mpa
 
 M_BOUNDS = (1.0, 20.0)

@@ -14,9 +14,9 @@ from limbcli.feb.write import write_feb
 from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.results import StageWriter, read_result
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_prepare import Prepared
-from limbcli.stages.diagnosis_tie import F_KAPPA, contact_penalty
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty
+from limbcli.stages.diagnosis.prepare import Prepared
 from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
 

@@ -15,10 +15,10 @@ from limbcli.diagnostics.score import Direction
 from limbcli.diagnostics.verdict import Diagnosis, Shrink
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
-from limbcli.stages.diagnosis_bench import SiteBench
-from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_joint import slices
-from limbcli.stages.diagnosis_sizes import told_sizes
+from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.data.joint import slices
+from limbcli.stages.diagnosis.sizes import told_sizes
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:

@@ -20,14 +20,14 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis_changes import Book, only_febio
-from limbcli.stages.diagnosis_curves import FIRST_M
-from limbcli.stages.diagnosis_data import SiteData
-from limbcli.stages.diagnosis_fits import M_BOUNDS, Fits, held_points
-from limbcli.stages.diagnosis_menu import menu
-from limbcli.stages.diagnosis_site import SiteCurves
-from limbcli.stages.diagnosis_slots import Slot
-from limbcli.stages.diagnosis_tie import Tie
+from limbcli.stages.diagnosis.bench.changes import Book, only_febio
+from limbcli.stages.diagnosis.bench.fits import M_BOUNDS, Fits, held_points
+from limbcli.stages.diagnosis.bench.menu import menu
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.bench.slots import Slot
+from limbcli.stages.diagnosis.curves.curves import FIRST_M
+from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5

@@ -15,8 +15,8 @@ from limbcli.effects.places import Stiffness
 from limbcli.effects.reading import Curves
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
-from limbcli.stages.diagnosis_cells import centers, volumes
-from limbcli.stages.diagnosis_windows import Windows
+from limbcli.stages.diagnosis.curves.cells import centers, volumes
+from limbcli.stages.diagnosis.data.windows import Windows
 
 FILE = "windows.csv"
 _CENTER = ("x", "y", "z")

@@ -1,0 +1,1 @@
+"""The simulation half of `diagnose`: what it prepares, and what it writes."""

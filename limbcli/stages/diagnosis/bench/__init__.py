@@ -1,0 +1,1 @@
+"""Predictions beside the data: the stand-in, its fits and its repairs."""

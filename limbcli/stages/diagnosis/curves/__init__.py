@@ -1,0 +1,1 @@
+"""Force and wave speed over depth, of models solved and kept."""

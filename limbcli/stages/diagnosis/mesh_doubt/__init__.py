@@ -1,0 +1,1 @@
+"""What mesh, cut and contact alone do to a site's curves."""
