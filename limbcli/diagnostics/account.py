@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Facts, Fitted
+from limbcli.diagnostics.baseline_fit import BaselineFit
 from limbcli.diagnostics.blindspots import BlindSpot, blind_spot
-from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.closing import Closing
-from limbcli.diagnostics.explain import Refit
-from limbcli.diagnostics.ground import Ground
-from limbcli.diagnostics.groups import predicted_without
+from limbcli.diagnostics.confidence_set import Refit
+from limbcli.diagnostics.forward_model import Facts, Fitted
 from limbcli.diagnostics.heldout import held_out_error
 from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.localisation_tests import predicted_without
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.diagnostics.nextstep import NextStep, rank_proposals
 from limbcli.diagnostics.refits import Refits
 from limbcli.diagnostics.verdict import Shrink
@@ -28,7 +28,7 @@ _MOST_COMPARED = 5  # members of the set, in looking for the next measurement
 class Account:
     """Everything is told of the ground's data."""
 
-    ground: Ground
+    ground: BaselineFit
 
     def shrink(self, refit: Refit | None, refits: Refits | None) -> tuple[Shrink, ...]:
         """The base, and the explanation's members added in turn."""

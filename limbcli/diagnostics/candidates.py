@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from limbcli.diagnostics.bench import Bench, Explanation, Facts, Fitted
-from limbcli.diagnostics.calibrate import Family
-from limbcli.diagnostics.explain import Refit, best_pairs
+from limbcli.diagnostics.confidence_set import Refit, best_pairs
+from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.diagnostics.score import Direction, Trial, cosine, score
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
@@ -21,7 +21,7 @@ _GROWN = 3  # candidates tried beside the best smaller explanation
 
 
 def whitened_trials(
-    bench: Bench, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
+    bench: ForwardModel, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
     not_evaluated: dict[str, str], progress: Progress,
 ) -> list[Trial]:  # fmt: skip
     """A trial of each candidate that is not in the fit, and not dear; why not, in `not_evaluated`."""

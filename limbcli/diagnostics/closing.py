@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from limbcli.diagnostics.explain import Refit
-from limbcli.diagnostics.ground import Ground
+from limbcli.diagnostics.baseline_fit import BaselineFit
+from limbcli.diagnostics.confidence_set import Refit
 from limbcli.diagnostics.heldout import fell, held_out_error
 from limbcli.diagnostics.placebo import library_percentile, placebo_percentile
 
@@ -19,7 +19,7 @@ _MOST_TRIED = 100
 class Closing:
     """n_candidates : how many an explanation by several effects was picked from."""
 
-    ground: Ground
+    ground: BaselineFit
     n_candidates: int
 
     def is_closed(self, refit: Refit) -> bool:

@@ -15,13 +15,13 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from limbcli.diagnostics.account import Account
-from limbcli.diagnostics.bench import Bench, Facts
-from limbcli.diagnostics.calibrate import N_DRAWS, Family
+from limbcli.diagnostics.baseline_fit import ALPHA, BaselineFit
 from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
 from limbcli.diagnostics.closing import Closing
-from limbcli.diagnostics.explain import ADEQUATE, Refit
-from limbcli.diagnostics.ground import ALPHA, Ground
-from limbcli.diagnostics.groups import PREFIX
+from limbcli.diagnostics.confidence_set import ADEQUATE, Refit
+from limbcli.diagnostics.forward_model import Facts, ForwardModel
+from limbcli.diagnostics.localisation_tests import PREFIX
+from limbcli.diagnostics.multiple_testing import N_DRAWS, Family
 from limbcli.diagnostics.refits import Refits
 from limbcli.diagnostics.score import Trial
 from limbcli.diagnostics.sizes import sizes_95
@@ -34,7 +34,7 @@ _EXCHANGED, _LOOK_ALIKES = 3, 8  # explanations whose look-alikes are tried; how
 
 
 def diagnose(
-    bench: Bench, *, max_effects: int = 3, seed: int = 7, n_draws: int = N_DRAWS, propose: bool = True,
+    bench: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = N_DRAWS, propose: bool = True,
     progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose one bench. Deterministic for a given seed.
@@ -44,13 +44,13 @@ def diagnose(
     LimbError
         If the base model itself cannot be fitted.
     """
-    ground = Ground(bench, bench.fit((), {}), seed, n_draws, progress)
+    ground = BaselineFit(bench, bench.fit((), {}), seed, n_draws, progress)
     return _Run(ground, max_effects, propose).all()
 
 
 @dataclass(eq=False)
 class _Run:
-    ground: Ground
+    ground: BaselineFit
     max_effects: int
     propose: bool
     not_evaluated: dict[str, str] = field(default_factory=dict)

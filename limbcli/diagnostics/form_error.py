@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Data, Fitted
-from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.forward_model import Data, Fitted
 from limbcli.diagnostics.linear import Whitener
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.model import Array
 
 _OF_FORM = 0.02  # of the deviance

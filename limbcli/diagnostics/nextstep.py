@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from limbcli.diagnostics.bench import Fitted, Proposal
+from limbcli.diagnostics.forward_model import Fitted, Proposal
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 

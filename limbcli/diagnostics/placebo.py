@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Mask
+from limbcli.diagnostics.forward_model import Mask
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.model import Array
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from limbcli.diagnostics.bench import Explanation, Fitted
-from limbcli.diagnostics.explain import Refit, compare, joint_trial
+from limbcli.diagnostics.baseline_fit import BaselineFit
+from limbcli.diagnostics.confidence_set import Refit, compare, joint_trial
 from limbcli.diagnostics.form_error import form_allowances
-from limbcli.diagnostics.ground import Ground
+from limbcli.diagnostics.forward_model import Explanation, Fitted
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.score import Direction, Trial, narrowed, score
 from limbcli.errors import LimbError
@@ -25,7 +25,7 @@ class Refits:
     """All refits of a diagnosis so far. What has no answer goes into `not_evaluated`, what is dropped into
     `left_out`, each with its reason."""
 
-    ground: Ground
+    ground: BaselineFit
     trials: dict[str, Trial]
     not_evaluated: dict[str, str]
     left_out: dict[str, str]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from limbcli.diagnostics.bench import Mask
+from limbcli.diagnostics.forward_model import Mask
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.noise import EXCESS
 from limbcli.model import Array

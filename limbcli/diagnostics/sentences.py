@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from limbcli.diagnostics.calibrate import Family
 from limbcli.diagnostics.estimates import Reported
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.verdict import Diagnosis
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.diagnostics.calibrate import Family, Tested
 from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.multiple_testing import Family, Tested
 from limbcli.diagnostics.score import visible_columns
 
 _WITHIN = 1.96

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from limbcli.diagnostics.bench import Explanation, Facts, Fitted
 from limbcli.diagnostics.blindspots import BlindSpot
-from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.confidence_set import Refit
 from limbcli.diagnostics.estimates import Reported
-from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.diagnostics.nextstep import NextStep
 from limbcli.diagnostics.roughness import Roughness
 

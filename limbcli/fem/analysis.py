@@ -2,7 +2,7 @@
 
 Without history (elastic law, no friction) the response depends on the load reached
 and not on the way, so the levels are the must-points alone (or the steps, where a
-step has none), and a step is cut (see `march`) only where Newton's method needs it.
+step has none), and a step is cut (see `load_stepping`) only where Newton's method needs it.
 Friction is measured over the steps of the model: these are all solved for, and strides
 within one are first guesses. With a viscoelastic law every stride is a step of its history.
 """
@@ -17,7 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.fem import curves
 from limbcli.fem.history import Histories
 from limbcli.fem.levels import step_times
-from limbcli.fem.march import March, is_timed, rubs
+from limbcli.fem.load_stepping import LoadStepping, is_timed, rubs
 from limbcli.fem.newton import Counts, Level, Newton, Settings
 from limbcli.fem.state import Forces, State
 from limbcli.fem.system import System
@@ -49,7 +49,7 @@ class Analysis:
         self.counts = Counts()
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
-        self._march = March()
+        self._stepping = LoadStepping()
 
     @property
     def remembers(self) -> bool:
@@ -80,7 +80,7 @@ class Analysis:
         patient : where Newton's method fails, let the tissue come to rest by a drag, which takes long
         ends : asked after `visit` at every level, whether those so far are enough
         """
-        self._march.patient = patient
+        self._stepping.patient = patient
         snapshots: list[Snapshot] = []
         state: State | None = None
         histories: Histories | None = None
@@ -95,7 +95,7 @@ class Analysis:
             musts = {begin + t for t in step_times(step)}
             if histories is None and self.remembers:
                 histories = Histories(newton.system)
-            self._march.begin(self.model, step, newton, histories)
+            self._stepping.begin(self.model, step, newton, histories)
             for target in targets:
                 if last is not None and n_must >= last:
                     return snapshots
@@ -105,7 +105,7 @@ class Analysis:
                 newton.system.remember(state)
                 brief = hoped is not None and n_must >= hoped
                 try:
-                    state, forces = self._march.reach(begin + target, level, known, brief=brief)
+                    state, forces = self._stepping.advance_to(begin + target, level, known, brief=brief)
                 except SolveError:
                     if required is not None and n_must >= required:
                         return snapshots
@@ -123,7 +123,7 @@ class Analysis:
 
     def forget(self) -> None:
         """What earlier runs left that may change the next one's last digits: factor and strides."""
-        self._march = March()
+        self._stepping = LoadStepping()
         if self._newton is not None:
             self._collect()
             self._newton.linearised.forget()

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.fem import kernels, wide_kernels
+from limbcli.fem import kernels
+from limbcli.fem import simd_kernels as wide_kernels
 from limbcli.fem.assembly import Pattern, Threads, total
 from limbcli.fem.groups import Group, Operands
 from limbcli.fem.halves import Halves

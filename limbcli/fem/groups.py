@@ -11,12 +11,12 @@ import numpy as np
 from limbcli.errors import MeshError, SolveError
 from limbcli.fem.element import reference_gradients
 from limbcli.fem.quadrature import rule
-from limbcli.fem.wide_kernels import WIDTH
+from limbcli.fem.simd_kernels import WIDTH
 from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import UNCOUPLED_LAWS
 from limbcli.materials.program import CurveAt, jumping
+from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate
-from limbcli.materials.wide import LANES
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))

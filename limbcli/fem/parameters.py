@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem import contact_kernels, wide_kernels
+from limbcli.fem import contact_kernels
+from limbcli.fem import simd_kernels as wide_kernels
 from limbcli.fem.groups import Group, Operands
 from limbcli.fem.penalty import penalty_derivative
 from limbcli.fem.state import State

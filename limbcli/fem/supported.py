@@ -49,7 +49,7 @@ def warm_up(progress: Progress) -> None:
 
 def are_there() -> bool:
     """Whether kernels were compiled on this machine before (or in this process)."""
-    from limbcli.fem import wide_kernels
+    from limbcli.fem import simd_kernels as wide_kernels
 
     kernel = wide_kernels.internal_force
     return bool(kernel.signatures) or any(

@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from limbcli.imaging.fields import filled_by_slice
 from limbcli.imaging.limbs import upright
-from limbcli.imaging.outline import background_threshold
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE
+from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 from limbcli.problems import Problem

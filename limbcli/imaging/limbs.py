@@ -11,7 +11,7 @@ from scipy import ndimage
 from limbcli.errors import CaseError
 from limbcli.imaging.fields import filled_by_slice
 from limbcli.imaging.intensity import otsu
-from limbcli.imaging.outline import background_threshold
+from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 
 Side = Literal["left", "right"]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from limbcli.imaging.outline import rough_outline
+from limbcli.imaging.skin_segmentation import rough_outline
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 

@@ -21,7 +21,7 @@ from limbcli.imaging.intensity import normalise
 from limbcli.imaging.limbs import Side, one_limb, require_bright_fat, upright
 from limbcli.imaging.markers import Marker, find_markers
 from limbcli.imaging.marrow import find_marrow
-from limbcli.imaging.outline import rough_outline, skin_outline
+from limbcli.imaging.skin_segmentation import rough_outline, skin_outline
 from limbcli.imaging.volume import Volume, back
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.inference.fit import Fit
+from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.profile import THRESHOLD_95, Profile, best_of, profile_likelihood
 from limbcli.inference.residual import Objective

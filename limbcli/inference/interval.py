@@ -15,12 +15,12 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.identify import ForceDepth, search_parameters
+from limbcli.inference.identifiability import force_variance
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.prediction import Memory, Prediction, Predictor, sampled, slopes_at
 from limbcli.inference.residual import Objective, force_residual, with_prior
 from limbcli.inference.shape_doubt import at_depths, whitened
-from limbcli.inference.uncertainty import force_variance
+from limbcli.inference.two_step_fit import ForceDepth, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.fit import Fit, levenberg_marquardt
+from limbcli.inference.levenberg_marquardt import Fit, levenberg_marquardt
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.materials.wide import bits, from_bits
+from limbcli.materials.simd import bits, from_bits
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts
 _PER_LN2 = 1.44269504088896338700

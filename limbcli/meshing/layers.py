@@ -18,7 +18,7 @@ from limbcli.meshing.distance import Field, distance_again
 from limbcli.meshing.domain import CUT, SKIN, Domain
 from limbcli.meshing.improve import Ties, smooth, worst_sines
 from limbcli.meshing.quality import volumes
-from limbcli.meshing.volume import VolumeMesh, boundary_faces
+from limbcli.meshing.site_mesher import VolumeMesh, boundary_faces
 from limbcli.model import Array, IntArray
 
 _SHARE = 0.6  # of the tissue over bone that layers may take at most

@@ -7,7 +7,7 @@ import numpy as np
 from limbcli.meshing.domain import BONE, CUT, SKIN
 from limbcli.meshing.probe import ProbeMesh, ProbeShape
 from limbcli.meshing.quality import EDGES
-from limbcli.meshing.volume import VolumeMesh
+from limbcli.meshing.site_mesher import VolumeMesh
 from limbcli.model import Array, Block, IntArray, Mesh, Surface
 
 PROBE_QUADS, PROBE_TIPS = "probe", "probe_tips"

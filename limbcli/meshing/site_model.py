@@ -20,7 +20,7 @@ from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import Quality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
 from limbcli.meshing.remesh import Sizes
-from limbcli.meshing.volume import VolumeMesh, mesh_volume, under_probe
+from limbcli.meshing.site_mesher import VolumeMesh, mesh_volume, under_probe
 from limbcli.model import Curve, IntArray, LimbModel, Material, Mesh, Step, Support
 from limbcli.model import (
     Domain as MaterialDomain,

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.diagnostics.bench import Explanation
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
+from limbcli.diagnostics.forward_model import Explanation
 from limbcli.diagnostics.sentences import sentences
 from limbcli.diagnostics.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect

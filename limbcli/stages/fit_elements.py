@@ -15,8 +15,8 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
-from limbcli.inference.identify import FittedStep, two_step
 from limbcli.inference.prediction import Memory
+from limbcli.inference.two_step_fit import FittedStep, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress

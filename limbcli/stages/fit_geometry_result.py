@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.identify import sensitivities
 from limbcli.inference.shape_doubt import at_depths, ends, shifts, total_share
+from limbcli.inference.two_step_fit import sensitivities
 from limbcli.results import StageWriter
 from limbcli.stages.fit_geometry import GeometryDoubt
 from limbcli.stages.fit_table import NAMES, Identified, inside

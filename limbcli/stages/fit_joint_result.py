@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.identifiability import Verdict, correlation, verdict
 from limbcli.inference.joint import JointProblem, held_out_error
-from limbcli.inference.uncertainty import Verdict, correlation, verdict
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import CaseError
-from limbcli.inference.identify import M_STRIDE
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
+from limbcli.inference.two_step_fit import M_STRIDE
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material
 from limbcli.problems import suggestion

@@ -12,7 +12,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.identify import MOONEY_RIVLIN, OGDEN
+from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.results import StageWriter

@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.identify import FittedStep, ForceDepth, sensitivities
-from limbcli.inference.interpolation import pchip_sample
-from limbcli.inference.interval import Stiffness
-from limbcli.inference.misfit import Misfit, misfit
-from limbcli.inference.prediction import Memory, slopes_at
-from limbcli.inference.shape_doubt import at_depths, shifts
-from limbcli.inference.uncertainty import (
+from limbcli.inference.identifiability import (
     Verdict,
     correlation,
     force_variance,
@@ -23,6 +17,12 @@ from limbcli.inference.uncertainty import (
     log_covariance,
     verdict,
 )
+from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.interval import Stiffness
+from limbcli.inference.misfit import Misfit, misfit
+from limbcli.inference.prediction import Memory, slopes_at
+from limbcli.inference.shape_doubt import at_depths, shifts
+from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
 from limbcli.stages.fit_geometry import GeometryDoubt

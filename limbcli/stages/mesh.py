@@ -18,9 +18,9 @@ from limbcli.meshing.places import MOVED_MM, place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import Quality
 from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.meshing.surfaces import read_surface
-from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model_io import save_model
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress

@@ -10,7 +10,7 @@ from limbcli.case import Case
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.outcome import Outcome
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
@@ -54,7 +54,7 @@ def report(
 
 
 def _write_page(
-    page: Page, glance: Overview, writer: StageWriter, templates: Path | None, progress: Progress
+    page: ReportData, glance: Overview, writer: StageWriter, templates: Path | None, progress: Progress
 ) -> None:
     own = {**provenance(), "inputs_sha256": writer.inputs}
     chapters = groups(page, own)
@@ -75,7 +75,7 @@ def _write_page(
     progress.event("task", name="report: drawing", done=1, total=1)
 
 
-def _not_drawn(page: Page) -> list[SiteMaterial]:
+def _not_drawn(page: ReportData) -> list[SiteMaterial]:
     """Sites with a simulation whose model or records cannot be read (cut, damaged)."""
     never_run = SiteMaterial.why_not_deformed
     return [each for each in page.sites if each.deformed is None and each.why_not_deformed != never_run]
@@ -85,7 +85,7 @@ def _probe(case: Case) -> str:
     return f"{case.probe.name}, {case.probe.length:g} × {case.probe.width:g} mm"
 
 
-def _data(page: Page, glance: Overview) -> dict[str, Any]:
+def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
     """What the page says, for machines and for the index of several subjects."""
     return {
         "mood": glance.mood,
@@ -103,7 +103,7 @@ def _failure(outcome: Outcome) -> Mapping[str, Any]:
     return {"stage": outcome.stage, "site": outcome.site, **vars(outcome.failure)}
 
 
-def _lines(page: Page, name: str) -> dict[str, Any]:
+def _lines(page: ReportData, name: str) -> dict[str, Any]:
     """Slope, intercept and R2 of the speed lines of a site."""
     site = next(each for each in page.sites if each.name == name)
     found: dict[str, Any] = {}

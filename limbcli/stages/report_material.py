@@ -18,14 +18,14 @@ from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.results import StageResult
 from limbcli.stages.report_stale import stale_results
 from limbcli.stages.report_state import read_deformed, read_residuals
 from limbcli.stages.site_levels import layer_noise
 
 
-def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
+def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
     """Read everything the page shows; what cannot be read becomes a reason on the page."""
     names = tuple(site.name for site in case.sites)
     outcomes = read_outcomes(out, names, case_name=str(case.folder), subject=case.subject)
@@ -34,7 +34,7 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> Page:
         progress.event("task", name="report: reading results", done=k, total=len(names))
         sites.append(_deformed(_measured(site), outcomes))
     progress.event("task", name="report: reading results", done=len(names), total=len(names))
-    return Page(
+    return ReportData(
         case,
         str(case.folder),
         out,

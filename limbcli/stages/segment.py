@@ -21,7 +21,7 @@ from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.label_frame import compare_frames
 from limbcli.imaging.labels import segmentation_from, write_labels
-from limbcli.imaging.layers import layers_at
+from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet

@@ -21,9 +21,9 @@ import numpy as np
 
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level, schedule
-from limbcli.inference.identify import ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import Memory
+from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model_io import load_model
 from limbcli.phantom.protocol import depth_at_force

@@ -27,9 +27,9 @@ from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles, read_surface
-from limbcli.meshing.volume import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.model import Array, LimbModel
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics import candidates
-from limbcli.diagnostics.bench import Fitted
-from limbcli.diagnostics.calibrate import Family, Overall
+from limbcli.diagnostics.confidence_set import LEVEL, Refit, compare
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.explain import LEVEL, Refit, compare
+from limbcli.diagnostics.forward_model import Fitted
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.multiple_testing import Family, Overall
 from limbcli.diagnostics.noise import unit_errors
 from limbcli.diagnostics.score import Direction, Trial
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics import calibrate
-from limbcli.diagnostics.bench import Data, Fitted
-from limbcli.diagnostics.explain import Refit
+from limbcli.diagnostics import multiple_testing as calibrate
+from limbcli.diagnostics.confidence_set import Refit
 from limbcli.diagnostics.form_error import form_allowances
+from limbcli.diagnostics.forward_model import Data, Fitted
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.noise import Noise, independent
 from limbcli.diagnostics.score import Direction, Score

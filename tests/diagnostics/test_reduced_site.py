@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.baseline_fit import BaselineFit
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.ground import Ground
 from limbcli.diagnostics.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
@@ -221,7 +221,7 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
     the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
     base = the_bench.fit((), {})
-    ground = Ground(the_bench, base, 7, 500)
+    ground = BaselineFit(the_bench, base, 7, 500)
     fitted = the_bench.fit(("anisotropy",), {})
     widths = []
     for besides in (None, ground.form_error(fitted)):

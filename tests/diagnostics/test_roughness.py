@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.bench import Data
+from limbcli.diagnostics.forward_model import Data
 from limbcli.diagnostics.linear import LinearFit, Whitener
 from limbcli.diagnostics.noise import Noise, independent
 from limbcli.diagnostics.roughness import roughness

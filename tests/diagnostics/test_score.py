@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnostics.calibrate import score_family
 from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.multiple_testing import score_family
 from limbcli.diagnostics.score import Direction, Trial, cone_projection, cosine, score, statistics
 
 

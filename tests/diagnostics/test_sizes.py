@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.calibrate import score_family
 from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.multiple_testing import score_family
 from limbcli.diagnostics.score import Direction, Trial
 from limbcli.diagnostics.sizes import sizes_95
 from limbcli.effects import EFFECTS

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Data, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.estimates import Reported
+from limbcli.diagnostics.forward_model import Data, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.noise import Noise, common, independent
 from limbcli.diagnostics.score import Direction
 from limbcli.errors import SolveError

@@ -9,7 +9,8 @@ import pytest
 from small_models import block, punch
 
 from limbcli.errors import SolveError
-from limbcli.fem import march, newton
+from limbcli.fem import load_stepping as march
+from limbcli.fem import newton
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.newton import Level, Newton, NotConverged, Settings
 from limbcli.fem.system import System

@@ -10,7 +10,7 @@ from small_models import punch
 
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
-from limbcli.fem.march import BRIEF_CUTS
+from limbcli.fem.load_stepping import BRIEF_CUTS
 from limbcli.fem.standing import Standing
 from limbcli.fem.state import Forces, State
 from limbcli.materials import ogden_type

@@ -10,7 +10,7 @@ from limb_images import Limb
 from scipy import ndimage
 
 from limbcli.imaging.labels import segmentation_from
-from limbcli.imaging.layers import layers_at
+from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.quality import assess
 from limbcli.imaging.surface import surface_of
 from limbcli.imaging.volume import Volume

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import FitError
-from limbcli.inference.identify import ForceDepth, sensitivities, two_step
 from limbcli.inference.prediction import Differences, Memory
+from limbcli.inference.two_step_fit import ForceDepth, sensitivities, two_step
 from limbcli.progress import Progress
 
 DEPTH = np.linspace(0.0, 10.0, 12)

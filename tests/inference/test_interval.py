@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.inference.fit import levenberg_marquardt
-from limbcli.inference.identify import ForceDepth, two_step
 from limbcli.inference.interval import Stiffness, force_intervals
+from limbcli.inference.levenberg_marquardt import levenberg_marquardt
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.prediction import Memory
 from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.residual import Residual
+from limbcli.inference.two_step_fit import ForceDepth, two_step
 
 DEPTH = np.linspace(0.0, 10.0, 12)
 C = 0.008

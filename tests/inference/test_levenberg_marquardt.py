@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.fit import levenberg_marquardt
+from limbcli.inference.levenberg_marquardt import levenberg_marquardt
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.residual import Residual
 

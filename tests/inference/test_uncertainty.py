@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import Parameter
 from limbcli.inference.profile import Profile
-from limbcli.inference.uncertainty import correlation, has_influence, log_covariance, verdict
 
 F_KAPPA = Parameter("f_kappa", 100.0, 0.01, 1000.0)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.materials import compile_material, lane_rows, lanes, ogden_type
+from limbcli.materials import compile_material, ogden_type
+from limbcli.materials import simd_laws as lanes
+from limbcli.materials import simd_rows as lane_rows
 from limbcli.materials.dispatch import workspace
+from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate
-from limbcli.materials.wide import LANES
 from limbcli.model import ElementMap, Material
 
 UNIT = (0.0, 0.8, 0.6)

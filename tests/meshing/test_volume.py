@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeshError, ToolError
-from limbcli.meshing import mesher_process, volume
+from limbcli.meshing import mesher_process
+from limbcli.meshing import site_mesher as volume
 from limbcli.meshing.distance import Field, Grid
 from limbcli.meshing.domain import CUT, SKIN, Domain, boundary
 from limbcli.meshing.mending import Plane

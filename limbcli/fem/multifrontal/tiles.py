@@ -16,7 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from limbcli.fem.multifrontal.vectors import _everywhere, _load, _start, _store
-from limbcli.materials.wide import plus_product
+from limbcli.materials.simd import plus_product
 
 TILE = 16  # rows of a chunk, and its most columns
 _INDEX = ir.IntType(32)

@@ -11,7 +11,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from limbcli.materials.wide import plus_product
+from limbcli.materials.simd import plus_product
 
 _WIDE = 16
 

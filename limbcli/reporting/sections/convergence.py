@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
 from limbcli.reporting.fit_view import read_fit_view
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Did the identification come to rest?"
 
 
-def convergence(page: Page, site: SiteMaterial) -> Reportlet:
+def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
     """The search's misfit and parameters by iteration; the solver's residuals where recorded."""
     key = f"convergence-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
@@ -41,7 +41,7 @@ def convergence(page: Page, site: SiteMaterial) -> Reportlet:
 PROFILES_TITLE = "How firmly do the data hold each parameter?"
 
 
-def profiles(page: Page, site: SiteMaterial) -> Reportlet | None:
+def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """The profile likelihoods that the fit drew, or None where it drew none."""
     result = page.outcomes.of("fit", site.name).usable
     if result is None or "profiles" not in result.files:

@@ -7,13 +7,13 @@ import numpy as np
 from limbcli.reporting.figures.deformed import DeformedState, section_figure
 from limbcli.reporting.figures.scene import scene_of
 from limbcli.reporting.figures.skin import skin_figure
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Does the model deform as a limb would?"
 
 
-def deformation(page: Page, site: SiteMaterial) -> Reportlet:
+def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
     """A section under the probe and the skin from outside, at the deepest level."""
     key = f"deformation-{site.name}"
     state = site.deformed

@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.reporting.numbers import DASH
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Mood, Picture, Reportlet, Table, head
 from limbcli.results import StageResult, read_result
 
@@ -15,7 +15,7 @@ TITLE = "What is missing in the model, if anything?"
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 
 
-def diagnosis(page: Page, site: SiteMaterial) -> Reportlet | None:
+def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Verdict, gap before and after, candidates, what stays unseen; None where `diagnose` was not run."""
     try:
         result = read_result(page.out, "diagnose", site=site.name)
@@ -39,7 +39,7 @@ def diagnosis(page: Page, site: SiteMaterial) -> Reportlet | None:
     )
 
 
-def in_short(page: Page, site: SiteMaterial) -> str | None:
+def in_short(page: ReportData, site: SiteMaterial) -> str | None:
     """One line: what is missing, and the gap before and after; None where `diagnose` was not run."""
     try:
         data = read_result(page.out, "diagnose", site=site.name).data

@@ -7,7 +7,7 @@ from limbcli.measurement.regression import Line
 from limbcli.reporting.curves import read_predicted_speeds
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_words, wave_speed
 from limbcli.reporting.numbers import DASH, cell, number, quantity
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
 from limbcli.results import StageResult
 
@@ -30,7 +30,7 @@ _BAD_PREDICTED = (
 )
 
 
-def elastography(page: Page, site: SiteMaterial) -> Reportlet:
+def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     """Speed against force with its line and R2, and against depth; beside it what the fit predicts."""
     key = f"elastography-{site.name}"
     fit = page.outcomes.of("fit", site.name).result

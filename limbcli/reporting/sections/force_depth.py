@@ -7,7 +7,7 @@ from limbcli.reporting.curves import read_curves, read_run_curve
 from limbcli.reporting.figures.force_depth import SimulatedCurve, force_depth
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import quantity
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Does the model follow the measured force?"
@@ -20,7 +20,7 @@ _R2_CAVEAT = (
 )
 
 
-def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
+def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
     """Measured levels with the start, m = 2 and Ogden curves."""
     key = f"force-depth-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
@@ -50,7 +50,7 @@ def force_over_depth(page: Page, site: SiteMaterial) -> Reportlet:
     )
 
 
-def _curves(page: Page, site: SiteMaterial) -> tuple[tuple[SimulatedCurve, ...], tuple[str, ...]]:
+def _curves(page: ReportData, site: SiteMaterial) -> tuple[tuple[SimulatedCurve, ...], tuple[str, ...]]:
     """The fit's curves, else the run's, and what could not be read."""
     assert site.measured is not None
     fit, run = page.outcomes.of("fit", site.name), page.outcomes.of("run", site.name)

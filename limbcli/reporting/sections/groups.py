@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from limbcli.reporting.numbers import DASH
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
 from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
@@ -32,13 +32,13 @@ class Group:
     reportlets: tuple[Reportlet, ...]
 
 
-SITE_REPORTLETS: tuple[Callable[[Page, SiteMaterial], Reportlet | None], ...] = (
+SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
     force_over_depth, layers, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study,
     convergence,
 )  # fmt: skip
 
 
-def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
+def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[Group, ...]:
     """Results first, then what they rest on, then where they come from."""
     sites = [_site(page, site) for site in page.sites]
     together = [each for make in (joint, laws) if (each := make(page)) is not None]
@@ -50,7 +50,7 @@ def groups(page: Page, own: Mapping[str, Any]) -> tuple[Group, ...]:
     )
 
 
-def _site(page: Page, site: SiteMaterial) -> Group:
+def _site(page: ReportData, site: SiteMaterial) -> Group:
     reportlets = [each for make in SITE_REPORTLETS if (each := make(page, site)) is not None]
     shown = [each for each in reportlets if not _is_gap(each)]
     gaps = [each for each in reportlets if _is_gap(each)]

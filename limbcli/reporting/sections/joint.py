@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.reporting.fit_view import EstimateView, read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
-from limbcli.reporting.page import Page
+from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
@@ -16,7 +16,7 @@ TITLE = "What do depth and shear waves say together?"
 LAWS_TITLE = "Which law foretells best what it has not seen?"
 
 
-def joint(page: Page) -> Reportlet | None:
+def joint(page: ReportData) -> Reportlet | None:
     """Parameters of the joint fit, its curves and profiles; None where it was not run."""
     outcome = page.outcomes.maybe("fit-joint")
     if outcome is None:
@@ -79,7 +79,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     return notes
 
 
-def laws(page: Page) -> Reportlet | None:
+def laws(page: ReportData) -> Reportlet | None:
     """The laws by the error of levels that were left out; None where they were not compared."""
     outcome = page.outcomes.maybe("fit-joint")
     if outcome is None or outcome.result is None or not outcome.result.data.get("laws"):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from limbcli.reporting.numbers import quantity
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet
 
 TITLE = "Do skin, fat and muscle move as the model moves them?"
 
 
-def layers(page: Page, site: SiteMaterial) -> Reportlet | None:
+def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """The layers measured and predicted, level by level; None where the site has none."""
     result = page.outcomes.of("fit", site.name).result
     told = result.data.get("layers") if result else None

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from limbcli.reporting.numbers import plain_rows
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, Table, head, placeholder
 
 TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
 
 
-def mesh(page: Page, site: SiteMaterial) -> Reportlet:
+def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
     """The mesh stage's picture and quality figures."""
     key = f"mesh-{site.name}"
     outcome = page.outcomes.of("mesh", site.name)

@@ -7,10 +7,10 @@ from typing import Any
 
 from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import number
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 
 
-def next_steps(page: Page, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
+def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
     """Sentences, the most telling first; nothing where nothing is left to ask."""
     steps = []
     if view.poor:

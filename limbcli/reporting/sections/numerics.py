@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, plain_rows
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
 from limbcli.results import StageResult
 
@@ -15,7 +15,7 @@ STUDY_TITLE = "How much of the force is mesh and crop?"
 _LARGE = 0.1  # numerical error of the force, relative
 
 
-def elements(page: Page, site: SiteMaterial) -> Reportlet | None:
+def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Linear and quadratic tetrahedra on the same mesh; None where they were not compared."""
     key = f"fit-elements-{site.name}"
     outcome = page.outcomes.maybe("fit-elements", site.name)
@@ -58,7 +58,7 @@ def _element_row(name: str, row: Mapping[str, Any]) -> tuple[Cell, ...]:
     )
 
 
-def mesh_study(page: Page, site: SiteMaterial) -> Reportlet | None:
+def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Force over element size and margin; None where the study was not made."""
     key = f"mesh-study-{site.name}"
     outcome = page.outcomes.maybe("mesh-study", site.name)

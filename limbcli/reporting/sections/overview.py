@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
 from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
-from limbcli.reporting.page import Page, SiteMaterial
+from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
@@ -70,7 +70,7 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 }
 
 
-def overview(page: Page) -> Overview:
+def overview(page: ReportData) -> Overview:
     """Cards, states and warnings for the head of the page."""
     sites = tuple(_site(page, site) for site in page.sites)
     warnings = [Warned("report", text) for text in page.notices]
@@ -125,7 +125,7 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     return text
 
 
-def _site(page: Page, site: SiteMaterial) -> SiteGlance:
+def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
     outcome = page.outcomes.of("fit", site.name)
     stages = [page.outcomes.of("segment")]
     stages += [each for each in page.outcomes.all if each.site == site.name]

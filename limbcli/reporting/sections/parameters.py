@@ -7,7 +7,7 @@ from dataclasses import replace
 from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import DASH, cell, quantity, significant
 from limbcli.reporting.outcome import Outcome
-from limbcli.reporting.page import Page
+from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, Reportlet, Table, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
@@ -24,7 +24,7 @@ TET10_WORDS = (
 )
 
 
-def parameters(page: Page) -> Reportlet:
+def parameters(page: ReportData) -> Reportlet:
     """The table of the papers, a row a site; below it intervals and flags in plain words."""
     outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
     views = _views(page)
@@ -45,12 +45,12 @@ def parameters(page: Page) -> Reportlet:
     )
 
 
-def parameter_warnings(page: Page) -> list[str]:
+def parameter_warnings(page: ReportData) -> list[str]:
     """What stands between these numbers and the tissue: locking, noise that was assumed or exceeded."""
     return _notes(_views(page))[1]
 
 
-def _views(page: Page) -> dict[str | None, FitView]:
+def _views(page: ReportData) -> dict[str | None, FitView]:
     outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
     return {each.site: read_fit_view(each.result) for each in outcomes if each.result}
 

@@ -7,13 +7,13 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.outcome import Outcome
-from limbcli.reporting.page import Page
+from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
 
 KEY, TITLE = "provenance", "What made this page?"
 
 
-def provenance(page: Page, own: Mapping[str, Any]) -> Reportlet:
+def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
     """Commands, solvers, versions and input hashes of every stage, and of this page (`own`)."""
     done = page.outcomes.done
     system = str(own.get("units", DASH))

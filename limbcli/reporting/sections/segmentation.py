@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, plain_rows
-from limbcli.reporting.page import Page
+from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
 
 KEY, TITLE = "segmentation", "Are skin and bones outlined where they are?"
@@ -26,7 +26,7 @@ _CAPTION_ASSUMED = (
 _HANDLED = {"markers", "geometry"}
 
 
-def segmentation(page: Page) -> Reportlet:
+def segmentation(page: ReportData) -> Reportlet:
     """Contact sheet, markers and the segmentation's own figures."""
     outcome = page.outcomes.of("segment")
     result = outcome.usable

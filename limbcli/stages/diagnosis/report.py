@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnostics.groups import PREFIX
+from limbcli.diagnostics.localisation_tests import PREFIX
 from limbcli.diagnostics.nextstep import best_step
 from limbcli.diagnostics.score import Direction
 from limbcli.diagnostics.verdict import Diagnosis, Shrink

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.estimates import Conditional, Reported, reported
+from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction
 from limbcli.effects.base import Effect, Theta, point_name

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
-from limbcli.diagnostics.bench import Data
+from limbcli.diagnostics.forward_model import Data
 from limbcli.diagnostics.noise import Noise
 from limbcli.effects.reading import (
     Curves,

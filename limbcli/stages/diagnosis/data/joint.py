@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.diagnostics.bench import Data
+from limbcli.diagnostics.forward_model import Data
 from limbcli.diagnostics.noise import Noise, NoisePart
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.data import SiteData

@@ -37,7 +37,7 @@ class SiteMaterial:
 
 
 @dataclass(frozen=True, eq=False)
-class Page:
+class ReportData:
     case: Case
     case_name: str
     out: Path

@@ -1,4 +1,4 @@
-"""What the diagnosis asks of whoever can simulate: the `Bench`, and the data it is about."""
+"""What the diagnosis asks of whoever can simulate: the `ForwardModel`, and the data it is about."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Proposal:
     covariance: Array
 
 
-class Bench(Protocol):
+class ForwardModel(Protocol):
     """Answers for one set of data. Raises LimbError where there is no answer: then it is `not evaluated`."""
 
     @property

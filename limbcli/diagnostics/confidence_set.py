@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Explanation, Fitted
-from limbcli.diagnostics.calibrate import Family
+from limbcli.diagnostics.forward_model import Explanation, Fitted
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.multiple_testing import Family
 from limbcli.diagnostics.noise import unit_errors
 from limbcli.diagnostics.score import Direction, Trial, narrowed, score, statistics
 from limbcli.model import Array

@@ -1,11 +1,11 @@
-"""Where the numbers of sixteen points stand: rows of one flat array (see `wide`)."""
+"""Where the numbers of sixteen points stand: rows of one flat array (see `simd`)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from limbcli.materials.wide import LANES
+from limbcli.materials.simd import LANES
 
 F, J, C, D, S, CC = 0, 9, 10, 16, 22, 28  # 9, 1, 6, 6, 6, 21 (the upper triangle, row by row)
 ALPHA, BETA, X = 49, 50, 51  # 1, 1, 6

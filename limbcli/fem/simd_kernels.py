@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.materials import lanes
+from limbcli.materials import simd_laws as lanes
 from limbcli.materials.dispatch import workspace
-from limbcli.materials.lane_rows import CC, PRODUCTS, SHIFT, STRESS, TANGENT, UPPER, WEIGHT, F, J, S, room
+from limbcli.materials.simd import LANES, add_three
+from limbcli.materials.simd_rows import CC, PRODUCTS, SHIFT, STRESS, TANGENT, UPPER, WEIGHT, F, J, S, room
 from limbcli.materials.tensors import VOIGT
-from limbcli.materials.wide import LANES, add_three
 
 WIDTH = 12  # at least the nodes of a cell, and a multiple of four
 _LONG = 6 * WIDTH

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Data, Mask
+from limbcli.diagnostics.forward_model import Data, Mask
 from limbcli.diagnostics.linear import Whitener
 from limbcli.diagnostics.score import Direction, Trial
 from limbcli.model import Array

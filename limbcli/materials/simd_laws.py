@@ -1,6 +1,6 @@
 """Stress and tangent at sixteen points at once: `dispatch.second_piola` for the element loops.
 
-All numbers of the sixteen points stand in rows of one flat array (`lane_rows`). Ogden's unconstrained
+All numbers of the sixteen points stand in rows of one flat array (`simd_rows`). Ogden's unconstrained
 law, the tissue's, is computed in vectors; other laws are added point by point.
 
 S = beta D + what is given by the law, with D = C^-1; its tangent is
@@ -14,8 +14,10 @@ import numpy as np
 from numba import njit
 
 from limbcli.materials.dispatch import OGDEN, second_piola
-from limbcli.materials.lane_powers import add_powers, principal_stretches
-from limbcli.materials.lane_rows import (
+from limbcli.materials.ogden import all_squares
+from limbcli.materials.simd import LANES, add_product, add_three
+from limbcli.materials.simd_powers import add_powers, principal_stretches
+from limbcli.materials.simd_rows import (
     ALPHA,
     BETA,
     CC,
@@ -33,9 +35,7 @@ from limbcli.materials.lane_rows import (
     S,
     X,
 )  # fmt: skip
-from limbcli.materials.ogden import all_squares
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
-from limbcli.materials.wide import LANES, add_product, add_three
 
 
 @njit(cache=True, error_model="numpy")

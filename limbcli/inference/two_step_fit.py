@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.fit import Fit, Guide, levenberg_marquardt
+from limbcli.inference.levenberg_marquardt import Fit, Guide, levenberg_marquardt
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
 from limbcli.inference.prediction import Memory, Prediction, sampled
 from limbcli.inference.residual import force_residual

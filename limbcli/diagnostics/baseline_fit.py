@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.diagnostics.bench import Bench, Data, Fitted
-from limbcli.diagnostics.calibrate import Family, score_family
-from limbcli.diagnostics.groups import group_trials
+from limbcli.diagnostics.forward_model import Data, Fitted, ForwardModel
 from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.localisation_tests import group_trials
+from limbcli.diagnostics.multiple_testing import Family, score_family
 from limbcli.diagnostics.noise import correlated
 from limbcli.diagnostics.roughness import Roughness, roughness
 from limbcli.diagnostics.score import Trial
@@ -26,10 +26,10 @@ _IMAGE_ERROR, _IMAGE_WIDE, _IMAGE_ALIKE = 0.15, 4.0, 0.97
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class BaselineFit:
     """The fit without effects, and what is left by it. `seed` fixes every draw."""
 
-    bench: Bench
+    bench: ForwardModel
     base: Fitted
     seed: int
     n_draws: int

@@ -1,4 +1,4 @@
-"""The march to a load level in strides that Newton's method can take: first guesses, and step cutting."""
+"""Stepping to a load level in increments that Newton's method can take: first guesses, and step cutting."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def is_timed(model: LimbModel) -> bool:
     return any(material.law == "viscoelastic" for material in model.materials.values())
 
 
-class March:
+class LoadStepping:
     """Goes through the levels of one step after the other; remembers how long a stride may be."""
 
     _newton: Newton
@@ -62,7 +62,9 @@ class March:
         self._known: State | None = None  # of an earlier solve, at the last level
         self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
 
-    def reach(self, target: float, level: Level, known: State | None, *, brief: bool) -> tuple[State, Forces]:
+    def advance_to(
+        self, target: float, level: Level, known: State | None, *, brief: bool
+    ) -> tuple[State, Forces]:
         """Equilibrium at a time, by strides that Newton's method can take.
 
         known : first guess there, from an earlier solve

@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from limbcli.materials.elementary import expm1, log, series_log
-from limbcli.materials.lane_rows import (
+from limbcli.materials.simd import LANES, add_product
+from limbcli.materials.simd_rows import (
     CC,
     LOGS,
     MINUS,
@@ -26,7 +27,6 @@ from limbcli.materials.lane_rows import (
     S,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
-from limbcli.materials.wide import LANES, add_product
 
 _SWEEPS = 5  # of Jacobi's method: to round-off
 _NEAR = 1e-2  # squares of stretches so near each other that their difference cancels
