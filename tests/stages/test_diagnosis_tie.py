@@ -10,7 +10,7 @@ import pytest
 from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis.curves.curves import CurveBook
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import own_curves, own_run
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_run
 from limbcli.stages.run import run
 from tests.stages import block_case as block
 
@@ -85,3 +85,38 @@ def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkey
     with pytest.raises(SolveError, match="several times the work"):
         own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
     book.close()
+
+
+def _tie(several: list[float], force: list[float], speed: list[float]) -> Tie:
+    """Of two depths and one part; the same at both depths."""
+    return Tie(
+        np.array(several), np.repeat(np.array(force)[:, None], 2, axis=1),
+        np.repeat(np.array(speed)[:, None, None], 2, axis=1), 1.0, np.zeros(1), np.zeros(1),
+    )  # fmt: skip
+
+
+def test_tie_is_what_was_found_at_its_m_and_even_in_between():
+    tie = _tie([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert tie.at(4.0) == pytest.approx(np.array([[-0.02, 0.01]] * 2), abs=1e-15)
+    assert tie.at(8.0) == pytest.approx(np.array([[-0.06, 0.05]] * 2), abs=1e-15)
+    middle = (0.25 * (np.hypot(8.0, 4.0) + np.hypot(8.0, 8.0)) ** 2 - 8.0**2) ** 0.5  # half-way in `bend`
+    assert tie.at(float(middle)) == pytest.approx(np.array([[-0.04, 0.03]] * 2), abs=1e-12)
+
+
+@pytest.mark.parametrize(("m", "as_at"), [(1.5, 4.0), (15.0, 8.0)])
+def test_tie_is_not_extended_beyond_its_m(m, as_at):
+    tie = _tie([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert np.array_equal(tie.at(m), tie.at(as_at))
+    assert np.array_equal(_tie([4.0], [-0.02], [0.01]).at(m), _tie([4.0], [-0.02], [0.01]).at(4.0))
+
+
+def test_several_m_on_the_own_mesh_are_each_its_own(tmp_path):
+    book = _book(tmp_path)
+    found = own_curves(block.block_model("tet4"), book, [5.0, 3.0], size_ratio=1.0)
+    for m, own in found.items():
+        working = book.curves(m)
+        at = np.searchsorted(working.depth, own.depth - 1e-6)
+        assert own.force == pytest.approx(working.force[at], rel=1e-3)
+    book.close()
+    assert list(found) == [5.0, 3.0]
+    assert found[5.0].force[-1] > found[3.0].force[-1]
