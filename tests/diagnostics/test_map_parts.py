@@ -96,6 +96,20 @@ def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
     assert np.linalg.eigvalsh(model.of_model(rows, 1.0)).min() > 0
 
 
+def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
+    """Four parts side by side in two rows: a corner one lacks a quarter of its pixels at the second level."""
+    model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.zeros(2))
+    rows = [Row("map", level, part + 1) for level in (0, 1) for part in range(8)]
+    own = np.full(16, 0.025)
+    own[15] = 0.1 / 12**0.5
+    deviation = np.sqrt(np.diag(model.beside_unseen(rows, own))).reshape(2, 2, 4)
+    assert not deviation[0].any()
+    assert deviation[1] == pytest.approx(np.array([[0.0, 0.0, 0.15, 0.15]] * 2))
+    hole = [row for row in rows if (row.level, row.part) != (0, 1)]
+    deviation = np.sqrt(np.diag(model.beside_unseen(hole, np.full(15, 0.025))))
+    assert {row.part for row, each in zip(hole, deviation, strict=True) if each > 0} == {2, 5, 6}
+
+
 @pytest.mark.parametrize(
     ("statistic", "channel", "adequate"), [(15.0, 0, True), (40.0, 0, False), (15.0, 1, False)]
 )

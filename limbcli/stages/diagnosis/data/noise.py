@@ -31,6 +31,10 @@ COMMON_GAIN = 0.03
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.09, 0.07, 3.0, 6.5
 IN_MEAN, _ALIKE = 0.07, 0.9  # _ALIKE: from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain
+# Of a part that is not whole in a map, or touches one that is not, at bone or at a hole: what of it is seen,
+# and from how near the edge, differs between meshes and from the scanner (20 to 30 % were seen beside bone).
+_BESIDE_UNSEEN = 0.15
+_TOUCHES, _WHOLE = 1.5, 0.95  # sides of a part, between middles; share of its pixels
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
 _WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
@@ -94,6 +98,18 @@ class MapNoise:
         found = alike * (near + IN_MEAN**2 * np.outer(strain, strain))
         return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 
+    def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
+        """Covariance (n, n) of the parts that are not whole in their level's map, and of those that touch one
+        which is not, or which the model does not show; own (n,) : as in `of_pixels`."""
+        part, level = _map_places(rows)
+        n_pixels = np.zeros((len(self.strain), len(self.middles)))
+        n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
+        whole = (n_pixels > 0) & (n_pixels >= _WHOLE * n_pixels.max(axis=0))
+        reach = _TOUCHES * np.array(self.size)
+        near = np.all(np.abs(self.middles[:, None] - self.middles[None]) < reach, axis=2)
+        beside = np.any(near[None] & ~whole[:, None, :], axis=2)
+        return np.diag(np.where(beside[level, part], _BESIDE_UNSEEN**2, 0.0))
+
 
 def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
     part, level = np.array([(row.part - 1, row.level) for row in rows], dtype=np.int64).T
@@ -134,6 +150,7 @@ def noise_parts(
         for name, covariance, origin in (
             ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
             ("model: maps", maps.of_model(mine, map_share), "computed"),
+            ("model: maps, beside what is not shown", maps.beside_unseen(mine, own[is_map]), "assumed"),
         ):
             whole = np.zeros((len(rows), len(rows)))
             whole[np.ix_(at, at)] = covariance
