@@ -45,7 +45,7 @@ class ModelError:
     """An error of the model: ln force (n_levels,), ln speed (n_levels, n_parts), one deviation each.
 
     correlation None : one common factor; else that between neighbouring levels
-    depth : mm, of the depth at every level alike; strain : fraction, of all depths by one factor
+    depth : mm, of the depth at every level alike but at rest; strain : fraction, of all depths by one factor
     """
 
     name: str
@@ -166,7 +166,8 @@ def noise_parts(
     is_travel = np.array([row.channel == "travel" for row in rows])
     for each in model_error:
         direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
-        shift = each.depth + each.strain * protocol.depth[np.minimum(levels, len(protocol) - 1)]
+        pressed = protocol.depth[np.minimum(levels, len(protocol) - 1)]  # at rest nothing is deformed
+        shift = each.depth * (pressed > 0) + each.strain * pressed
         direction = direction + shift * np.where(is_travel, 0.0, slope)
         if each.correlation is None:
             parts.append(common(each.name, direction, source="computed"))
