@@ -30,7 +30,7 @@ F_KAPPA, START_M = 100.0, 2.0
 # Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts).
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 _BEND = 8.0  # m at which the law's evenness turns into its growth
-_SHARES = (0.3, 0.6, 0.9)  # of the depth needed: where the own mesh is solved
+_SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 
 
 def bend(m: Any) -> Any:
