@@ -25,8 +25,9 @@ GAIN_OF_SPEEDS = "gain of all speeds"
 # fitted to FEBio's curves without noise comes out 2 to 7 % too high at six sites, speeds half of it.
 COMMON_GAIN = 0.03
 # The model's error in a map, of ln speed a unit of strain (depth over thickness): in the parts, more just
-# below the face, above what is likeliest as tied models differ from FEBio's at eight sites (0.083, 0.063); and of the map's mean, for which these ask less. An exponential: a smoother kernel lets contrasts
-# tell too much.
+# below the face, above what is likeliest as tied models differ from FEBio's at eight sites (0.083, 0.063);
+# and of the map's mean, for which these ask less. An exponential: a smoother kernel lets contrasts tell too
+# much.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.1, 0.085, 3.0, 6.5
 IN_MEAN, _ALIKE = 0.07, 0.92  # _ALIKE: from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain
