@@ -52,7 +52,7 @@ def read_imaging(
         if bone:
             bones.append(bone)
     shape, found = (None, []) if table.get("shape") is None else read_shape(table["shape"], file)
-    radius = float(table["bone_radius_mm"]) if table.get("bone") else None
+    radius = float(table.get("bone_radius_mm") or BONE_RADIUS_MM) if table.get("bone") else None
     if found:
         shape = _FAULTY  # its sites still need no place
     imaging = Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
@@ -68,6 +68,9 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
     if table.get("bone") and not table.get("skin"):
         fix = 'add `skin = "scan.stl"`, or give the whole limb in numbers: `shape = { ... }`'
         found.append(Problem("[imaging] has a bone from ultrasound but no skin", file, fix))
+    if table.get("bone_radius_mm") and not table.get("bone"):
+        fix = 'add `bone = "from-ultrasound"`, or leave it out; in numbers only it stands within `shape`'
+        found.append(Problem("[imaging] has bone_radius_mm but no `bone` that it is of", file, fix))
     if table.get("bone") and table.get("bones"):
         what = "[imaging] has both `bones` and a bone from ultrasound"
         found.append(Problem(what, file, "keep `bones` where they were imaged, else `bone`"))

@@ -150,7 +150,7 @@ IMAGING = {
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),
-    "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm"), default=BONE_RADIUS_MM),
+    "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm")),  # with `bone`; none: BONE_RADIUS_MM
     "shape": Key("table", table),
 }
 FILES = {"allow_outside": Key("true | false", truth, default=False)}

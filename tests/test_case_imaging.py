@@ -72,6 +72,7 @@ def test_imaged_limbs_assume_nothing(tmp_path: Path):
         (SHAPE, "shape = 3", "is 3, not a table"),
         (SHAPE, f'{SHAPE}\nskin = "scan.stl"', "both `shape` and `skin`"),
         (SHAPE, 'mri = "."\nbone = "from-ultrasound"', "has a bone from ultrasound but no skin"),
+        (SHAPE, SHAPE + "\nbone_radius_mm = 12", "has bone_radius_mm but no `bone`"),
         (SHAPE, 'skin = "scan.stl"\nbone = "from-x-ray"', "imaging.bone is 'from-x-ray'"),
         (
             SHAPE,
