@@ -17,6 +17,12 @@ from limbcli.version import __version__
 if TYPE_CHECKING:
     from limbcli.api.base import Result as Result
     from limbcli.api.base import SiteResults as SiteResults
+    from limbcli.api.cohorts import BatchResult as BatchResult
+    from limbcli.api.cohorts import CaseResult as CaseResult
+    from limbcli.api.cohorts import CohortResult as CohortResult
+    from limbcli.api.cohorts import FailedStage as FailedStage
+    from limbcli.api.cohorts import batch as batch
+    from limbcli.api.cohorts import cohort as cohort
     from limbcli.api.diagnosis import DiagnosisResult as DiagnosisResult
     from limbcli.api.diagnosis import ReportResult as ReportResult
     from limbcli.api.diagnosis import diagnose as diagnose
@@ -67,6 +73,7 @@ if TYPE_CHECKING:
 # Where each public name lives; a test holds this list, and the signatures, against what was promised.
 _PUBLIC = {
     "api.base": ("Result", "SiteResults"),
+    "api.cohorts": ("BatchResult", "CaseResult", "CohortResult", "FailedStage", "batch", "cohort"),
     "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
     "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult"),
     "api.fitting": ("compare_elements", "fit", "fit_joint"),

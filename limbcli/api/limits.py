@@ -22,13 +22,15 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     "segment": {"smooth_mm": (0, 5)},
     "mesh": _SIZES,
     "build_feb": {"f_kappa": (0.01, 1000), "m": (1, 100), "contact_penalty": (1, 1000)},
+    "batch": {"jobs": (1, math.inf)},
+    "cohort": {**_SEED},
     "run": {"time_limit_s": (0, math.inf)},
     "fit": {"max_iterations": (1, math.inf)},
     "diagnose": {"max_effects": (1, 3), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
     "synth": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES, "contact_penalty": (1, 1000)},
     "phantom": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES},
 }
-_WHOLE = ("seed", "max_effects", "max_iterations")
+_WHOLE = ("seed", "max_effects", "max_iterations", "jobs")
 
 
 def within(function: str, **values: object) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,12 +20,11 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit_json, terminal
-from limbcli.errors import FitError, LimbError
-from limbcli.writing import one_writer
+from limbcli.errors import LimbError
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
-    from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome
+    from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
 ElementOpt = Annotated[
@@ -85,16 +83,17 @@ def command(
     where and why is listed at the end.
     """
     from limbcli.config import default_out
+    from limbcli.stages.batch_cases import n_processes, output_folders
     from limbcli.stages.batch_outcome import BatchOptions
 
-    options = BatchOptions(
-        element=element, solver=solver, febio=_absolute(febio), templates=_absolute(templates), force=force,
-        defaults=defaults, diagnose=diagnose,
+    options = BatchOptions.of(
+        element=element, solver=solver, febio=febio, templates=templates, force=force, defaults=defaults,
+        diagnose=diagnose,
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
-    pairs = _folders(cases, out)
+    pairs = output_folders(cases, out)
     way = _Way(options, progress, wait=not no_wait, expect=expect, as_json=json)
-    n_jobs = _jobs(jobs, scheduler, len(pairs))
+    n_jobs = n_processes(jobs, scheduler, len(pairs))
     if scheduler is None and n_jobs == 1:
         entries = [way.alone(case, target) for case, target in pairs]
     else:
@@ -109,44 +108,6 @@ def command(
         for each in failed:
             print("\n".join(f"  {line}" for line in each.lines()), file=sys.stderr)
         raise typer.Exit(max(each.code for each in failed))
-
-
-def _absolute(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()
-
-
-def _jobs(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
-    """Local processes: those asked for, else what suits several cases; one where Dask is not installed."""
-    from limbcli.stages.cluster import is_installed, jobs_for
-
-    if jobs is not None or scheduler is not None:
-        return jobs or 1
-    return jobs_for(n_cases) if n_cases > 1 and is_installed() else 1
-
-
-def _folders(cases: list[Path], out: Path | None) -> list[tuple[Path, Path]]:
-    """Each case once, with its output folder.
-
-    Raises
-    ------
-    CaseError
-        If two cases would have the same.
-    """
-    from limbcli.config import default_out
-    from limbcli.errors import CaseError
-
-    several = list({case.resolve(): case for case in cases}.values())
-    taken: dict[Path, Path] = {}
-    for case in several:
-        own = default_out(case) if out is None else out if len(several) == 1 else out / case.resolve().name
-        if own in taken:
-            raise CaseError(
-                f"{taken[own]} and {case} would have the same output folder {own}",
-                where="CASE...",
-                fix="call batch once for each folder that holds cases, with an --out of its own",
-            )
-        taken[own] = case
-    return [(case, own) for own, case in taken.items()]
 
 
 def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
@@ -164,23 +125,11 @@ def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What failed (stage and site), and its error."""
-
-    place: str
-    error: LimbError
-
-    def lines(self) -> list[str]:
-        what = f"{self.place}: {self.error.what}" if self.place else self.error.what
-        return [f"  {what}", f"    where: {self.error.where}", f"    fix:   {self.error.fix}"]
-
-
-@dataclass(frozen=True)
 class _Entry:
     """How one case went, for the end: content of --json, and what failed."""
 
     content: dict[str, Any]
-    failures: list[_Told]
+    failures: list[Failure]
 
     @property
     def code(self) -> int:
@@ -188,7 +137,14 @@ class _Entry:
         return max((each.error.exit_code for each in self.failures), default=0)
 
     def lines(self) -> list[str]:
-        return [str(self.content["case"]), *(line for each in self.failures for line in each.lines())]
+        return [str(self.content["case"]), *(line for each in self.failures for line in _lines(each))]
+
+
+def _lines(failure: Failure) -> list[str]:
+    """What failed (stage and site), and its error."""
+    error = failure.error
+    what = f"{failure.place}: {error.what}" if failure.place else error.what
+    return [f"  {what}", f"    where: {error.where}", f"    fix:   {error.fix}"]
 
 
 class _Way:
@@ -201,27 +157,16 @@ class _Way:
     def alone(self, case: Path, target: Path) -> _Entry:
         """One case in this process; its error is shown, not raised."""
         from limbcli.cli.app import report_error
-        from limbcli.cli.batch_task import in_words
-        from limbcli.pasting import pasted
-        from limbcli.stages.batch import batch
+        from limbcli.stages.batch_cases import one_case
 
-        self.progress.event("stage", name=f"case {case}")
-        try:
-            turn = one_writer(target, wait=self.wait, progress=self.progress)
-            with turn if case.is_dir() else nullcontext():
-                outcome = batch(case, out=target, options=self.options, progress=self.progress)
-        except Exception as error:  # one case's fault never stops the others
-            told = pasted(in_words(error, target), case, target)
-            report_error(told, as_json=False)
-            content = {"case": str(case), "out": str(target), "error": told.what}
-            return _Entry(content, [_Told("", told)])
+        outcome = one_case(case, target, self.options, wait=self.wait, progress=self.progress)
         for failure in outcome.failures:
             report_error(failure.error, as_json=False)
         return self._entry(case, target, outcome)
 
     def together(self, pairs: list[tuple[Path, Path]], *, scheduler: str | None, jobs: int) -> list[_Entry]:
         """All on a cluster, or in so many local processes."""
-        from limbcli.cli.batch_cluster import together
+        from limbcli.stages.batch_cluster import together
 
         absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
         outcomes = together(
@@ -230,37 +175,18 @@ class _Way:
         return [self._entry(*pair, outcome) for pair, outcome in zip(pairs, outcomes, strict=True)]
 
     def _entry(self, case: Path, target: Path, outcome: CaseOutcome) -> _Entry:
-        failures = [_Told(each.place, each.error) for each in outcome.failures]
+        from limbcli.stages.batch_cases import expectations
+
         content = outcome.to_json() | {"case": str(case), "out": str(target)}
-        if self.expect:
-            content["expected"], unlike = self._expected(case, target)
+        failures = list(outcome.failures)
+        if not outcome.begun:
+            content = {"case": str(case), "out": str(target), "error": failures[0].error.what}
+        elif self.expect:
+            found, unlike = expectations(case, target, progress=self.progress)
+            content["expected"] = [{**vars(each), "expected": each.expected} for each in found]
             failures += unlike
+            if not self.as_json:
+                print("".join(f"{each}\n" for each in found), end="")
         if not self.as_json and outcome.report:
             print(outcome.report)
         return _Entry(content, failures)
-
-    def _expected(self, case: Path, target: Path) -> tuple[list[dict[str, Any]], list[_Told]]:
-        """What was compared with expected.toml, and what of it does not hold."""
-        from limbcli.stages.expect import EXPECTED_FILE, compare
-
-        file = case / EXPECTED_FILE
-        if not file.is_file():
-            self.progress.event("note", text=f"{case}: no {EXPECTED_FILE}, nothing to compare with")
-            return [], []
-        try:
-            found = compare(case, target)
-        except LimbError as error:
-            return [], [_Told(EXPECTED_FILE, error)]
-        if not self.as_json:
-            for each in found:
-                print(each)
-        fix = "look at the report; if the new value is right, write it there"
-        unlike = [
-            _Told(
-                "",
-                FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
-            )
-            for each in found
-            if not each.holds
-        ]
-        return [{**vars(each), "expected": each.expected} for each in found], unlike

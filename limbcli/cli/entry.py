@@ -32,7 +32,8 @@ def main() -> None:
 
 def _caught(error: Exception) -> int:
     """Tell what nobody foresaw; returns the exit code."""
-    from limbcli.cli.last_net import output_folder, unforeseen
+    from limbcli.cli.last_net import output_folder
+    from limbcli.unforeseen import unforeseen
 
     told = unforeseen(error, output_folder(sys.argv[1:]))
     print(f"{type(told).__name__}: {told}", file=sys.stderr)

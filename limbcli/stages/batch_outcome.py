@@ -30,6 +30,12 @@ class BatchOptions:
     defaults: bool = False
     diagnose: bool = False
 
+    @classmethod
+    def of(cls, *, febio: Path | None, templates: Path | None, **others: Any) -> BatchOptions:
+        """With paths that hold in other processes, too."""
+        absolute = [None if each is None else each.absolute() for each in (febio, templates)]
+        return cls(febio=absolute[0], templates=absolute[1], **others)
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -48,6 +54,7 @@ class CaseOutcome:
     """How one case went: what ran, what was fresh, what failed, and its report.
 
     kept : options that a stage was called with by hand and is called with again, in words
+    begun : whether there was a case folder, and nobody else wrote into its output folder
     """
 
     case: Path
@@ -57,6 +64,7 @@ class CaseOutcome:
     kept: dict[str, str] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
     report: Path | None = None
+    begun: bool = True
 
     def add(self, part: CaseOutcome) -> None:
         """What another part of the same case's work left."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.errors import MeasurementError
+from limbcli.errors import CaseError, MeasurementError
 from limbcli.files import atomic_file, sha256
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
@@ -163,7 +163,6 @@ def _written(
     content = plain(
         {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
     )
-    files = {"result": RESULT, "rows": ROWS, "page": PAGE}
     cohort_page(content, out, PAGE, templates=templates)
     with atomic_file(out / ROWS) as path, path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
@@ -171,13 +170,42 @@ def _written(
         writer.writerows(content["rows"])
     with atomic_file(out / RESULT) as path:
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return _result(out, content)
+
+
+def _result(out: Path, content: dict[str, Any]) -> StageResult:
     return StageResult(
         stage=STAGE,
-        subject=table.stem,
+        subject=Path(content["table"]).stem,
         folder=out,
-        files=files,
+        files={"result": RESULT, "rows": ROWS, "page": PAGE},
         data=content,
         summary=tuple(summary_lines(content, out / PAGE)),
-        warnings=tuple(warnings),
-        provenance=own,
+        warnings=tuple(content["warnings"]),
+        provenance=content["provenance"],
     )
+
+
+def read_cohort(out: Path) -> StageResult:
+    """What an earlier run left in `out`.
+
+    Raises
+    ------
+    CaseError
+        If there is none, or it cannot be read.
+    """
+    path = out / RESULT
+    if not path.is_file():
+        raise CaseError(
+            "there is no result of `cohort`",
+            where=str(out),
+            fix=f"run `limbcli cohort TABLE --out {out}` first",
+        )
+    try:
+        return _result(out, json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError) as error:
+        raise CaseError(
+            f"the result of `cohort` cannot be read ({error})",
+            where=str(path),
+            fix=f"run `limbcli cohort TABLE --out {out}` again",
+        ) from error

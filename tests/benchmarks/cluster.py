@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 from distributed import Client, LocalCluster
 
-from limbcli.cli.batch_cluster import together
 from limbcli.progress import SILENT
+from limbcli.stages.batch_cluster import together
 from limbcli.stages.batch_outcome import BatchOptions
 from tests.benchmarks.small_case import write_case
 from tests.test_case_text import two_sites

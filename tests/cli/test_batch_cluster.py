@@ -26,9 +26,8 @@ import dask
 from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
 
-from limbcli.cli import batch_cluster
 from limbcli.cli.app import main
-from limbcli.stages import cluster
+from limbcli.stages import batch_cluster, cluster
 from tests.benchmarks.left_behind import contents, strays
 from tests.test_case_text import two_sites
 

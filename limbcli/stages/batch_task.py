@@ -11,6 +11,7 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
+from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
 from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
 from limbcli.stages.batch_steps import SITE_STAGES
@@ -27,12 +28,14 @@ Tell = Callable[[str, dict[str, Any]], None]
 class Call:
     """What all parts of a batch share.
 
-    client : the code that calls; asked : the options as they were typed; threads : of each process
+    client : the code that calls; asked : the options as they were typed; called : the call from Python,
+        where it was one; threads : of each process
     topic : of Dask's events, for progress, of which one comes every `tell_s` at least
     """
 
     client: Standing
     asked: tuple[str, ...]
+    called: str
     threads: int
     topic: str
     tell_s: float
@@ -94,7 +97,11 @@ def work(part: Part, call: Call) -> Done:
     told = _Told(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
     command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.asked]
     with as_called(command, call.threads):
-        return done(part, call, told)
+        before = CALLED.set(call.called)
+        try:
+            return done(part, call, told)
+        finally:
+            CALLED.reset(before)
 
 
 class _Told:
@@ -129,8 +136,8 @@ def done(part: Part, call: Call, tell: Tell) -> Done:
 
 def in_words(error: Exception, out: Path) -> LimbError:
     """The error that a person reads; what nobody foresaw leaves a file in the output folder."""
-    from limbcli.cli.last_net import unforeseen
     from limbcli.faults import in_words as in_words_of_system
+    from limbcli.unforeseen import unforeseen
 
     if isinstance(error, LimbError):
         return error

@@ -1,0 +1,286 @@
+"""batch and cohort: many cases through all stages, and a table of many people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+from limbcli.api.base import Result
+from limbcli.api.call import CaseLike, Heard, PathLike, folder_of, foreseen, listening, maybe_path, told
+from limbcli.api.limits import one_of, within
+from limbcli.api.simulation import SOLVERS, SolverName
+from limbcli.api.tables import Row, Tabular, plain_rows, read_columns
+from limbcli.case import Case
+from limbcli.config import default_out
+from limbcli.errors import CaseError, LimbcliError
+from limbcli.results import StageResult, plain
+from limbcli.writing import one_writer
+
+
+@dataclass(frozen=True)
+class FailedStage:
+    """What failed of a case, and why.
+
+    Attributes
+    ----------
+    stage : such as "fit"; "" where the case could not be begun, or an expectation does not hold
+    site : None where it is the whole subject's
+    error : with message, where and fix
+    """
+
+    stage: str
+    site: str | None
+    error: LimbcliError
+
+
+@dataclass(frozen=True)
+class CaseResult(Tabular):
+    """How one case of a batch went. `table()` has one row.
+
+    Attributes
+    ----------
+    case, out : its folder, and its output folder
+    ran, fresh : stages (and sites) that were run, and that nothing had changed of
+    failures : empty where all went well
+    expected : comparisons with its expected.toml, in words; empty where none was asked for
+    report : its page; None where there is none
+    """
+
+    case: Path
+    out: Path
+    ran: tuple[str, ...]
+    fresh: tuple[str, ...]
+    failures: tuple[FailedStage, ...]
+    expected: tuple[str, ...] = ()
+    report: Path | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing failed."""
+        return not self.failures
+
+    def rows(self) -> list[dict[str, Any]]:
+        words = "; ".join(
+            " ".join(each for each in (failure.stage, failure.site, failure.error.message) if each)
+            for failure in self.failures
+        )
+        return [
+            {
+                "case": str(self.case), "out": str(self.out), "ok": self.ok, "n_ran": len(self.ran),
+                "n_fresh": len(self.fresh), "failures": words,
+                "report": str(self.report) if self.report else "",
+            }
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BatchResult(Tabular):
+    """How the cases of a batch went. `table()` has a row a case.
+
+    Attributes
+    ----------
+    cases : in the order in which they were given
+    index : the page that lists all; None of a single case, or where none left anything to list
+    """
+
+    cases: tuple[CaseResult, ...]
+    index: Path | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing failed."""
+        return all(each.ok for each in self.cases)
+
+    def __iter__(self) -> Iterator[CaseResult]:
+        return iter(self.cases)
+
+    def __len__(self) -> int:
+        return len(self.cases)
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [row for each in self.cases for row in each.rows()]
+
+
+@dataclass(frozen=True, eq=False)
+class CohortResult(Result):
+    """Tissue of many people. `table()` has a row a row of the table that was used.
+
+    Attributes
+    ----------
+    page : to be opened in a browser
+    sites : by site the population's mean and spread, as in cohort.json
+    compliance_left_out : how well the compliance of people left out is predicted, as in cohort.json
+    """
+
+    stage: ClassVar[str] = "cohort"
+    page: Path
+    sites: Row = field(repr=False)
+    compliance_left_out: Row = field(repr=False)
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        data = found.data
+        return cls(found, found.path("page"), data["sites"], data["compliance_left_out"])
+
+    @classmethod
+    def read(cls, out: PathLike, site: str | None = None) -> Self:
+        """What an earlier run left in `out`; `site` must be None.
+
+        Raises
+        ------
+        CaseError
+            If there is none, or it cannot be read.
+        """
+        from limbcli.stages.cohort import read_cohort
+
+        if site is not None:
+            raise CaseError(
+                "a cohort is not one site's",
+                where=f"read(site={site!r})",
+                fix="leave the site out: `sites` has all",
+            )
+        return cls.of(read_cohort(folder_of(out)))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of rows.csv."""
+        return [dict(plain(row)) for row in plain_rows(read_columns(self.files["rows"]))]
+
+
+@told
+def batch(
+    cases: CaseLike | Iterable[CaseLike],
+    *,
+    out: PathLike | None = None,
+    element: Literal["tet10", "tet4"] | None = None,
+    solver: SolverName = "auto",
+    febio: PathLike | None = None,
+    templates: PathLike | None = None,
+    force: bool = False,
+    defaults: bool = False,
+    diagnose: bool = False,
+    expect: bool = False,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> BatchResult:
+    """All stages of one or more cases, from images to report; redoes only what changed.
+
+    Parameters
+    ----------
+    cases : one case or several; each once
+    out : output folder of a single case; of several the folder that holds one a case, and an index page
+    element : None: each case's own
+    solver, febio : as of `run`; templates : as of `report`
+    force : redo every stage, also where nothing changed
+    defaults : forget the options that stages were called with by hand
+    diagnose : diagnose every place, too, once it is fitted
+    expect : compare with the expected.toml of each case that has one; what does not hold is a failure
+    jobs : processes side by side; None: of several cases as many as cores and memory allow. In a script
+        that Python starts itself, more than one needs the call below `if __name__ == "__main__":`
+    scheduler : address of a running Dask cluster that does the work
+    wait, progress : as of `segment`
+
+    A case that fails does not stop the others and raises nothing: look at `ok` and at `failures`.
+
+    Raises
+    ------
+    CaseError
+        If no case is given, an argument cannot be used, or two cases would have one output folder.
+    ToolError
+        If Dask is not installed, no scheduler answers, or it is lost on the way.
+    """
+    one_of("batch", SOLVERS, solver=solver)
+    one_of("batch", ("tet10", "tet4"), element=element)
+    within("batch", jobs=jobs)
+    from limbcli.stages.batch_cases import expectations, n_processes, one_case, output_folders
+    from limbcli.stages.batch_outcome import BatchOptions
+    from limbcli.stages.report_index import report_index
+
+    several = (
+        [cases]
+        if isinstance(cases, Case) or not isinstance(cases, Iterable) or isinstance(cases, str)
+        else cases
+    )
+    folders = [each.folder if isinstance(each, Case) else folder_of(each, "cases") for each in several]
+    if not folders:
+        raise CaseError("no case is given", where="batch(cases)", fix="give a case folder, or several")
+    heard = listening(progress)
+    options = BatchOptions.of(
+        element=element, solver=solver, febio=maybe_path(febio, "febio"),
+        templates=maybe_path(templates, "templates"), force=force, defaults=defaults, diagnose=diagnose,
+    )  # fmt: skip
+    with foreseen():
+        pairs = output_folders(folders, maybe_path(out, "out"))
+        n_jobs = n_processes(jobs, scheduler, len(pairs))
+        if scheduler is None and n_jobs == 1:
+            outcomes = [one_case(*pair, options, wait=wait, progress=heard) for pair in pairs]
+        else:
+            from limbcli.stages.batch_cluster import together
+
+            absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
+            outcomes = together(
+                absolute, options, scheduler=scheduler, jobs=n_jobs, wait=wait, progress=heard
+            )
+        found = []
+        for (case, target), outcome in zip(pairs, outcomes, strict=True):
+            compared, unlike = (
+                expectations(case, target, progress=heard) if expect and outcome.begun else ([], [])
+            )
+            failures = [FailedStage(f.stage, f.site, f.error) for f in [*outcome.failures, *unlike]]
+            found.append(
+                CaseResult(
+                    case, target, tuple(outcome.ran), tuple(outcome.fresh), tuple(failures),
+                    tuple(map(str, compared)), outcome.report,
+                )
+            )  # fmt: skip
+        index = None
+        if len(pairs) > 1:
+            try:
+                target = default_out(folders[0]).parent if out is None else folder_of(out)
+                index = report_index(target, progress=heard).page
+            except LimbcliError as error:  # no case left anything to list: their failures say why
+                heard.event("note", text=str(error.message))
+    return BatchResult(tuple(found), index)
+
+
+@told
+def cohort(
+    table: PathLike,
+    *,
+    out: PathLike | None = None,
+    seed: int = 7,
+    templates: PathLike | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> CohortResult:
+    """Tissue of many people from layers, force and slope: no limb, no MRI, no wave speeds needed.
+
+    Parameters
+    ----------
+    table : a CSV with a row a person and site; docs/cohort.md says what its columns hold
+    out : output folder; None: out/<name of the table>
+    seed : of the folds and of the sampling
+    templates : a folder of Jinja templates that come before ours
+    wait, progress : as of `segment`
+
+    Raises
+    ------
+    MeasurementError
+        If the table cannot be used; every problem is named with its line.
+    CaseError, ToolError
+        If the folder cannot be written, or the solves that ship with limbcli are missing.
+    """
+    within("cohort", seed=seed)
+    from limbcli.stages import cohort as stage
+
+    with foreseen():
+        file, heard = folder_of(table, "table"), listening(progress)
+        target = default_out(file.with_suffix("")) if out is None else folder_of(out)
+        with one_writer(target, wait=wait, progress=heard):
+            found = stage.cohort(
+                file, out=target, seed=seed, templates=maybe_path(templates, "templates"), progress=heard
+            )
+    return CohortResult.of(found)

@@ -1,0 +1,85 @@
+"""Several cases: where each one's results go, how many processes share them, and how one of them is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import nullcontext
+from pathlib import Path
+
+from limbcli.config import default_out
+from limbcli.errors import CaseError, FitError, LimbError
+from limbcli.pasting import pasted
+from limbcli.progress import SILENT, Progress
+from limbcli.stages.batch import batch
+from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batch_task import in_words
+from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
+from limbcli.writing import one_writer
+
+
+def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, Path]]:
+    """Each case once, with its output folder: `out` of a single one, a folder below it of several.
+
+    Raises
+    ------
+    CaseError
+        If two cases would have the same.
+    """
+    several = list({case.resolve(): case for case in cases}.values())
+    taken: dict[Path, Path] = {}
+    for case in several:
+        own = default_out(case) if out is None else out if len(several) == 1 else out / case.resolve().name
+        if own in taken:
+            raise CaseError(
+                f"{taken[own]} and {case} would have the same output folder {own}",
+                where="CASE...",
+                fix="call batch once for each folder that holds cases, with an --out of its own",
+            )
+        taken[own] = case
+    return [(case, own) for own, case in taken.items()]
+
+
+def n_processes(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
+    """Local processes: those asked for, else what suits several cases; one where Dask is not installed."""
+    from limbcli.stages.cluster import is_installed, jobs_for
+
+    if jobs is not None or scheduler is not None:
+        return jobs or 1
+    return jobs_for(n_cases) if n_cases > 1 and is_installed() else 1
+
+
+def one_case(
+    case: Path, out: Path, options: BatchOptions, *, wait: bool = True, progress: Progress = SILENT
+) -> CaseOutcome:
+    """One case in this process; whatever goes wrong, also what nobody foresaw, is in its outcome."""
+    progress.event("stage", name=f"case {case}")
+    try:
+        turn = one_writer(out, wait=wait, progress=progress)
+        with turn if case.is_dir() else nullcontext():
+            return batch(case, out=out, options=options, progress=progress)
+    except Exception as error:  # one case's fault never stops the others
+        failure = Failure("", None, pasted(in_words(error, out), case, out))
+        return CaseOutcome(case, out, failures=[failure], begun=False)
+
+
+def expectations(
+    case: Path, out: Path, *, progress: Progress = SILENT
+) -> tuple[list[Comparison], list[Failure]]:
+    """What was compared with the case's expected.toml, and what of it does not hold."""
+    file = case / EXPECTED_FILE
+    if not file.is_file():
+        progress.event("note", text=f"{case}: no {EXPECTED_FILE}, nothing to compare with")
+        return [], []
+    try:
+        found = compare(case, out)
+    except LimbError as error:
+        return [], [Failure(EXPECTED_FILE, None, error)]
+    fix = "look at the report; if the new value is right, write it there"
+    unlike = [
+        Failure(
+            "", None,
+            FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
+        )
+        for each in found if not each.holds
+    ]  # fmt: skip
+    return found, unlike
