@@ -26,6 +26,7 @@ import dask
 from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
 
+import limbcli
 from limbcli.cli.app import main
 from limbcli.stages import batch_cluster, cluster
 from tests.benchmarks.left_behind import contents, strays
@@ -251,6 +252,15 @@ def test_who_failed_where_and_why_is_listed_and_stops_nobody(workers, tmp_path: 
             each.unlink()
     assert batch(workers, *several[:4], "--out", out) == 0, "mended, the same batch goes on where it was"
     assert log(several[3])["begin fit p1"] == 1
+
+
+def test_a_call_from_python_is_told_as_such_by_what_workers_leave(workers, tmp_path: Path):
+    (case,) = cases(tmp_path, "a")
+    (found,) = limbcli.batch(case, out=tmp_path / "out", scheduler=workers.scheduler_address)
+    assert found.ok
+    assert left(tmp_path / "out") == ALL
+    result = json.loads((tmp_path / "out" / "fit" / "p1" / "fit.json").read_text())
+    assert result["provenance"]["command"].startswith(f"limbcli.batch('{case}', out=")
 
 
 def test_a_worker_with_other_code_is_refused_before_anything_begins(workers, tmp_path, capsys, monkeypatch):
