@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
+_LOOK_S = 10.0  # between two looks whether any worker is left
 _SAME = "call the same batch again: what is done is not done again"
 
 
@@ -95,12 +96,15 @@ class _Together:
 
         before = lost_workers(self.client)
         self.client.subscribe_topic(self.call.topic, self._hear)
+        over = threading.Event()
+        threading.Thread(target=self._watch, args=(over,), daemon=True).start()
         futures = [self._submit(way, Part(way.outcome.case, way.outcome.out, FIRST)) for way in self.ways]
         try:
             running = as_completed(futures)
             for future in running:
                 running.update(self._next(future))
         finally:
+            over.set()
             with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to tell
                 self.client.cancel(list(self.parts), force=True)
                 self.client.unsubscribe_topic(self.call.topic)
@@ -254,6 +258,20 @@ class _Together:
             return
         self.stages[part] = stage
         self._count(f"{part}: {stage}")
+
+    def _watch(self, over: threading.Event) -> None:
+        """Say when the last worker has gone, and when one is there again (in a thread of its own)."""
+        there = True  # at the beginning that is told by `connected`
+        while not over.wait(_LOOK_S):
+            try:
+                n_workers = len(self.client.scheduler_info(n_workers=-1)["workers"])
+            except Exception:  # the scheduler is gone: the main thread hears of it
+                return
+            if there and not n_workers:
+                self._say("note", text="no worker is left: waiting for one (start jobs that ended anew)")
+            elif n_workers and not there:
+                self._say("note", text=f"workers are there again: {n_workers}")
+            there = bool(n_workers)
 
     def _count(self, now: str) -> None:
         left = self._left()

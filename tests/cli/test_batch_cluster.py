@@ -254,6 +254,45 @@ def test_who_failed_where_and_why_is_listed_and_stops_nobody(workers, tmp_path: 
     assert log(several[3])["begin fit p1"] == 1
 
 
+def test_that_no_worker_is_left_is_said_and_the_batch_goes_on_with_new_ones(
+    tmp_path: Path, capsys, monkeypatch
+):
+    monkeypatch.setattr(batch_cluster, "_LOOK_S", 0.2)
+    (case,) = cases(tmp_path, "a")
+    (case / "wait-mesh-p1").touch()
+    with (
+        dask.config.set(cluster._LOCAL),
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
+            preload=[PRELOAD], silence_logs=50,
+        ) as started,
+    ):  # fmt: skip
+
+        def leaves_and_comes_back() -> None:
+            while not (case / "at-mesh-p1").exists():
+                time.sleep(0.1)
+            started.scale(0)
+            time.sleep(2)
+            started.scale(1)
+
+        coming = threading.Thread(target=leaves_and_comes_back)
+        coming.start()
+        arguments = [
+            "batch",
+            str(case),
+            "--out",
+            str(tmp_path / "out"),
+            "--scheduler",
+            started.scheduler_address,
+        ]
+        main(arguments)
+        coming.join()
+    told = capsys.readouterr().err
+    assert "no worker is left: waiting for one" in told
+    assert "workers are there again: 1" in told
+    assert left(tmp_path / "out") == ALL
+
+
 def test_a_call_from_python_is_told_as_such_by_what_workers_leave(workers, tmp_path: Path):
     (case,) = cases(tmp_path, "a")
     (found,) = limbcli.batch(case, out=tmp_path / "out", scheduler=workers.scheduler_address)
