@@ -277,15 +277,11 @@ def test_that_no_worker_is_left_is_said_and_the_batch_goes_on_with_new_ones(
 
         coming = threading.Thread(target=leaves_and_comes_back)
         coming.start()
-        arguments = [
-            "batch",
-            str(case),
-            "--out",
-            str(tmp_path / "out"),
-            "--scheduler",
-            started.scheduler_address,
-        ]
-        main(arguments)
+        with pytest.raises(SystemExit) as stop:
+            main(
+                ["batch", str(case), "--out", str(tmp_path / "out"), "--scheduler", started.scheduler_address]
+            )
+        assert not stop.value.code
         coming.join()
     told = capsys.readouterr().err
     assert "no worker is left: waiting for one" in told
