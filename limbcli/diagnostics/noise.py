@@ -34,7 +34,8 @@ def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NoisePart:
-    """One cause of noise: covariance (n, n) and source ("repeats", "spec", "assumed", "computed")."""
+    """One cause of noise: covariance (n, n) and source ("repeats", "spec", "assumed", "computed", or
+    "estimated" from the data)."""
 
     name: str
     covariance: Array
@@ -50,6 +51,20 @@ class Noise:
     @property
     def covariance(self) -> Array:
         return np.asarray(sum(part.covariance for part in self.parts))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parts that are not nothing."""
+        return tuple(part.name for part in self.parts if part.covariance.any())
+
+    def with_share(self, name: str, share: float) -> Noise:
+        """The part `name` times `share`, as it was estimated; others as they are."""
+        return Noise(
+            tuple(
+                NoisePart(name, share**2 * part.covariance, "estimated") if part.name == name else part
+                for part in self.parts
+            )
+        )
 
     @property
     def is_assumed(self) -> bool:

@@ -165,6 +165,7 @@ class _Diagnosed:
             bench = SiteBench.joint([each.curves for each in prepared])
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
                 bench.turned = lambda: self._turned(prepared[0])
+            bench.settle_noise()
             found = diagnose_bench(
                 bench, max_effects=self.options.max_effects, seed=self.options.seed, progress=self.progress
             )

@@ -103,10 +103,13 @@ def test_tie_is_what_was_found_at_its_m_and_even_in_between():
     assert tie.at(float(middle)) == pytest.approx(np.array([[-0.04, 0.03]] * 2), abs=1e-12)
 
 
-@pytest.mark.parametrize(("m", "as_at"), [(1.5, 4.0), (15.0, 8.0)])
-def test_tie_is_not_extended_beyond_its_m(m, as_at):
+@pytest.mark.parametrize(("m", "further", "end"), [(2.5, 1.5, 4.0), (15.0, 18.0, 8.0)])
+def test_tie_is_hardly_extended_beyond_its_m_and_has_no_corner_there(m, further, end):
     tie = _tie([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
-    assert np.array_equal(tie.at(m), tie.at(as_at))
+    assert np.array_equal(tie.at(m), tie.at(further))
+    assert np.abs(tie.at(m) - tie.at(end)).max() <= 0.1 * 0.04 + 1e-12
+    slopes = [(tie.at(end + h) - tie.at(end + h - 1e-4)) / 1e-4 for h in (0.0, 1e-4)]
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-2)
     assert np.array_equal(_tie([4.0], [-0.02], [0.01]).at(m), _tie([4.0], [-0.02], [0.01]).at(4.0))
 
 

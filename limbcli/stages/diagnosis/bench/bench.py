@@ -15,6 +15,7 @@ import numpy as np
 from limbcli.diagnostics.estimates import Conditional, Reported, reported
 from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.linear import Whitener
+from limbcli.diagnostics.noise_scale import likeliest_share
 from limbcli.diagnostics.score import Direction
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
@@ -27,6 +28,7 @@ from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.bench.slots import Slot
 from limbcli.stages.diagnosis.curves.curves import FIRST_M
 from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.data.noise import BESIDE, LEAST_BESIDE
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
@@ -58,6 +60,22 @@ class SiteBench(Fits):
         Fits.__init__(bench, sites)
         bench.verify, bench.not_simulated = verify, set()
         return bench
+
+    def settle_noise(self) -> None:
+        """Find from the fit without effects how far maps err beside what they do not show.
+
+        Raises
+        ------
+        SolveError, FitError
+            If that fit cannot be made.
+        """
+        if BESIDE not in self.data.noise.names:
+            return
+        base = self.fit((), {})
+        off = self.data.y - base.prediction
+        self.allow_for(
+            BESIDE, likeliest_share(off, base.jacobian, self.data.noise, BESIDE, least=LEAST_BESIDE)
+        )
 
     # ------------------------------------------------------------ the contract
 

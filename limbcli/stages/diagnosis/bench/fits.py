@@ -81,6 +81,13 @@ class Fits:
     def data(self) -> Data:
         return self._data
 
+    def allow_for(self, name: str, share: float) -> None:
+        """Of the noise part `name` so much of what was assumed, at every site."""
+        for each in self.sites:
+            each.site = each.site.with_share(name, share)
+        self._data = joined([each.site for each in self.sites])
+        self.whiten = Whitener.of(self._data.noise.covariance)
+
     @property
     def site(self) -> SiteData:
         """The first site's data."""

@@ -70,6 +70,10 @@ class SiteData:
     slope: Array = field(default_factory=lambda: np.zeros(0))
     depth_error: float = 0.0
 
+    def with_share(self, name: str, share: float) -> SiteData:
+        """With so much of what was assumed of the noise part `name`."""
+        return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
+
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum at the depths that were read.
 

@@ -32,8 +32,10 @@ _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.1, 0.085, 3.0, 6.5
 IN_MEAN, _ALIKE = 0.07, 0.92  # _ALIKE: from level to level
 _RESOLVED = 0.005  # of a part's ln speed, whatever the strain
 # Of a part that is not whole in a map, or touches one that is not, at bone or at a hole: what of it is seen,
-# and from how near the edge, differs between meshes and from the scanner (20 to 30 % were seen beside bone).
+# and from how near the edge, differs between meshes and from the scanner (20 to 30 % were seen beside bone,
+# far less at most sites): at most so much, and how much is found from the data.
 _BESIDE_UNSEEN = 0.15
+BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1
 _TOUCHES, _WHOLE = 1.5, 0.95  # sides of a part, between middles; share of its pixels
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
@@ -150,7 +152,7 @@ def noise_parts(
         for name, covariance, origin in (
             ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
             ("model: maps", maps.of_model(mine, map_share), "computed"),
-            ("model: maps, beside what is not shown", maps.beside_unseen(mine, own[is_map]), "assumed"),
+            (BESIDE, maps.beside_unseen(mine, own[is_map]), "assumed"),
         ):
             whole = np.zeros((len(rows), len(rows)))
             whole[np.ix_(at, at)] = covariance

@@ -30,6 +30,7 @@ F_KAPPA, START_M = 100.0, 2.0
 # Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts).
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 _BEND = 8.0  # m at which the law's evenness turns into its growth
+_FOLLOWED = 0.2  # of the way from one m of a tie to the next: how far its slope goes on beyond the last
 _SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 
 
@@ -60,12 +61,26 @@ class Tie:
 
     def at(self, m: float) -> Array:
         """ln force and ln speeds (n, 1 + n_parts) to be added at this m: even in `bend` between those found,
-        and as at the nearest beyond them."""
+        as at the nearest beyond them, and smooth between the two, since fits follow slopes."""
         tables = np.concatenate([self.log_force[:, :, None], self.log_speed], axis=2)
-        place = float(np.interp(bend(m), bend(self.m), np.arange(len(self.m))))
-        low = min(int(place), len(self.m) - 1)
+        known = bend(self.m)
+        place = float(np.interp(bend(m), known, np.arange(len(known))))
+        if len(known) > 1:
+            place += _beyond(bend(m), known[0], known[1]) - _beyond(bend(m), known[-1], known[-2])
+        low = int(np.clip(int(place), 0, max(len(self.m) - 2, 0)))
         high = min(low + 1, len(self.m) - 1)
         return np.asarray(tables[low] + (place - low) * (tables[high] - tables[low]))
+
+
+def _beyond(at: float, end: float, inner: float) -> float:
+    """How far a line is followed beyond its end (<= 0), in units of its way to `inner`; its slope falls to 0.
+
+    >>> [round(_beyond(at, 0.0, 1.0), 5) for at in (1.0, -0.05, -9.0)]
+    [0.0, -0.04375, -0.1]
+    """
+    beyond = max((end - at) / (inner - end), 0.0)
+    beyond = min(beyond, _FOLLOWED)
+    return beyond**2 / (2 * _FOLLOWED) - beyond
 
 
 @dataclass(frozen=True, eq=False)
