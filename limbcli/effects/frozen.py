@@ -24,10 +24,10 @@ from scipy.interpolate import CubicSpline
 
 from limbcli.effects.places import Places, Stiffness, cell_means
 from limbcli.effects.tissue import TISSUE
-from limbcli.effects.waves import log_speed
 from limbcli.materials import compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.shear_waves.speed import block_speeds
 
 
 class Averages(Protocol):
@@ -112,8 +112,9 @@ class Kinematics:
             for F, seen in zip(self.gradient, self.seen, strict=True):
                 needed = np.unique(seen.averages.index)
                 speed = np.full(len(self.volume), np.nan)
-                found = log_speed(model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3)
-                speed[needed] = np.exp(found)
+                speed[needed] = block_speeds(
+                    model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3
+                )
                 rows.append(seen.averages(speed))
             self._speeds[id(model)] = np.array(rows)
             self._models.append(model)

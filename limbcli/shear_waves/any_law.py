@@ -28,6 +28,7 @@ def acoustic_tensor(
     *,
     cells: IntArray | None = None,
     n_cells: int = 1,
+    viscous: bool = True,
 ) -> Array:
     """Q = J (c_ijkl + sigma_jl delta_ik) n_j n_l; its eigenvalues are rho0 v^2.
 
@@ -40,6 +41,7 @@ def acoustic_tensor(
     deformation_gradient : (n, 3, 3), det > 0
     direction : (3,) unit, in the deformed tissue
     cells : (n,) numbers within the material's block of `n_cells`, where a parameter is a map
+    viscous : a viscoelastic law as it answers at once; else the elastic law that it wraps
 
     Returns
     -------
@@ -64,7 +66,7 @@ def acoustic_tensor(
     N = np.einsum("nji,j->ni", F, n)
     Q = np.einsum("nj,njl,nl->n", N, S, N)[:, None, None] * np.eye(3)
     Q += F @ np.einsum("nmjpl,nj,nl->nmp", CC, N, N) @ np.swapaxes(F, 1, 2)
-    if compiled.prony is not None:
+    if compiled.prony is not None and viscous:
         factor = factor * (compiled.prony[0] + sum(g for g, _ in compiled.prony[1]))
     return np.asarray(Q * factor[:, None, None])
 

@@ -1,4 +1,4 @@
-"""Shear-wave speed in deformed tissue: small waves on a large deformation.
+"""Small plane waves in deformed tissue of the Ogden family, in closed form.
 
 For an Ogden-type energy W = sum_k c_k/m_k^2 (sum_i l_i^{m_k} - 3 - m_k ln J) + kappa/2 (J-1)^2
 the acoustic tensor of a plane wave along the unit vector n in the deformed tissue,
@@ -17,15 +17,12 @@ static deformation; Destrade & Ogden 2010, J Acoust Soc Am 128:3334.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from limbcli import units
 from limbcli.errors import MeasurementError
-from limbcli.model import Array, Material
+from limbcli.model import Array, ElementMap, IntArray, Material
 
 MAX_TERMS = 6
 _COINCIDENT = 1e-5
@@ -53,24 +50,40 @@ class OgdenTerms:
         MeasurementError
             If the law is another one, or a parameter is a map or a curve.
         """
-        p: Mapping[str, object] = material.parameters
-        c, m = [], []
-        for k in range(1, MAX_TERMS + 1):
-            if f"c{k}" in p:
-                c.append(p[f"c{k}"])
-                m.append(p[f"m{k}"])
-        if material.law != "ogden" or not all(isinstance(each, int | float) for each in [*c, *m]) or not c:
+        terms = terms_of(material) if material.law == "ogden" else None
+        if terms is None:
             raise MeasurementError(
                 f"the wave speed cannot be predicted for the law {material.law!r} with these parameters",
                 where="shear-wave prediction",
                 fix="it needs an Ogden-type law with numbers for c1, m1, ...",
             )
-        kappa = p.get("kappa", 0.0)
-        return OgdenTerms(
-            np.array(c, dtype=float),
-            np.array(m, dtype=float),
-            float(kappa) if isinstance(kappa, int | float) else 0.0,
-        )
+        kappa = material.parameters.get("kappa", 0.0)
+        return OgdenTerms(terms.c[0], terms.m, float(kappa) if isinstance(kappa, int | float) else 0.0)
+
+
+def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | None:
+    """What a shear wave feels of a law of the Ogden family; neo-Hooke is Ogden's with m = 2.
+
+    cells : (n,) of the material's block, where its stiffness is a map: then c is (n, n_terms), else
+    (1, n_terms). None for other laws and where a parameter is a curve. kappa is left out.
+    """
+    if material.law == "neo_hooke" and isinstance(material.parameters["mu"], int | float):
+        return OgdenTerms(np.array([2 * float(material.parameters["mu"])]), np.array([2.0]))
+    if material.law != "ogden":
+        return None
+    p = material.parameters
+    c, m = [], []
+    for k in range(1, MAX_TERMS + 1):
+        value, exponent = p.get(f"c{k}"), p.get(f"m{k}")
+        if value is None:
+            continue
+        mapped = isinstance(value, ElementMap) and cells is not None
+        stiffness = value.values[cells] if mapped else value  # type: ignore[union-attr]
+        if not isinstance(stiffness, int | float | np.ndarray) or not isinstance(exponent, int | float):
+            return None
+        c.append(np.broadcast_to(np.asarray(stiffness, dtype=float), 1 if cells is None else cells.shape))
+        m.append(float(exponent))
+    return OgdenTerms(np.stack(c, axis=-1), np.array(m)) if c else None
 
 
 def acoustic_tensor(
@@ -145,59 +158,3 @@ def _shear_terms(stretch: Array, f: Array, slope: Array) -> Array:
     i = np.arange(3)
     G[:, i, i] = 0.0
     return G
-
-
-def wave_speed_m_per_s(
-    deformation_gradient: Array,
-    terms: OgdenTerms,
-    *,
-    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    density_kg_per_m3: float = 1000.0,
-    mode: Literal["polarised", "eigenmode"] = "eigenmode",
-) -> Array:
-    """Speed of the shear wave that runs along `direction` and moves the tissue along `polarisation`.
-
-    In the probe's frame that is along x, moving along z (the beam). "polarised" is
-    rho0 v^2 = a.Q a; "eigenmode" takes, of the two shear waves across the direction, the
-    one that moves most along the polarisation. They agree in a plane of symmetry. Neither
-    feels kappa (the tissue is nearly incompressible: corrections are of order mu / kappa).
-
-    Returns
-    -------
-    (n_points,) m/s; NaN where no wave can run (rho0 v^2 <= 0, the tissue buckles).
-
-    >>> terms = OgdenTerms.one_pair(c=0.008, m=6.0)
-    >>> wave_speed_m_per_s(np.eye(3)[None], terms)
-    array([2.])
-    """
-    n = np.array(direction) / np.linalg.norm(direction)
-    Q = acoustic_tensor(deformation_gradient, n, terms, volumetric=False)
-    return shear_speed_m_per_s(
-        Q, direction=direction, polarisation=polarisation, density_kg_per_m3=density_kg_per_m3, mode=mode
-    )
-
-
-def shear_speed_m_per_s(
-    Q: Array,
-    *,
-    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    density_kg_per_m3: float = 1000.0,
-    mode: Literal["polarised", "eigenmode"] = "eigenmode",
-) -> Array:
-    """As `wave_speed_m_per_s`, of acoustic tensors J Q (n_points, 3, 3) MPa for `direction`."""
-    n = np.array(direction) / np.linalg.norm(direction)
-    a = np.array(polarisation, dtype=float)
-    a -= (a @ n) * n
-    a /= np.linalg.norm(a)
-    if mode == "polarised":
-        modulus = np.einsum("i,nij,j->n", a, Q, a)
-    else:
-        basis = np.stack([a, np.cross(n, a)])
-        values, vectors = np.linalg.eigh(np.einsum("ai,nij,bj->nab", basis, Q, basis))
-        nearest = np.argmax(np.abs(vectors[:, 0, :]), axis=1)
-        modulus = np.take_along_axis(values, nearest[:, None], axis=1)[:, 0]
-    density = units.tonne_per_mm3_from_kg_per_m3(density_kg_per_m3)
-    speed = np.sqrt(np.where(modulus > 0, modulus, np.nan) / density)
-    return units.m_per_s_from_mm_per_s(speed)

@@ -23,13 +23,13 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.scratch import scratch_folder
+from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.fit_laws import FitLaw
-from limbcli.stages.fit_speeds import mean_speeds
 from limbcli.stages.indentation_model import TISSUE
 
 _SAME_TIME = 1e-6

@@ -23,10 +23,10 @@ from limbcli.problems import errors_of
 from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter
+from limbcli.shear_waves.from_simulation import AT_REST, level_maps
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fit_exports import write_table
 from limbcli.stages.fit_map import probe_length
-from limbcli.stages.fit_speeds import AT_REST, level_maps
 
 _SAME_DEPTH = 0.03  # mm; levels closer together than 0.02 mm were simulated as one
 FOLDER = "swe"

@@ -13,17 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.effects.waves import log_speed
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
-from limbcli.measurement.acoustoelasticity import OgdenTerms
-from limbcli.measurement.swe_prediction import Window
 from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.phantom.simulated import Indentation, Speed, true_levels
 from limbcli.progress import SILENT, Progress
+from limbcli.shear_waves.from_simulation import ElementStates
+from limbcli.shear_waves.ogden import OgdenTerms
+from limbcli.shear_waves.pixels import Window
+from limbcli.shear_waves.speed import block_speeds
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
@@ -34,7 +35,6 @@ FIRST_PIECE = 6.0
 _DEEPEST = 40.0
 _ENOUGH = 1.02  # a little more than the last level's force
 _LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
-_GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,7 @@ def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float
     cells = next(iter(simulation.elements.values())).items
 
     def speed(F: Array, near: NDArray[np.bool_]) -> Array:
-        found = log_speed(model, TISSUE, F, cells[near], density_kg_per_m3=density_kg_per_m3)
-        return np.asarray(np.exp(found))
+        return block_speeds(model, TISSUE, F, cells[near], density_kg_per_m3=density_kg_per_m3)
 
     return speed
 
@@ -183,16 +182,9 @@ def _depth(model: LimbModel, simulation: Simulation) -> Array:
 
 def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
     """States from first touch (at rest) on, as arrays over the recorded elements."""
-    elements = next(iter(simulation.elements.values()))
-    nodes = next(iter(simulation.nodes.values()))
-    corners = _corners(model)[elements.items]
-    place = np.full(len(model.mesh.points), -1)
-    place[nodes.items] = np.arange(len(nodes.items))
-    moved = np.stack([nodes.column(each) for each in ("ux", "uy", "uz")], axis=-1)
-    rest = model.mesh.points[corners].mean(axis=1)
-    positions = rest + moved[:, place[corners]].mean(axis=2)
-    F = np.stack([elements.column(each) for each in _GRADIENT], axis=-1)
-    F = F.reshape(*F.shape[:2], 3, 3)
+    states = ElementStates.of(model, simulation)
+    positions = np.stack([states.positions(row) for row in range(len(states.gradient))])
+    rest, F = states.rest, states.gradient
     identity = np.broadcast_to(np.eye(3), (1, *F.shape[1:]))
     return Indentation(
         depth=np.concatenate([[0.0], _depth(model, simulation)]),
@@ -200,12 +192,3 @@ def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
         positions=np.concatenate([rest[None], positions]),
         deformation_gradient=np.concatenate([identity, F]),
     )
-
-
-def _corners(model: LimbModel) -> Array:
-    """The first four nodes of every cell, numbered over all blocks (shells' last one repeats)."""
-    found = []
-    for block in model.mesh.blocks:
-        columns = np.minimum(np.arange(4), block.cells.shape[1] - 1)
-        found.append(block.cells[:, columns])
-    return np.asarray(np.concatenate(found))

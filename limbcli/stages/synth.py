@@ -19,7 +19,6 @@ import numpy as np
 from limbcli.case import CASE_FILE, Case, Noise, Site
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, atomic_folder
-from limbcli.measurement.swe_prediction import Window
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
@@ -29,6 +28,7 @@ from limbcli.phantom.protocol import Protocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.scratch import scratch_folder
+from limbcli.shear_waves.pixels import Window
 from limbcli.stages.chain import Chain
 from limbcli.stages.hidden import Hidden
 from limbcli.stages.indent import KnownTissue, indent

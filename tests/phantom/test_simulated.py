@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.measurement.acoustoelasticity import OgdenTerms
 from limbcli.phantom.protocol import Protocol
 from limbcli.phantom.simulated import Indentation, true_levels
+from limbcli.shear_waves.ogden import OgdenTerms
 
 THICKNESS = 40.0
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from limbcli.materials import ogden_type
-from limbcli.materials.acoustic import acoustic_tensor
-from limbcli.measurement.acoustoelasticity import OgdenTerms, shear_speed_m_per_s, wave_speed_m_per_s
-from limbcli.measurement.acoustoelasticity import acoustic_tensor as ogden_tensor
 from limbcli.model import ElementMap, Material
+from limbcli.shear_waves.any_law import acoustic_tensor
+from limbcli.shear_waves.ogden import OgdenTerms
+from limbcli.shear_waves.ogden import acoustic_tensor as ogden_tensor
+from limbcli.shear_waves.speed import shear_speed_m_per_s, wave_speed_m_per_s
 
 X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Eighth-order central second difference.

@@ -8,8 +8,9 @@ import pytest
 from limbcli.errors import MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
-from limbcli.measurement.acoustoelasticity import OgdenTerms, acoustic_tensor, wave_speed_m_per_s
 from limbcli.model import Material
+from limbcli.shear_waves.ogden import OgdenTerms, acoustic_tensor
+from limbcli.shear_waves.speed import wave_speed_m_per_s
 
 X, Z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
 # Eighth-order central second difference.

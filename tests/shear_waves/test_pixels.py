@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.swe_prediction import Window, predict_map
+from limbcli.shear_waves.pixels import Window, predict_map
 
 
 def tissue(rng, n=40_000, floor=-40.0):

@@ -10,9 +10,9 @@ import pytest
 
 from limbcli.effects import effect
 from limbcli.feb.read import read_feb
-from limbcli.measurement.swe_prediction import Window
 from limbcli.model import Surface
 from limbcli.phantom.protocol import Protocol
+from limbcli.shear_waves.pixels import Window
 from limbcli.stages.hidden import hide
 from limbcli.stages.indent import KnownTissue, _depth, indent
 from tests.stages.block_case import block_model
