@@ -14,18 +14,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from limbcli.diagnostics.account import Account
-from limbcli.diagnostics.baseline_fit import ALPHA, BaselineFit
-from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
-from limbcli.diagnostics.closing import Closing
-from limbcli.diagnostics.confidence_set import ADEQUATE, Refit
-from limbcli.diagnostics.forward_model import Facts, ForwardModel
-from limbcli.diagnostics.localisation_tests import PREFIX
-from limbcli.diagnostics.multiple_testing import N_DRAWS, Family
-from limbcli.diagnostics.refits import Refits
-from limbcli.diagnostics.score import Trial
-from limbcli.diagnostics.sizes import sizes_95
-from limbcli.diagnostics.verdict import Diagnosis, Word
+from limbcli.diagnostics.conclusions.account import Account
+from limbcli.diagnostics.selection.baseline_fit import ALPHA, BaselineFit
+from limbcli.diagnostics.selection.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
+from limbcli.diagnostics.selection.closing import Closing
+from limbcli.diagnostics.selection.confidence_set import ADEQUATE, Refit
+from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
+from limbcli.diagnostics.statistical_tests.multiple_testing import N_DRAWS, Family
+from limbcli.diagnostics.selection.refits import Refits
+from limbcli.diagnostics.statistical_tests.score import Trial
+from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
+from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
 from limbcli.progress import SILENT, Progress
 
 LEFT = ALPHA  # a name leaves nothing that would be detected

@@ -18,16 +18,16 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
-from limbcli.diagnostics.forward_model import Explanation
-from limbcli.diagnostics.sentences import sentences
-from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.diagnostics.model.forward_model import Explanation
+from limbcli.diagnostics.conclusions.sentences import sentences
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.chain import check_earlier, note_earlier
 from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.menu import known
+from limbcli.stages.diagnosis.bench.measurement_menu import known
 from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
 from limbcli.stages.diagnosis.mesh_doubt.numerics import MATTERS, Intervention, too_doubtful

@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.heldout import fell
-from limbcli.diagnostics.nextstep import best_step
+from limbcli.diagnostics.statistical_tests.heldout import fell
+from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.menu import ROTATE, items
+from limbcli.stages.diagnosis.bench.measurement_menu import ROTATE, items
 from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError

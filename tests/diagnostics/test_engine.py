@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.candidates import Candidates, closes_gross
+from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from limbcli.diagnostics.engine import _Run, diagnose
-from limbcli.diagnostics.sentences import sentences
+from limbcli.diagnostics.conclusions.sentences import sentences
 
 
 def _module(name: str):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.estimates import LN_M_DEVIATION, USUAL_M, Conditional, reported
+from limbcli.diagnostics.model.estimates import LN_M_DEVIATION, USUAL_M, Conditional, reported
 
 BOUNDS = (1.0, 20.0)
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnostics import candidates
-from limbcli.diagnostics.confidence_set import LEVEL, Refit, compare
+from limbcli.diagnostics.selection import candidates
+from limbcli.diagnostics.selection.confidence_set import LEVEL, Refit, compare
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.forward_model import Fitted
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.multiple_testing import Family, Overall
-from limbcli.diagnostics.noise import unit_errors
-from limbcli.diagnostics.score import Direction, Trial
+from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Overall
+from limbcli.diagnostics.model.noise import unit_errors
+from limbcli.diagnostics.statistical_tests.score import Direction, Trial
 
 
 def _toy():

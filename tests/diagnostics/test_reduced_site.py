@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.sentences import sentences
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError

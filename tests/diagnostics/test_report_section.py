@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.sentences import sentences
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
 from limbcli.stages.diagnosis.report import (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.forward_model import Data
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.noise import Noise, independent
-from limbcli.diagnostics.roughness import roughness
+from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import Noise, independent
+from limbcli.diagnostics.statistical_tests.roughness import roughness
 
 N_LEVELS, PARTS = 9, 4
 

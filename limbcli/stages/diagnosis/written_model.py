@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.effects.reading import Curves, true_depth
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb

@@ -12,17 +12,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.diagnostics.estimates import Conditional, Reported, reported
-from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted, Proposal
-from limbcli.diagnostics.linear import Whitener
-from limbcli.diagnostics.score import Direction
+from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.statistical_tests.score import Direction
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.bench.changes import Book, only_febio
 from limbcli.stages.diagnosis.bench.fits import M_BOUNDS, Fits, held_points
-from limbcli.stages.diagnosis.bench.menu import menu
+from limbcli.stages.diagnosis.bench.measurement_menu import menu
 from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.bench.slots import Slot
 from limbcli.stages.diagnosis.curves.curves import FIRST_M

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from limbcli.diagnostics.estimates import WITHIN, Conditional
-from limbcli.diagnostics.forward_model import Data, Explanation, Fitted
-from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.estimates import WITHIN, Conditional
+from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import FitError

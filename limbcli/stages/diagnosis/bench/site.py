@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnostics.forward_model import Explanation
+from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.reading import Curves, Reading
 from limbcli.errors import SolveError

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
-from limbcli.diagnostics.forward_model import Data
-from limbcli.diagnostics.noise import Noise
+from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.noise import Noise
 from limbcli.effects.reading import (
     Curves,
     Protocol,

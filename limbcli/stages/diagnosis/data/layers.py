@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.diagnostics.noise import NoisePart, common
+from limbcli.diagnostics.model.noise import NoisePart, common
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.places import Places
 from limbcli.effects.reading import Curves, Protocol

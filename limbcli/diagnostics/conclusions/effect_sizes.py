@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.diagnostics.linear import LinearFit
-from limbcli.diagnostics.multiple_testing import Family, Tested
-from limbcli.diagnostics.score import visible_columns
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
+from limbcli.diagnostics.statistical_tests.score import visible_columns
 
 _WITHIN = 1.96
 

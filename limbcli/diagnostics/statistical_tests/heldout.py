@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Data, Fitted, Mask
+from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
 from limbcli.model import Array
 
 _TOO_WIDE = 3.0

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from limbcli.diagnostics.blindspots import BlindSpot
-from limbcli.diagnostics.confidence_set import Refit
-from limbcli.diagnostics.estimates import Reported
-from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted
-from limbcli.diagnostics.multiple_testing import Family
-from limbcli.diagnostics.nextstep import NextStep
-from limbcli.diagnostics.roughness import Roughness
+from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.conclusions.next_measurement import NextStep
+from limbcli.diagnostics.statistical_tests.roughness import Roughness
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 

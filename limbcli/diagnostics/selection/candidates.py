@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from limbcli.diagnostics.confidence_set import Refit, best_pairs
-from limbcli.diagnostics.forward_model import Explanation, Facts, Fitted, ForwardModel
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.multiple_testing import Family
-from limbcli.diagnostics.score import Direction, Trial, cosine, score
+from limbcli.diagnostics.selection.confidence_set import Refit, best_pairs
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Direction, Trial, cosine, score
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 

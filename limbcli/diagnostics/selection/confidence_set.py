@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Explanation, Fitted
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.multiple_testing import Family
-from limbcli.diagnostics.noise import unit_errors
-from limbcli.diagnostics.score import Direction, Trial, narrowed, score, statistics
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.model.noise import unit_errors
+from limbcli.diagnostics.statistical_tests.score import Direction, Trial, narrowed, score, statistics
 from limbcli.model import Array
 
 LEVEL = 0.01  # of the test against the best of the set

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from limbcli.diagnostics.forward_model import Mask
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.noise import EXCESS
+from limbcli.diagnostics.model.forward_model import Mask
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import EXCESS
 from limbcli.model import Array
 
 _DEGREE = 4

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Data, Fitted
-from limbcli.diagnostics.linear import Whitener
-from limbcli.diagnostics.multiple_testing import Family
+from limbcli.diagnostics.model.forward_model import Data, Fitted
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.model import Array
 
 _OF_FORM = 0.02  # of the deviance

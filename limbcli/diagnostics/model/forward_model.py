@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnostics.estimates import Reported
-from limbcli.diagnostics.noise import Noise
-from limbcli.diagnostics.score import Direction
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.noise import Noise
+from limbcli.diagnostics.statistical_tests.score import Direction
 from limbcli.model import Array
 
 Mask = NDArray[np.bool_]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from limbcli.diagnostics.forward_model import Fitted, Proposal
-from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 _SIGNIFICANT = float(norm.ppf(0.95))

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Mask
-from limbcli.diagnostics.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.forward_model import Mask
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.model import Array
 
 N_PLACEBOS = 1000

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from limbcli.diagnostics.linear import LinearFit
-from limbcli.diagnostics.score import Direction, visible_columns
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.statistical_tests.score import Direction, visible_columns
 from limbcli.model import Array
 
 POWER = 0.8

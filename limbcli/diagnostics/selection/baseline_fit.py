@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Data, Fitted, ForwardModel
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.localisation_tests import group_trials
-from limbcli.diagnostics.multiple_testing import Family, score_family
-from limbcli.diagnostics.noise import correlated
-from limbcli.diagnostics.roughness import Roughness, roughness
-from limbcli.diagnostics.score import Trial
+from limbcli.diagnostics.model.forward_model import Data, Fitted, ForwardModel
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.localisation_tests import group_trials
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family, score_family
+from limbcli.diagnostics.model.noise import correlated
+from limbcli.diagnostics.statistical_tests.roughness import Roughness, roughness
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

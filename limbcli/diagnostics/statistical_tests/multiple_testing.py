@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.linear import LinearFit
-from limbcli.diagnostics.noise import unit_errors
-from limbcli.diagnostics.score import Score, Trial, score, statistics
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.noise import unit_errors
+from limbcli.diagnostics.statistical_tests.score import Score, Trial, score, statistics
 from limbcli.model import Array
 
 N_DRAWS = 20_000

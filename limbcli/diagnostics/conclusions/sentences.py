@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from limbcli.diagnostics.estimates import Reported
-from limbcli.diagnostics.multiple_testing import Family
-from limbcli.diagnostics.nextstep import best_step
-from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from limbcli.diagnostics.baseline_fit import BaselineFit
-from limbcli.diagnostics.confidence_set import Refit, compare, joint_trial
-from limbcli.diagnostics.form_error import form_allowances
-from limbcli.diagnostics.forward_model import Explanation, Fitted
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.score import Direction, Trial, narrowed, score
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.confidence_set import Refit, compare, joint_trial
+from limbcli.diagnostics.selection.form_error import form_allowances
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.score import Direction, Trial, narrowed, score
 from limbcli.errors import LimbError
 
 _HOPELESS = 20.0  # deviance behind the best stand-in: not worth a simulation

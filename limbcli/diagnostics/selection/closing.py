@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from limbcli.diagnostics.baseline_fit import BaselineFit
-from limbcli.diagnostics.confidence_set import Refit
-from limbcli.diagnostics.heldout import fell, held_out_error
-from limbcli.diagnostics.placebo import library_percentile, placebo_percentile
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error
+from limbcli.diagnostics.statistical_tests.placebo import library_percentile, placebo_percentile
 
 CLOSED_PERCENTILE = 95.0
 _SEVERAL_PERCENTILE, _MOST_NAMED = 99.0, 2

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.diagnostics.linear import LinearFit
+from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.model import Array
 
 _INVISIBLE = 1e-6

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Data, Mask
-from limbcli.diagnostics.linear import Whitener
-from limbcli.diagnostics.score import Direction, Trial
+from limbcli.diagnostics.model.forward_model import Data, Mask
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.statistical_tests.score import Direction, Trial
 from limbcli.model import Array
 
 PREFIX = "where: "

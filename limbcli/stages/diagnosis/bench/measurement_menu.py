@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnostics.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
 from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
