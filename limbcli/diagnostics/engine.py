@@ -14,28 +14,25 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.account import Account
-from limbcli.diagnostics.selection.baseline_fit import ALPHA, BaselineFit
-from limbcli.diagnostics.selection.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
-from limbcli.diagnostics.selection.closing import Closing
-from limbcli.diagnostics.selection.confidence_set import ADEQUATE, Refit
-from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
-from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
-from limbcli.diagnostics.statistical_tests.multiple_testing import N_DRAWS, Family
-from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
+from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.candidates import Candidates, closes_gross, whitened_trials
+from limbcli.diagnostics.selection.closing import Closing
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.refits import Refits
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.progress import SILENT, Progress
-
-LEFT = ALPHA  # a name leaves nothing that would be detected
-SECOND = 0.15  # adjusted p of what is left, below which one effect more is tried beside a member of the set
-_EXCHANGED, _LOOK_ALIKES = 3, 8  # explanations whose look-alikes are tried; how many of them
 
 
 def diagnose(
-    bench: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = N_DRAWS, propose: bool = True,
-    progress: Progress = SILENT,
+    bench: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = thresholds.N_DRAWS,
+    propose: bool = True, progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose one bench. Deterministic for a given seed.
 
@@ -55,7 +52,7 @@ class _Run:
     propose: bool
     not_evaluated: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
-    family: Family = field(default_factory=lambda: Family((), None, ALPHA))
+    family: Family = field(default_factory=lambda: Family((), None, thresholds.ALPHA))
     refits: Refits | None = None
 
     def all(self) -> Diagnosis:
@@ -72,7 +69,7 @@ class _Run:
             ground.bench, ground.base, self.facts, ground.whiten, self.not_evaluated, ground.progress
         )
         self.family = self._tested(trials)
-        if self.family.smallest >= ALPHA:
+        if self.family.smallest >= thresholds.ALPHA:
             return self._nothing_found()
         by_name = {trial.name: trial for trial in trials}
         self.refits = Refits(ground, by_name, self.not_evaluated, self.left_out)
@@ -106,10 +103,12 @@ class _Run:
         """
         several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
         usable = sorted(several, key=lambda r: r.state.chi2)
-        new = [each for each in candidates.exchanged(usable[:_EXCHANGED]) if not refits.tried(each)]
+        new = [
+            each for each in candidates.exchanged(usable[: thresholds.EXCHANGED]) if not refits.tried(each)
+        ]
         if not new:
             return compared
-        return refits.compared([*(refit.explanation for refit in compared), *new[:_LOOK_ALIKES]])
+        return refits.compared([*(refit.explanation for refit in compared), *new[: thresholds.LOOK_ALIKES]])
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
         """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.
@@ -117,7 +116,7 @@ class _Run:
         Of two effects the second is weak evidence once the first has moved c and m. So a
         member stays beside its own extension: both are told.
         """
-        found = [each for refit in kept for each in candidates.extended(refit, below=SECOND)]
+        found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
         larger = list({frozenset(each): each for each in found}.values())
         if not larger:
             return kept
@@ -126,14 +125,15 @@ class _Run:
         first = {refit.explanation for refit in kept}
         return [
             each for each in compared
-            if each.explanation in first or (each.in_set and self._each_is_needed(each, refits, SECOND))
+            if each.explanation in first
+            or (each.in_set and self._each_is_needed(each, refits, thresholds.SECOND))
         ]  # fmt: skip
 
-    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = ADEQUATE) -> bool:
+    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
-            seen = found is not None and found.p_adjusted < REFIT_BELOW
+            seen = found is not None and found.p_adjusted < thresholds.REFIT_BELOW
             return seen or refit.gap == 0.0 or closes_gross(self.ground.state, refit.state)
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
@@ -168,7 +168,7 @@ class _Run:
         if not Closing(self.ground, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
-        if best.left_p < LEFT:
+        if best.left_p < thresholds.LEFT:
             why = "one explanation fits, but it leaves something; it may not be all"
             return self._finish("ambiguous", why, best, (best,))
         failed = [name for name in promising if name in self.not_evaluated]
@@ -201,7 +201,9 @@ class _Run:
         if len(refit.explanation) > 1 or closes_gross(self.ground.state, refit.state):
             return True
         found = self.family.of(refit.explanation[0])
-        return (found is not None and found.p_adjusted < ALPHA) or self._gain_p(refit) < ALPHA
+        return (found is not None and found.p_adjusted < thresholds.ALPHA) or self._gain_p(
+            refit
+        ) < thresholds.ALPHA
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.
@@ -225,7 +227,7 @@ class _Run:
         flagged = tuple(
             t.name.removeprefix(PREFIX)
             for t in self.family.tests
-            if t.name.startswith(PREFIX) and t.p_adjusted < ALPHA
+            if t.name.startswith(PREFIX) and t.p_adjusted < thresholds.ALPHA
         )
         shrink = account.shrink(shown, self.refits)
         relative = ground.relative if best is None else ground.is_relative(best.state)

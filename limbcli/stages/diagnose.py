@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.diagnostics.engine import diagnose as diagnose_bench
-from limbcli.diagnostics.model.forward_model import Explanation
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.diagnostics.engine import diagnose as diagnose_bench
+from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
@@ -30,7 +31,7 @@ from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.bench.measurement_menu import known
 from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
-from limbcli.stages.diagnosis.mesh_doubt.numerics import MATTERS, Intervention, too_doubtful
+from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, too_doubtful
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
@@ -223,16 +224,21 @@ class _Diagnosed:
         content["sites"] = [each.site.name for each in all_]
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-             "matters": i.deviations > MATTERS, "log_force_change": i.log_force, "share_in_doubt": i.left}
+             "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
+             "share_in_doubt": i.left}
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
         content["not_simulated"] = sorted(bench.not_simulated)
         content["solved_in_part_mm"] = mine.book.in_part
         lines = sentences(found)
-        moved = [i.name for i in mine.interventions if i.deviations > MATTERS and i.name != "locking"]
+        moved = [
+            i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"
+        ]
         lines[1:1] = [
-            _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > MATTERS
+            _locked(i)
+            for i in mine.interventions
+            if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
         ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.statistical_tests.heldout import fell
-from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading

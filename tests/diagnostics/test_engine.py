@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
-from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.conclusions.sentences import sentences
+from limbcli.diagnostics.engine import _Run, diagnose
+from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 
 
 def _module(name: str):
@@ -137,7 +137,7 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     """The one explanation that fits leaves something at the level of detection: perhaps it is not all."""
     case = toy.make(rng, {"wave": 6.0})
     assert run(case).verdict == "named"
-    monkeypatch.setattr("limbcli.diagnostics.engine.LEFT", 1.01)
+    monkeypatch.setattr("limbcli.diagnostics.thresholds.LEFT", 1.01)
     found = run(case)
     assert found.verdict == "ambiguous"
     assert found.confidence_set == (("wave",),)

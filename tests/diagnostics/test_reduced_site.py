@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.selection.baseline_fit import BaselineFit
-from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.conclusions.sentences import sentences
+from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
@@ -206,7 +206,7 @@ def of_the_block(measured) -> ModelError:
 def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
     """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
     the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
-    monkeypatch.setattr("limbcli.stages.diagnosis.bench.fits.WITHIN", 12.0)
+    monkeypatch.setattr("limbcli.diagnostics.thresholds.WITHIN", 12.0)
     the_bench.fit((), {})
     ran = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 2.9995})[1]
     usual = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 1.0})[0]

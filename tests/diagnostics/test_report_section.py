@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.conclusions.sentences import sentences
+from limbcli.diagnostics.engine import diagnose
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
 from limbcli.stages.diagnosis.report import (

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
+from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
+from limbcli.diagnostics.conclusions.verdict import Shrink
+from limbcli.diagnostics.model.forward_model import Facts, Fitted
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.closing import Closing
 from limbcli.diagnostics.selection.confidence_set import Refit
-from limbcli.diagnostics.model.forward_model import Facts, Fitted
+from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.heldout import held_out_error
-from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
-from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.errors import LimbError
 
 _MOST_COMPARED = 5  # members of the set, in looking for the next measurement

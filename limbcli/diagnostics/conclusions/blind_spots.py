@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
-from limbcli.diagnostics.statistical_tests.score import Direction, visible_columns
+from limbcli.diagnostics.statistical_tests.score import visible_columns
 from limbcli.model import Array
 
-POWER = 0.8
-_Z = float(norm.ppf(POWER))
+_Z = float(norm.ppf(thresholds.POWER))
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,9 @@ class BlindSpot:
     @property
     def matters(self) -> bool:
         """An effect of typical size would go unseen and move a parameter by more than one deviation."""
-        return self.is_undetectable and any(abs(each) > 1.0 for each in self.bias_sd.values())
+        return self.is_undetectable and any(
+            abs(each) > thresholds.BIAS_MATTERS_SD for each in self.bias_sd.values()
+        )
 
 
 def blind_spot(

@@ -10,11 +10,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
 from limbcli.diagnostics.statistical_tests.score import visible_columns
-
-_WITHIN = 1.96
 
 
 def sizes_95(
@@ -34,6 +33,6 @@ def _sizes(state: LinearFit, tested: Tested) -> dict[str, tuple[float, float]]:
         inverse = np.linalg.pinv(A[:, seen].T @ A[:, seen])
         spread[seen] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return {
-        name: (float(x - _WITHIN * s), float(x + _WITHIN * s))
+        name: (float(x - thresholds.SIZE_WITHIN * s), float(x + thresholds.SIZE_WITHIN * s))
         for name, x, s in zip(direction.names, eta, spread, strict=True)
     }

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.model import Array
 
-_SIGNIFICANT = float(norm.ppf(0.95))
+_SIGNIFICANT = float(norm.ppf(thresholds.NEXT_SIGNIFICANT))
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from limbcli.diagnostics.model.estimates import Reported
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",
@@ -138,7 +139,9 @@ def _next(found: Diagnosis) -> str:
         return ""
     best = best_step(found.next_steps)
     useful = [
-        step for step in found.next_steps if best is not None and step.name == best[0] and step.power >= 0.5
+        step
+        for step in found.next_steps
+        if best is not None and step.name == best[0] and step.power >= thresholds.NEXT_POWER
     ]
     if not useful:
         return "Next measurement: nothing on the menu would tell the explanations apart."

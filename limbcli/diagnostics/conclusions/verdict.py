@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
-from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.conclusions.next_measurement import NextStep
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.diagnostics.conclusions.next_measurement import NextStep
 from limbcli.diagnostics.statistical_tests.roughness import Roughness
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]

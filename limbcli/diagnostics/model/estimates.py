@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.model import Array
 
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %); values only, no test"
-WITHIN = 3.84  # deviance: 95 % for one parameter
 _PLACES, _REFINED = 10, 3
 _FAR = 20.0  # deviances above the best: the walk ends there
 
@@ -57,7 +57,7 @@ class Reported:
         """Whether the prior moved m by more than a tenth."""
         if "m" not in self.values or "m" not in self.best:
             return False
-        return abs(float(np.log(self.values["m"] / self.best["m"]))) > 0.1
+        return abs(float(np.log(self.values["m"] / self.best["m"]))) > thresholds.PULLED
 
 
 Walk = Callable[[float, Mapping[str, float]], Conditional]
@@ -77,7 +77,7 @@ def reported(
     penalised = {m: profile[m].deviance / scale + _penalty(m) for m in profile}
     chosen = _refined(walk, profile, penalised, scale)
     best = min(profile, key=lambda m: profile[m].deviance)
-    limit = profile[best].deviance / scale + WITHIN
+    limit = profile[best].deviance / scale + thresholds.WITHIN
     places = sorted(profile)
     low, high = _edges(places, np.array([profile[m].deviance / scale for m in places]))
     runs = [
@@ -138,7 +138,7 @@ def _edges(places: list[float], deviance: Array) -> tuple[float, float]:
     >>> [round(float(np.log(m)), 3) for m in _edges(np.exp(x).tolist(), 16.0 * x**2)]
     [-0.49, 0.49]
     """
-    root, limit = np.sqrt(deviance - deviance.min()), WITHIN**0.5
+    root, limit = np.sqrt(deviance - deviance.min()), thresholds.WITHIN**0.5
     inside = np.flatnonzero(root <= limit)
     x = np.log(places)
 

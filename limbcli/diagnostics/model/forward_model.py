@@ -11,12 +11,25 @@ from numpy.typing import NDArray
 
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.noise import Noise
-from limbcli.diagnostics.statistical_tests.score import Direction
 from limbcli.model import Array
 
 Mask = NDArray[np.bool_]
 
 Explanation = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """Whitened sensitivities `columns` (n, q) at the null; `signs` (q,): +1 up only, -1 down only, 0 either.
+
+    `point` says which point of the effect's grid it is; `at`: where on it a fit begins.
+    """
+
+    columns: Array
+    signs: tuple[int, ...]
+    point: str = ""
+    names: tuple[str, ...] = ()
+    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

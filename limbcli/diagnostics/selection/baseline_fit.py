@@ -8,21 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import correlated
 from limbcli.diagnostics.statistical_tests.localisation_tests import group_trials
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, score_family
-from limbcli.diagnostics.model.noise import correlated
 from limbcli.diagnostics.statistical_tests.roughness import Roughness, roughness
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-ALPHA = 0.05
-_ROUGH_P = 0.01
-_FORM_ERROR, _FORM_ALIKE = 0.05, 0.8  # of an effect's own change: another form of it, another mesh
 # The same in an image, where edges lie elsewhere: how wide it is (mm), how alike from level to level.
-_IMAGE_ERROR, _IMAGE_WIDE, _IMAGE_ALIKE = 0.15, 4.0, 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,7 @@ class BaselineFit:
         if state.nu < 1:
             return False
         found = self._roughness(state)
-        return self.data.noise.is_assumed or (found is not None and found.p < _ROUGH_P)
+        return self.data.noise.is_assumed or (found is not None and found.p < thresholds.ROUGH_P)
 
     def _roughness(self, state: LinearFit) -> Roughness | None:
         if state.nu < 1:
@@ -80,7 +77,12 @@ class BaselineFit:
     ) -> Family:
         """All these tests with one false-alarm rate."""
         return score_family(
-            state, trials, rng=self.rng(1), relative=relative, n_draws=n_draws or self.n_draws, alpha=ALPHA
+            state,
+            trials,
+            rng=self.rng(1),
+            relative=relative,
+            n_draws=n_draws or self.n_draws,
+            alpha=thresholds.ALPHA,
         )
 
     def form_error(self, fitted: Fitted) -> Array:
@@ -90,16 +92,18 @@ class BaselineFit:
         total = np.zeros((len(data), len(data)))
         if fitted.without is None:
             return total
-        change = _FORM_ERROR * np.abs(fitted.prediction - fitted.without)
+        change = thresholds.FORM_ERROR * np.abs(fitted.prediction - fitted.without)
         imaged = np.zeros(len(data), dtype=bool)
         if data.place is not None:
             imaged = np.asarray(np.isfinite(data.place).all(axis=1))
         for mask in data.channels().values():
             if np.all(imaged[mask]):
-                total += self._in_image(np.where(mask, change / _FORM_ERROR * _IMAGE_ERROR, 0.0))
+                total += self._in_image(
+                    np.where(mask, change / thresholds.FORM_ERROR * thresholds.IMAGE_ERROR, 0.0)
+                )
                 continue
-            part = correlated("form", np.where(mask, change, 0.0), data.order, correlation=_FORM_ALIKE,
-                              source="computed")  # fmt: skip
+            part = correlated("form", np.where(mask, change, 0.0), data.order,
+                              correlation=thresholds.FORM_ALIKE, source="computed")  # fmt: skip
             total += part.covariance
         return total
 
@@ -109,8 +113,8 @@ class BaselineFit:
         assert data.place is not None
         x, z = np.nan_to_num(data.place).T
         apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
-        near = np.exp(-0.5 * (apart / _IMAGE_WIDE) ** 2)
-        alike = _IMAGE_ALIKE ** np.abs(np.subtract.outer(data.order, data.order))
+        near = np.exp(-0.5 * (apart / thresholds.IMAGE_WIDE_MM) ** 2)
+        alike = thresholds.IMAGE_ALIKE ** np.abs(np.subtract.outer(data.order, data.order))
         return np.asarray(near * alike * np.outer(size, size))
 
     def parts(self, whiten: Whitener) -> list[Trial]:

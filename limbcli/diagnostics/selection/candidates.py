@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from limbcli.diagnostics.selection.confidence_set import Refit, best_pairs
-from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.selection.confidence_set import Refit, best_pairs
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial, cosine, score
+from limbcli.diagnostics.statistical_tests.score import Trial, cosine, score
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
-
-REFIT_BELOW = 0.2
-ALIKE = 0.8
-MAX_REFITS = 16
-_GROSS = 4.0  # chi2/nu
-_GROWN = 3  # candidates tried beside the best smaller explanation
 
 
 def whitened_trials(
@@ -43,13 +38,13 @@ def whitened_trials(
 
 def is_gross(state: LinearFit) -> bool:
     """A fit without effects that is wrong far beyond the stated noise: it may have ended anywhere."""
-    return state.nu > 0 and state.chi2 > _GROSS * state.nu
+    return state.nu > 0 and state.chi2 > thresholds.GROSS * state.nu
 
 
 def closes_gross(state: LinearFit, left: LinearFit) -> bool:
     """An effect leaves (`left`) a small part of what such a fit leaves: evidence of its own, also where the
     stated noise is too small, which no effect makes less."""
-    return is_gross(state) and left.chi2 < state.chi2 / _GROSS
+    return is_gross(state) and left.chi2 < state.chi2 / thresholds.GROSS
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +61,17 @@ class Candidates:
         All, where the fit without effects is grossly wrong: it may have ended anywhere, and what the
         effects do to first order there tells little of what they do.
         """
-        near = [t.name for t in self.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
+        near = [
+            t.name
+            for t in self.family.tests
+            if t.name in self.trials and t.p_adjusted < thresholds.REFIT_BELOW
+        ]
         others = [name for name in self.trials if name not in near]
         alike = [name for name in others if is_gross(self.state) or any(self._alike(name, k) for k in near)]
         ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
-        for name in ranked[MAX_REFITS:]:
-            left_out[name] = f"not refitted: {MAX_REFITS} better candidates were"
-        return ranked[:MAX_REFITS]
+        for name in ranked[thresholds.MAX_REFITS :]:
+            left_out[name] = f"not refitted: {thresholds.MAX_REFITS} better candidates were"
+        return ranked[: thresholds.MAX_REFITS]
 
     def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
         """Explanations by so many effects that are worth a refit."""
@@ -91,15 +90,17 @@ class Candidates:
         best = min(smaller, key=lambda refit: refit.state.chi2)
         others = [t for name, t in self.trials.items() if name not in best.explanation]
         order = sorted(others, key=lambda trial: -score(best.state, trial).statistic)
-        return [(*best.explanation, trial.name) for trial in order[:_GROWN]]
+        return [(*best.explanation, trial.name) for trial in order[: thresholds.GROWN]]
 
     def extended(self, refit: Refit, *, below: float) -> list[Explanation]:
         """The same with one more effect, where what it leaves is significant: those it leaves most for."""
         if refit.left_p >= below:
             return []
-        left = [t for t in refit.family.tests if t.name in self.trials and t.p_adjusted < REFIT_BELOW]
+        left = [
+            t for t in refit.family.tests if t.name in self.trials and t.p_adjusted < thresholds.REFIT_BELOW
+        ]
         left.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
-        return [(*refit.explanation, t.name) for t in left[:_GROWN]]
+        return [(*refit.explanation, t.name) for t in left[: thresholds.GROWN]]
 
     def exchanged(self, refits: Sequence[Refit]) -> list[Explanation]:
         """These with one effect exchanged for another that looks like it, the most alike first."""
@@ -109,7 +110,7 @@ class Candidates:
                 for other in self.trials:
                     alike = 0.0 if other in refit.explanation else self._likeness(other, name)
                     new = tuple(other if each == name else each for each in refit.explanation)
-                    if alike > found.get(frozenset(new), (ALIKE, new))[0]:
+                    if alike > found.get(frozenset(new), (thresholds.ALIKE, new))[0]:
                         found[frozenset(new)] = alike, new
         return [new for _, new in sorted(found.values(), key=lambda each: -each[0])]
 
@@ -118,7 +119,7 @@ class Candidates:
         return found.score.statistic if found else 0.0
 
     def _alike(self, first: str, second: str) -> bool:
-        return self._likeness(first, second) > ALIKE
+        return self._likeness(first, second) > thresholds.ALIKE
 
     def _likeness(self, first: str, second: str) -> float:
         """|cosine| of the two effects' best directions; 0 where one has none."""

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error
 from limbcli.diagnostics.statistical_tests.placebo import library_percentile, placebo_percentile
-
-CLOSED_PERCENTILE = 95.0
-_SEVERAL_PERCENTILE, _MOST_NAMED = 99.0, 2
-_MOST_TRIED = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +22,13 @@ class Closing:
     def is_closed(self, refit: Refit) -> bool:
         data = self.ground.data
         before, after = held_out_error(data, self.ground.base), held_out_error(data, refit.fitted)
-        if not fell(before, after) or self.percentile(refit) <= CLOSED_PERCENTILE:
+        if not fell(before, after) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
         if len(refit.explanation) == 1:
             return True
-        if len(refit.explanation) > _MOST_NAMED:  # three effects bend to almost any smooth gap
+        if len(refit.explanation) > thresholds.MOST_NAMED:  # three effects bend to almost any smooth gap
             return False
-        return self._library_percentile(refit) > _SEVERAL_PERCENTILE
+        return self._library_percentile(refit) > thresholds.CLOSED_BY_SEVERAL_PERCENTILE
 
     def percentile(self, refit: Refit) -> float:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""
@@ -45,7 +42,7 @@ class Closing:
     def _library_percentile(self, refit: Refit) -> float:
         """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
         ground = self.ground
-        n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), _MOST_TRIED)
+        n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), thresholds.MOST_PICKED)
         return library_percentile(
             ground.state, ground.whiten, self._explained(refit), n_parameters=self._added(refit),
             n_tried=n_tried, channels=ground.data.channels(), order=ground.data.order,

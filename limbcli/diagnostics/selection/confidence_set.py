@@ -8,20 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limbcli.diagnostics.model.forward_model import Explanation, Fitted
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.diagnostics.model.noise import unit_errors
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial, narrowed, score, statistics
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial, narrowed, score, statistics
 from limbcli.model import Array
-
-LEVEL = 0.01  # of the test against the best of the set
-ADEQUATE = 0.01  # of the tests of what is left: the model's own error is known only roughly
-_BARELY = 0.25  # of that level: what misses it by no more is told where it fits as well as what does not
-_AS_WELL = 4.0  # deviance
-_SLACK = 0.5  # deviance within which two fits are the same, whatever the draws say
-_N_DRAWS = 4000
-_PAIRS_KEPT = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +49,7 @@ class Refit:
 
     @property
     def is_adequate(self) -> bool:
-        return self.left_p >= ADEQUATE
+        return self.left_p >= thresholds.ADEQUATE
 
     @property
     def in_set(self) -> bool:
@@ -70,16 +63,18 @@ class Refit:
     def is_close_to(self, members: Sequence[Refit]) -> bool:
         """Just not adequate, but as good a fit as a member: both leave the same scatter, and its level is no
         evidence for one of them."""
-        if self.fitted.at_bound or self.is_adequate or self.left_p < _BARELY * ADEQUATE:
+        if self.fitted.at_bound or self.is_adequate or self.left_p < thresholds.BARELY * thresholds.ADEQUATE:
             return False
-        return not self._is_beaten and any(self.state.chi2 < m.state.chi2 + _AS_WELL for m in members)
+        return not self._is_beaten and any(
+            self.state.chi2 < m.state.chi2 + thresholds.AS_WELL for m in members
+        )
 
     @property
     def _is_beaten(self) -> bool:
         """By another, beyond what chance allows."""
         if self.gap is None or self.gap_allowed is None:
             return False
-        return self.gap > self.gap_allowed + _SLACK
+        return self.gap > self.gap_allowed + thresholds.SLACK
 
 
 def compare(
@@ -113,7 +108,10 @@ def _allowed(
 ) -> float:  # fmt: skip
     form = _root(whiten(whiten(form_error).T))
     n = len(form)
-    errors = unit_errors(rng, (_N_DRAWS, n)) * np.sqrt(scale) + rng.standard_normal((_N_DRAWS, n)) @ form
+    errors = (
+        unit_errors(rng, (thresholds.N_DRAWS_OF_GAPS, n)) * np.sqrt(scale)
+        + rng.standard_normal((thresholds.N_DRAWS_OF_GAPS, n)) @ form
+    )
     own = _deviance(truth.state, errors)
     seen = state.project((errors + whiten(truth.fitted.prediction - base.prediction)).T).T
     best = own.copy()
@@ -129,7 +127,7 @@ def _allowed(
             more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
             left = truth.state.project(errors.T).T
             best = np.minimum(best, own - statistics(truth.state, joint_trial(more), left))
-    return float(np.quantile(own - best, 1 - LEVEL))
+    return float(np.quantile(own - best, 1 - thresholds.BEATEN))
 
 
 def _deviance(state: LinearFit, errors: Array) -> Array:
@@ -165,4 +163,4 @@ def best_pairs(state: LinearFit, trials: Sequence[Trial]) -> list[tuple[str, str
     for a, b in itertools.combinations([narrowed(state, each) for each in trials], 2):
         found.append((score(state, joint_trial([a, b])).statistic, (a.name, b.name)))
     found.sort(key=lambda item: -item[0])
-    return [pair for _, pair in found[:_PAIRS_KEPT]]
+    return [pair for _, pair in found[: thresholds.PAIRS_KEPT]]

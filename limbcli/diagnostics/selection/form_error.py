@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.model import Array
-
-_OF_FORM = 0.02  # of the deviance
 
 
 def form_allowances(
@@ -36,7 +35,7 @@ def form_allowances(
         raw = whiten.undo(each.score.direction.columns @ _along(each.score.eta))
         share = np.array([np.sum((raw[mask] / data.deviation[mask]) ** 2) for mask in masks])
         changes = float(share @ changed) / max(float(share.sum()), 1e-300)
-        found[each.name] = _OF_FORM * max(min(changes, explained), 0.0)
+        found[each.name] = thresholds.OF_FORM * max(min(changes, explained), 0.0)
     return found
 
 

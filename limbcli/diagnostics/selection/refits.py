@@ -6,18 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit, compare, joint_trial
 from limbcli.diagnostics.selection.form_error import form_allowances
-from limbcli.diagnostics.model.forward_model import Explanation, Fitted
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial, narrowed, score
+from limbcli.diagnostics.statistical_tests.score import Trial, narrowed, score
 from limbcli.errors import LimbError
-
-_HOPELESS = 20.0  # deviance behind the best stand-in: not worth a simulation
-_MOST_SIMULATED = 4  # of several effects together, those with the least deviance
-_UNFIT = 1e-3  # of the tests of what a stand-in leaves: a simulation will not mend that
-_DRAWS = 4000  # enough for a test at 1 %
 
 
 @dataclass(eq=False)
@@ -53,7 +49,7 @@ class Refits:
             fitted = self._draft(explanation)
             if fitted is not None:
                 best = self.best()
-                limit = math.inf if best is None else best.state.chi2 + _HOPELESS
+                limit = math.inf if best is None else best.state.chi2 + thresholds.HOPELESS
                 self._settle(explanation, fitted, simulated=self.ground.linearised(fitted).chi2 <= limit)
         return self.known.get(explanation)
 
@@ -79,14 +75,16 @@ class Refits:
         found = [(each, fitted) for each, fitted in drafts if fitted is not None]
         chi2 = {each: self.ground.linearised(fitted).chi2 for each, fitted in found}
         usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
-        limit = min(usable, default=math.inf) + _HOPELESS
+        limit = min(usable, default=math.inf) + thresholds.HOPELESS
         n_simulated = 0
         for each, fitted in sorted(found, key=lambda one: chi2[one[0]]):
             why = "; ".join(fitted.at_bound)
             if chi2[each] > limit:
                 self.left_out[" + ".join(each)] = why or "explains far less than others"
-            elif len(each) > 1 and not why and n_simulated == _MOST_SIMULATED:
-                self.left_out[" + ".join(each)] = f"not simulated: {_MOST_SIMULATED} that fit better were"
+            elif len(each) > 1 and not why and n_simulated == thresholds.MOST_SIMULATED:
+                self.left_out[" + ".join(each)] = (
+                    f"not simulated: {thresholds.MOST_SIMULATED} that fit better were"
+                )
             else:
                 n_simulated += not why
                 self._settle(each, fitted)
@@ -119,7 +117,7 @@ class Refits:
         label = " + ".join(explanation)
         self.ground.progress.event("note", text=f"refit with {label}")
         refit = self._judged(draft)
-        if simulated and refit.left_p >= _UNFIT:
+        if simulated and refit.left_p >= thresholds.UNFIT:
             try:
                 fitted = self.ground.bench.verified(draft)
             except LimbError as error:
@@ -146,7 +144,7 @@ class Refits:
         state = ground.linearised(fitted)
         family = ground.family(
             LinearFit.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian)),
-            [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, _DRAWS),
+            [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
             relative=ground.is_relative(state),
         )  # fmt: skip
         explained = ground.state.chi2 - state.chi2

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
 from limbcli.model import Array
-
-_TOO_WIDE = 3.0
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
@@ -29,7 +28,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
         inverse = np.linalg.inv(covariance[np.ix_(keep, keep)])
         normal = J[keep].T @ inverse @ J[keep]
         spread = np.einsum("ij,jk,ik->i", J[mask], np.linalg.pinv(normal, rcond=1e-14), J[mask])
-        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > _TOO_WIDE:
+        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > thresholds.TOO_WIDE:
             continue
         step = np.linalg.lstsq(normal, J[keep].T @ inverse @ residual[keep], rcond=1e-14)[0]
         error = (residual[mask] - J[mask] @ step) / data.deviation[mask]

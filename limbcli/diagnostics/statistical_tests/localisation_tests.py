@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.diagnostics.model.forward_model import Data, Mask
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Data, Direction, Mask
 from limbcli.diagnostics.model.linear import Whitener
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.model import Array
 
 PREFIX = "where: "
-_FEW = 40  # data of a group that are looked at one by one
 
 
 def group_trials(whiten: Whitener, data: Data) -> list[Trial]:
@@ -23,7 +23,7 @@ def group_trials(whiten: Whitener, data: Data) -> list[Trial]:
     for name, mask in data.groups.items():
         if not 0 < mask.sum() < len(mask):
             continue
-        shifts = np.eye(len(mask))[:, mask] if mask.sum() <= _FEW else _even(data, mask)
+        shifts = np.eye(len(mask))[:, mask] if mask.sum() <= thresholds.FEW_DATA else _even(data, mask)
         trials.append(Trial(PREFIX + name, (Direction(whiten(shifts), (0,) * shifts.shape[1]),)))
     return trials
 

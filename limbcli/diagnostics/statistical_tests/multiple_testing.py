@@ -17,13 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import unit_errors
 from limbcli.diagnostics.statistical_tests.score import Score, Trial, score, statistics
 from limbcli.model import Array
-
-N_DRAWS = 20_000
-_MANY, _DRAWS_OF_MANY = 250, 5000  # data, and how many draws are enough for them
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,15 +74,15 @@ def score_family(
     *,
     rng: np.random.Generator,
     relative: bool = False,
-    n_draws: int = N_DRAWS,
-    alpha: float = 0.05,
+    n_draws: int = thresholds.N_DRAWS,
+    alpha: float = thresholds.ALPHA,
 ) -> Family:
     """Score every trial and adjust over all of them, and over the total chi2.
 
     relative : the noise's level is not known; no test of the total.
     """
-    if len(state.residual) > _MANY:
-        n_draws = min(n_draws, _DRAWS_OF_MANY)
+    if len(state.residual) > thresholds.MANY_DATA:
+        n_draws = min(n_draws, thresholds.N_DRAWS_OF_MANY)
     draws = unit_errors(rng, (n_draws, len(state.residual)))
     draws -= (draws @ state.basis) @ state.basis.T
     drawn_total = np.einsum("bi,bi->b", draws, draws)

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Mask
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.model import Array
 
-N_PLACEBOS = 1000
 _WAVES = 3
 
 
@@ -36,10 +36,10 @@ def placebo_percentile(
     channels: Mapping[str, Mask], order: Array, deviation: Array, rng: np.random.Generator,
 ) -> float:  # fmt: skip
     """Percent of placebos (`n_parameters` smooth directions each) that explain less of chi2."""
-    curves = smooth_directions(channels, order, deviation, N_PLACEBOS * n_parameters, rng)
-    whitened = state.project(whiten(curves.T)).T.reshape(N_PLACEBOS, n_parameters, -1)
+    curves = smooth_directions(channels, order, deviation, thresholds.N_PLACEBOS * n_parameters, rng)
+    whitened = state.project(whiten(curves.T)).T.reshape(thresholds.N_PLACEBOS, n_parameters, -1)
     left = state.left
-    share = np.empty(N_PLACEBOS)
+    share = np.empty(thresholds.N_PLACEBOS)
     for k, each in enumerate(whitened):
         q, _ = np.linalg.qr(each.T)
         share[k] = np.sum((q.T @ left) ** 2)

@@ -13,30 +13,16 @@ Source: Silvapulle & Sen 2005, Constrained Statistical Inference, sections 3.3 a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.model import Array
 
 _INVISIBLE = 1e-6
 _RCOND = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """Whitened sensitivities `columns` (n, q) at the null; `signs` (q,): +1 up only, -1 down only, 0 either.
-
-    `point` says which point of the effect's grid it is; `at`: where on it a fit begins.
-    """
-
-    columns: Array
-    signs: tuple[int, ...]
-    point: str = ""
-    names: tuple[str, ...] = ()
-    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

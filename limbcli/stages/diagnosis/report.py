@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.diagnostics.conclusions.next_measurement import best_step
-from limbcli.diagnostics.statistical_tests.score import Direction
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
 from limbcli.stages.diagnosis.bench.bench import SiteBench

@@ -13,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
-from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
-from limbcli.diagnostics.statistical_tests.score import Direction
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array

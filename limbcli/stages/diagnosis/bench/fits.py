@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from limbcli.diagnostics.model.estimates import WITHIN, Conditional
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.estimates import Conditional
 from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Effect, Theta
@@ -234,7 +235,7 @@ class Fits:
             shapes = [slot.parameter.shape for slot in self.slots(fitted.explanation)]
             columns = other.jacobian[:, np.r_[np.ones(len(other.base_names), bool), ~np.array(shapes)]]
             left = LinearFit.of(self.whiten(self.data.y - other.prediction), self.whiten(columns)).chi2
-            if not other.at_bound and again < min(deviance, left) + WITHIN:
+            if not other.at_bound and again < min(deviance, left) + thresholds.WITHIN:
                 return other
         return fitted
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.diagnostics import thresholds
 from limbcli.effects.base import Effect, Parameter
 from limbcli.model import Array
-
-_ON_BOUND = 1e-3
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Slot:
 def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
     """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
     low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
-    near = _ON_BOUND * (high - low)
+    near = thresholds.ON_BOUND * (high - low)
     return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
 
 
@@ -43,13 +42,14 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
             for n, other in enumerate(slots)
         ):
             continue  # another size of the effect is free, and says that it is there
-        if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
+        if abs(value - p.null) > thresholds.ON_BOUND * (p.high - p.low):
             if p.natural_bounds:
                 continue
             side = "higher" if value > p.null else "lower"
             found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
         elif all(
-            abs(x[2 + n] - other.parameter.null) <= _ON_BOUND * (other.parameter.high - other.parameter.low)
+            abs(x[2 + n] - other.parameter.null)
+            <= thresholds.ON_BOUND * (other.parameter.high - other.parameter.low)
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):

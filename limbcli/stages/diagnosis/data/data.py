@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise
 from limbcli.effects.reading import (
@@ -52,7 +53,6 @@ from limbcli.stages.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
 _LEAST_N = 0.2  # below it a force tells no depth
-_MOST_DEVIATIONS = 4.0  # of the depth's reading: what is further off is no error of reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class SiteData:
         if not known.any():
             return found
         there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
-        most = _MOST_DEVIATIONS * self.depth_error
+        most = thresholds.DEPTH_OUTLIER_SD * self.depth_error
         found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
         return found
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from limbcli.diagnostics import thresholds
 from limbcli.effects.reading import Curves, Reading, force_at, true_depth
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
@@ -23,11 +24,9 @@ _DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
 # Of the steepest ramps of force: what is steeper is a ramp although the recorded depth is steady, as it is
 # where the tissue is so stiff that the step is smaller than the reading's error. Relaxation is less steep.
 _FORCE_SHARE = 0.4
-_NOISE_TIMES = 5.0  # a slope within so many deviations of its noise is none
 _MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
 _LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
 _FLOOR = 0.004  # of ln force: what else moves in a hold (assumed)
-_SIGNIFICANT = 4.0  # deviations of fall over all holds, where the depth was not recorded
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     found = HeldForces(depth, windows, fall(force, windows), deviation)
     if not recorded:
         fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.deviation**2)))
-        if fallen < _SIGNIFICANT:
+        if fallen < thresholds.FALLEN_SD:
             return None, "the record has no depth, and its force is steady: it may have been held by hand"
     return found, ""
 
@@ -113,7 +112,7 @@ def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]
     slope = np.abs(np.gradient(signal))
     noise = 1.4826 * float(np.median(slope))
     slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
-    limit = max(share * float(np.quantile(slope, 0.98)), _NOISE_TIMES * noise)
+    limit = max(share * float(np.quantile(slope, 0.98)), thresholds.RAMP_SD * noise)
     return np.asarray(slope <= limit)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Case, Site
+from limbcli.diagnostics import thresholds
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
 from limbcli.effects.reading import Curves, depth_at, log_force_at
@@ -34,8 +35,6 @@ from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import START_M, OwnRun, Tie,
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import Tells, Tying, at_depths
 from limbcli.stages.geometry_gain import assumed_gain
 
-_DOUBTFUL = 0.15  # of ln force: beyond it an intervention makes a verdict doubtful
-MATTERS = 0.3  # deviations: what an intervention may move before the model must be mended
 USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
@@ -189,7 +188,7 @@ class Numerics:
         theirs = Curves(np.r_[0.0, own.depth], np.r_[0.0, own.force], nothing, np.zeros(0))
         linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(theirs, working.depth[1:]))])
         judged = self._judged("locking", linear, working, "tet4 against tet10")
-        if judged.deviations > MATTERS:
+        if judged.deviations > thresholds.MATTERS_SD:
             self.notes.warnings.append(
                 f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
                 "with quadratic ones. That is numerical, not tissue; the diagnosis goes on with tet10."
@@ -306,7 +305,7 @@ def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
         for each in interventions
-        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > _DOUBTFUL
+        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > thresholds.DOUBTFUL
     }
     if not worst:
         return None

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.selection import candidates
-from limbcli.diagnostics.selection.confidence_set import LEVEL, Refit, compare
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.diagnostics.model.forward_model import Direction, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Overall
 from limbcli.diagnostics.model.noise import unit_errors
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial
+from limbcli.diagnostics.selection import candidates
+from limbcli.diagnostics.selection.confidence_set import Refit, compare
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Overall
+from limbcli.diagnostics.statistical_tests.score import Trial
 
 
 def _toy():
@@ -53,7 +54,7 @@ def test_rivals_are_compared_round_their_own_fits(rng):
     )  # fmt: skip
     e = unit_errors(rng, (100_000, n))
     gaps = np.maximum(e[:, 1] ** 2 - e[:, 0] ** 2 + 2 * e[:, 2] - 1, 0.0)
-    assert compared[0].gap_allowed == pytest.approx(np.quantile(gaps, 1 - LEVEL), rel=0.15)
+    assert compared[0].gap_allowed == pytest.approx(np.quantile(gaps, 1 - thresholds.BEATEN), rel=0.15)
 
 
 @pytest.mark.parametrize(

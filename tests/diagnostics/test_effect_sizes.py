@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
+from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
-from limbcli.diagnostics.statistical_tests.score import Direction, Trial
-from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import EFFECTS
 from limbcli.stages.diagnosis.sizes import told_sizes
 
