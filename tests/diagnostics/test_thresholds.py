@@ -10,8 +10,22 @@ from limbcli.diagnostics import thresholds
 PACKAGE = Path(thresholds.__file__).parent
 # Numbers of numerical algebra, of curves and of a prior: nothing is decided by them.
 NUMERICAL = set(
-    "_RCOND _INVISIBLE _RANK _WAVES _DEGREE _LEAST_NU TAILS EXCESS _PLACES _REFINED _FAR USUAL_M LN_M_DEVIATION "
-    "_MOST_COMPARED".split()
+    [
+        "_RCOND",
+        "_INVISIBLE",
+        "_RANK",
+        "_WAVES",
+        "_DEGREE",
+        "_LEAST_NU",
+        "TAILS",
+        "EXCESS",
+        "_PLACES",
+        "_REFINED",
+        "_FAR",
+        "USUAL_M",
+        "LN_M_DEVIATION",
+        "_MOST_COMPARED",
+    ]
 )
 
 
