@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from limbcli.errors import CaseError, SolveError
-from limbcli.fem.newton import NotConverged
+from limbcli.fem.equilibrium.newton import NotConverged
 from limbcli.stages.cluster import WorkerRefused
 
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from limbcli.errors import SolveError
-from limbcli.fem import curves
-from limbcli.fem.history import Histories
-from limbcli.fem.levels import step_times
-from limbcli.fem.load_stepping import LoadStepping, is_timed, rubs
-from limbcli.fem.newton import Counts, Level, Newton, Settings
-from limbcli.fem.state import Forces, State
+from limbcli.fem.equilibrium.history import Histories
+from limbcli.fem.equilibrium.levels import step_times
+from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed, rubs
+from limbcli.fem.equilibrium.newton import Counts, Level, Newton, Settings
+from limbcli.fem.motion import curves
+from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.model import Curve, LimbModel, Step
 from limbcli.progress import SILENT, Progress

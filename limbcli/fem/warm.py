@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.fem.state import State
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
 

@@ -19,7 +19,7 @@ from limbcli.files import atomic_file
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
-    from limbcli.fem.state import State
+    from limbcli.fem.motion.state import State
     from limbcli.fem.system import System
     from limbcli.fem.warm import Solved as Solved
 
@@ -102,8 +102,8 @@ def levels_of(stored: Any) -> dict[float, State]:
 
 
 def _state(stored: Any, k: int, time: float) -> State:
-    from limbcli.fem.rigid import BodyState
-    from limbcli.fem.state import State
+    from limbcli.fem.motion.rigid import BodyState
+    from limbcli.fem.motion.state import State
 
     keys = [key for key in stored.files if key.startswith(f"hints{k}_")]
     hints = tuple(stored[f"hints{k}_{j}"] for j in range(len(keys)))

@@ -17,7 +17,7 @@ from limbcli import case_schema
 from limbcli.case import read_case
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
-from limbcli.fem import element
+from limbcli.fem.elements import element
 from limbcli.materials import laws
 from limbcli.stages.diagnose import load_effect
 

@@ -9,12 +9,12 @@ import pytest
 from small_models import block, punch
 
 from limbcli.errors import SolveError
-from limbcli.fem import load_stepping as march
-from limbcli.fem import newton
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.newton import Level, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium import load_stepping as march
+from limbcli.fem.equilibrium import newton
+from limbcli.fem.equilibrium.newton import Level, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 
 LEVEL = Level(1, 1, 0.0)

@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import schedule
-from limbcli.fem.element import shape
+from limbcli.fem.elements.element import shape
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.indentation_model import indentation_model
