@@ -12,7 +12,7 @@ from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
 
 if TYPE_CHECKING:
-    from limbcli.stages.fit_options import FitOptions
+    from limbcli.stages.fitting.options import FitOptions
 
 
 @told
@@ -175,7 +175,7 @@ def _options(
         max_iterations=max_iterations, time_limit_s=time_limit_s,
         gain_deviation_fraction=others.get("gain_deviation"),
     )  # fmt: skip
-    from limbcli.stages.fit_options import FitOptions, check_numbers
+    from limbcli.stages.fitting.options import FitOptions, check_numbers
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,

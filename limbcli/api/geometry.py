@@ -241,7 +241,7 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
 
 def _thickness(name: str, value: float | str | None) -> Any:
     """As the stage takes it."""
-    from limbcli.stages.site_layers import thickness_of
+    from limbcli.stages.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
         return thickness_of(value, name)

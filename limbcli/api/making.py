@@ -109,7 +109,7 @@ def synth(
     """
     within("synth", contact_penalty=contact_penalty)
     from limbcli.stages import synth as stage
-    from limbcli.stages.hidden import hide
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
 
     hidden = tuple(hide(each) for each in names_of(effects) or ())
     plan = _plan(
@@ -170,7 +170,7 @@ def make_phantom(
         If a site cannot be meshed or simulated.
     """
     from limbcli.stages import phantom as stage
-    from limbcli.stages.hidden import hide
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
 
     hidden = tuple(hide(each) for each in names_of(effects) or ())
     plan = _plan(
@@ -200,7 +200,7 @@ def _plan(
         margin_mm=margin_mm,
     )  # fmt: skip
     one_of(function, ELEMENTS, element=element)
-    from limbcli.stages.indent import KnownTissue
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.synth import Protocol, SynthOptions
 
     return SynthOptions(

@@ -164,7 +164,7 @@ def build_feb(
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """The laws, held against the rules of case.toml."""
-    from limbcli.stages.site_layers import parse_law
+    from limbcli.stages.site_model.site_layers import parse_law
 
     texts = (
         f"{name}:" + ",".join(f"{key}={value}" for key, value in table.items())

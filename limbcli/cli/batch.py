@@ -26,7 +26,7 @@ from limbcli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
-    from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome
+    from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
 ElementOpt = Annotated[
@@ -85,7 +85,7 @@ def command(
     where and why is listed at the end.
     """
     from limbcli.config import default_out
-    from limbcli.stages.batch_outcome import BatchOptions
+    from limbcli.stages.batching.outcome import BatchOptions
 
     options = BatchOptions(
         element=element, solver=solver, febio=_absolute(febio), templates=_absolute(templates), force=force,
@@ -117,7 +117,7 @@ def _absolute(path: Path | None) -> Path | None:
 
 def _jobs(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
     """Local processes: those asked for, else what suits several cases; one where Dask is not installed."""
-    from limbcli.stages.cluster import is_installed, jobs_for
+    from limbcli.stages.batching.cluster import is_installed, jobs_for
 
     if jobs is not None or scheduler is not None:
         return jobs or 1
@@ -152,7 +152,7 @@ def _folders(cases: list[Path], out: Path | None) -> list[tuple[Path, Path]]:
 def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
     """The page that lists all; where no case left anything to list, that is said and is no failure more."""
     from limbcli.cli.app import report_error
-    from limbcli.stages.report_index import report_index
+    from limbcli.stages.report_pages.index import report_index
 
     try:
         index = report_index(folder, progress=progress)

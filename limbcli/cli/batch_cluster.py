@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from limbcli.cli.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
-from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
-from limbcli.stages.cluster import Standing, WorkerRefused, connected, lost_workers, threads_of
+from limbcli.stages.batching.cluster import Standing, WorkerRefused, connected, lost_workers, threads_of
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 
 if TYPE_CHECKING:
     from distributed import Client, Future

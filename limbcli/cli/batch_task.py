@@ -12,9 +12,9 @@ from typing import Any
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
-from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
-from limbcli.stages.batch_steps import SITE_STAGES
-from limbcli.stages.cluster import Standing, as_called, refuse_other
+from limbcli.stages.batching.cluster import Standing, as_called, refuse_other
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}

@@ -68,9 +68,9 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
-    from limbcli.stages.hidden import hide
-    from limbcli.stages.indent import KnownTissue
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.synth import Protocol, SynthOptions
 
     plan = SynthOptions(

@@ -63,8 +63,8 @@ def command(
     """Measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
     from limbcli.config import default_out
-    from limbcli.stages.hidden import hide
-    from limbcli.stages.indent import KnownTissue
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.synth import Protocol, SynthOptions, synth
 
     options = SynthOptions(

@@ -2,7 +2,7 @@
 
 How a solve becomes a reading is said in `LayeredFamily`; readings are kept over a trend, springs in series.
 The file is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), model and
-mesh as in `stages.cohort_family`; its members are a scrambled Sobol sequence.
+mesh as in `stages.cohorts.family`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations

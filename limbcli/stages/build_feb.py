@@ -27,10 +27,10 @@ from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
-from limbcli.stages.asked import asked_of, asked_of_options
-from limbcli.stages.chain import Chain
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.indentation_model import (
+from limbcli.stages.provenance.asked import asked_of, asked_of_options
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.indentation_model import (
     PROBE,
     TISSUE,
     facet_gap,
@@ -40,14 +40,14 @@ from limbcli.stages.indentation_model import (
     touching_points,
     with_penalty,
 )
-from limbcli.stages.site_layers import (
+from limbcli.stages.site_model.site_layers import (
     LayerLaw,
     layer_laws,
     layers_in,
     locking_warning,
     with_layer_laws,
 )
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"

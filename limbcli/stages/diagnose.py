@@ -26,7 +26,6 @@ from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.chain import check_earlier, note_earlier
 from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.bench.measurement_menu import known
 from limbcli.stages.diagnosis.bench.site import SiteCurves
@@ -36,6 +35,7 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepa
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
+from limbcli.stages.provenance.chain import check_earlier, note_earlier
 
 _SAME_PLACE = 2.0  # mm
 

@@ -29,19 +29,19 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.chain import Chain
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.contact_check import leave_contact_check
-from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
-from limbcli.stages.fit_geometry import geometry_doubt
-from limbcli.stages.fit_geometry_result import leave_geometry
-from limbcli.stages.fit_layers import leave_layers
-from limbcli.stages.fit_map import leave_map, tissue_map
-from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
-from limbcli.stages.fit_result import Identified, leave_result
-from limbcli.stages.fit_swe import leave_speeds
-from limbcli.stages.numerical_error import gain_deviation, studied_error
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fitting.geometry import geometry_doubt
+from limbcli.stages.fitting.geometry_result import leave_geometry
+from limbcli.stages.fitting.layers import leave_layers
+from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
+from limbcli.stages.fitting.predicted_speeds import leave_speeds
+from limbcli.stages.fitting.result import Identified, leave_result
+from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_levels import levels_of
 
 __all__ = [
     "STAGE",

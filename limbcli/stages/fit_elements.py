@@ -30,9 +30,9 @@ from limbcli.stages.fit import (
     force_depth_data,
     initial_stiffness,
 )
-from limbcli.stages.fit_curves import ReferenceCurve
-from limbcli.stages.fit_exports import write_table
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.exports import write_table
+from limbcli.stages.fitting.force_curves import ReferenceCurve
+from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa
 
 STAGE = "fit-elements"

@@ -26,14 +26,14 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
-from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
-from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
-from limbcli.stages.layer_readings import LayerReadings, layer_readings
-from limbcli.stages.numerical_error import gain_deviation, studied_error
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
+from limbcli.stages.fitting.laws import LAWS, FitLaw, law_named
+from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "fit-joint"
 

@@ -25,12 +25,12 @@ from limbcli.model_io import save_model
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.asked import asked_of
-from limbcli.stages.chain import Chain
-from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
-from limbcli.stages.mesh_inputs import MeshInputs
-from limbcli.stages.mesh_study import study_site
-from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
+from limbcli.stages.provenance.asked import asked_of
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, measured_skin_bone
+from limbcli.stages.site_model.mesh_inputs import MeshInputs
+from limbcli.stages.site_model.mesh_study import study_site
+from limbcli.stages.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
 
 
 def mesh(

@@ -32,7 +32,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
-from limbcli.stages.kernels import compile_ahead
+from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.synth import (
     SiteMeasurement,
     SynthOptions,

@@ -14,7 +14,7 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.material import gather
 
 PAGE_FILE = "report.html"
 

@@ -29,12 +29,12 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.scratch import scratch_folder
 from limbcli.shear_waves.pixels import Window
-from limbcli.stages.chain import Chain
-from limbcli.stages.hidden import Hidden
-from limbcli.stages.indent import KnownTissue, indent
-from limbcli.stages.indentation_model import with_penalty
-from limbcli.stages.site_layers import MRI
-from limbcli.stages.synth_case import case_table, copy_imaging
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.simulated_subjects.hidden_effects import Hidden
+from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
+from limbcli.stages.simulated_subjects.synth_case import case_table, copy_imaging
+from limbcli.stages.site_model.indentation_model import with_penalty
+from limbcli.stages.site_model.site_layers import MRI
 from limbcli.version import __version__
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.

@@ -22,7 +22,7 @@ from scipy.stats import qmc
 from limbcli.errors import SolveError
 from limbcli.inference import layered_solves as solves
 from limbcli.meshing.slab import Counts
-from limbcli.stages.cohort_family import STRAINS, Answer, Member, solve_member
+from limbcli.stages.cohorts.family import STRAINS, Answer, Member, solve_member
 
 FILE = Path(__file__).resolve().parents[2] / "limbcli" / "inference" / "layered_family.csv"
 COLUMNS = (

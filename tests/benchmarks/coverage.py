@@ -29,9 +29,9 @@ from limbcli.model_io import load_model
 from limbcli.phantom.protocol import depth_at_force
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
-from limbcli.stages.fit_curves import ReferenceCurve
-from limbcli.stages.indentation_model import indentation_model
-from limbcli.stages.numerical_error import gain_deviation
+from limbcli.stages.fitting.force_curves import ReferenceCurve
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.1, 0.3, 0.05

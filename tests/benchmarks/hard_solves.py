@@ -42,7 +42,12 @@ from limbcli.progress import SILENT
 from limbcli.solvers.reference import prepare
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, softer_jumps
 from limbcli.stages.diagnosis.prepare import size_for
-from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, with_penalty
+from limbcli.stages.site_model.indentation_model import (
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"

@@ -26,9 +26,9 @@ from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.protocol import Protocol
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
-from limbcli.stages.hidden import hide
-from limbcli.stages.indent import KnownTissue
 from limbcli.stages.run import run
+from limbcli.stages.simulated_subjects.hidden_effects import hide
+from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.synth import SiteMeasurement, SynthOptions, measure_sites, read_off
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015

@@ -23,10 +23,10 @@ from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.joint import JointTask, SiteData, joint_fit
 from limbcli.inference.prediction import Memory
 from limbcli.model_io import load_model
-from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_laws import LAWS
-from limbcli.stages.indentation_model import indentation_model
-from limbcli.stages.numerical_error import gain_deviation
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0

@@ -21,7 +21,7 @@ from typing import Any
 from limbcli.case import Case, Site
 from limbcli.errors import MeshError
 from limbcli.results import open_stage, read_result
-from limbcli.stages.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import note_case
 
 FILES = {"report": "report.html", "build-feb": "model.feb"}
 STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")

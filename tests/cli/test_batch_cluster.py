@@ -28,7 +28,7 @@ from distributed import Client, LocalCluster
 
 from limbcli.cli import batch_cluster
 from limbcli.cli.app import main
-from limbcli.stages import cluster
+from limbcli.stages.batching import cluster
 from tests.benchmarks.left_behind import contents, strays
 from tests.test_case_text import two_sites
 
@@ -266,7 +266,7 @@ def test_a_worker_with_other_code_is_refused_before_anything_begins(workers, tmp
 
 def _change(code: str) -> str:
     """On a worker: the hash of its sources, until it is put back; returns the one before."""
-    from limbcli.stages import cluster
+    from limbcli.stages.batching import cluster
 
     before = cluster.code_hash()
     cluster.code_hash = lambda: code  # type: ignore[assignment]

@@ -21,7 +21,7 @@ from limbcli.stages.diagnosis.curves.curves import CurveBook
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
-from limbcli.stages.layer_readings import LayerReadings
+from limbcli.stages.site_model.layer_readings import LayerReadings
 from tests.stages import block_case
 
 

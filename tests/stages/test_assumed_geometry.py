@@ -16,17 +16,17 @@ from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import tube
 from limbcli.phantom.protocol import Protocol
 from limbcli.results import read_result
-from limbcli.stages.assumed_geometry import assumed_limb
 from limbcli.stages.build_feb import build_feb
-from limbcli.stages.chain import Chain
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.geometry_gain import USUAL, assumed_gain
-from limbcli.stages.indent import KnownTissue
 from limbcli.stages.mesh import mesh
+from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
+from limbcli.stages.segmenting.assumed_geometry import assumed_limb
+from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.synth import SynthOptions, synth
 
 SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"

@@ -12,10 +12,10 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import fit_elements, fit_joint
-from limbcli.stages.asked import asked_of_options
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
+from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.run import RunOptions
 from tests.test_case_text import two_sites
 

@@ -18,19 +18,19 @@ from limbcli.errors import CaseError, ToolError
 from limbcli.files import sha256
 from limbcli.results import open_stage, read_result
 from limbcli.stages import build_feb as build_feb_module
-from limbcli.stages import chain as chain_module
 from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages import fit as fit_module
 from limbcli.stages import mesh as mesh_module
 from limbcli.stages import run as run_module
 from limbcli.stages.batch import BatchOptions, batch
-from limbcli.stages.chain import Chain
 from limbcli.stages.diagnose import diagnose
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import fit_joint
-from limbcli.stages.measure_images import tissue_between
+from limbcli.stages.measuring.images import tissue_between
+from limbcli.stages.provenance import chain as chain_module
+from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.material import gather
 from limbcli.stages.segment import segment
 from tests.stages import chain_case
 

@@ -20,8 +20,8 @@ from limbcli.results import StageResult
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
-from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, shares
 from limbcli.stages.fit_joint import fit_joint
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, shares
 from tests.stages import block_case as block
 
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}

@@ -15,10 +15,10 @@ from limbcli.reporting.sections.layers import layers
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fit_laws import LAWS
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])

@@ -14,9 +14,9 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.model import ElementMap
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START, FitOptions, check_choice, fit
-from limbcli.stages.fit_curves import ReferenceCurve, with_tissue
-from limbcli.stages.fit_map import tissue_map
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.fitting.force_curves import ReferenceCurve, with_tissue
+from limbcli.stages.fitting.stiffness_map import tissue_map
+from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])

@@ -13,8 +13,8 @@ from limbcli.feb.read import read_feb
 from limbcli.model import Surface
 from limbcli.phantom.protocol import Protocol
 from limbcli.shear_waves.pixels import Window
-from limbcli.stages.hidden import hide
-from limbcli.stages.indent import KnownTissue, _depth, indent
+from limbcli.stages.simulated_subjects.hidden_effects import hide
+from limbcli.stages.simulated_subjects.indent import KnownTissue, _depth, indent
 from tests.stages.block_case import block_model
 
 

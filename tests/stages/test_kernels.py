@@ -12,7 +12,7 @@ import pytest
 
 from limbcli import ahead
 from limbcli.config import THREADS
-from limbcli.stages.kernels import PARTS, compile_ahead
+from limbcli.stages.machine.kernels import PARTS, compile_ahead
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_every_part_runs_to_its_end(part: str):
 
 
 def test_waiting_ends_when_they_do_and_a_failure_is_no_matter():
-    ahead.start("limbcli.stages.kernels", "no such part")
+    ahead.start("limbcli.stages.machine.kernels", "no such part")
     ahead.wait()
     assert not ahead.at_work()
 

@@ -20,8 +20,8 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
 from limbcli.stages.report import report
-from limbcli.stages.report_failure import report_failure
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.failure import report_failure
+from limbcli.stages.report_pages.material import gather
 
 CASE_TOML = """\
 format = 1

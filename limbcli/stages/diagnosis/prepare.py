@@ -38,10 +38,10 @@ from limbcli.stages.diagnosis.data.rows import Extra
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
 from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, Numerics
-from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.mesh import read_limb, site_position
-from limbcli.stages.mesh_checks import measured_skin_bone
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.mesh_checks import measured_skin_bone
+from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6

@@ -17,7 +17,7 @@ from limbcli.results import StageWriter, read_result
 from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty
 from limbcli.stages.diagnosis.prepare import Prepared
-from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
 
 _SOFT = 0.02  # of the force, what the written model's contact may take untold

@@ -33,8 +33,8 @@ from limbcli.stages.diagnosis.curves.store import Kept
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.fit_curves import with_tissue
-from limbcli.stages.indentation_model import (
+from limbcli.stages.fitting.force_curves import with_tissue
+from limbcli.stages.site_model.indentation_model import (
     indentation_model,
     starting_depth,
     with_penalty,

@@ -19,8 +19,8 @@ from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
 from limbcli.stages.diagnosis.data.rows import Row, Stacked
-from limbcli.stages.indentation_model import tissue_nodes
-from limbcli.stages.layer_readings import LayerReadings
+from limbcli.stages.site_model.indentation_model import tissue_nodes
+from limbcli.stages.site_model.layer_readings import LayerReadings
 
 CHANNEL = "layer"
 FIRST_TOUCH = "measurement: layers at first touch"
