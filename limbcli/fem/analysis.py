@@ -15,7 +15,7 @@ from functools import partial
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.levels import step_times
+from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed, rubs
 from limbcli.fem.equilibrium.newton import Counts, Level, Newton, Settings
 from limbcli.fem.motion import curves

@@ -220,7 +220,7 @@ def solve(
 
 
 def _levels(model: LimbModel) -> list[float]:
-    from limbcli.fem.equilibrium.levels import step_times
+    from limbcli.fem.equilibrium.solve_times import step_times
 
     step = model.steps[0]
     rubs = any(each.friction for each in model.contacts)

@@ -8,7 +8,7 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.reading import Curves, log_force_at
 from limbcli.stages.diagnosis.curves.curves import CurveBook
-from limbcli.stages.diagnosis.curves.sinking import Sinking, sinking
+from limbcli.stages.diagnosis.curves.penetration import Sinking, sinking
 from tests.stages import block_case
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0)

@@ -20,7 +20,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.bench.changes import Book, Changes, logs
-from limbcli.stages.diagnosis.curves.sinking import Sinking
+from limbcli.stages.diagnosis.curves.penetration import Sinking
 from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 

@@ -28,7 +28,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis.curves.sinking import LEFT_ERROR, Sinking, sinking
+from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Sinking, sinking
 from limbcli.stages.diagnosis.data.data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, IN_MEAN, ModelError, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import START_M, OwnRun, Tie, own_run
