@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, told
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, records_call
 from limbcli.api.limits import one_of, within
 from limbcli.errors import CaseError
 from limbcli.results import StageResult
@@ -124,7 +124,7 @@ class MeshResult(Result):
         return load_model(self.files["model"])
 
 
-@told
+@records_call
 def segment(
     case: CaseLike,
     *,
@@ -173,7 +173,7 @@ def segment(
     return SegmentResult.of(found)
 
 
-@told
+@records_call
 def mesh(
     case: CaseLike,
     *,

@@ -18,7 +18,7 @@ from limbcli.api.call import (
     foreseen,
     listening,
     names_of,
-    told,
+    records_call,
 )
 from limbcli.api.limits import one_of, within
 from limbcli.case import Case
@@ -58,7 +58,7 @@ class MadeCase(Result):
         ]
 
 
-@told
+@records_call
 def synth(
     case: CaseLike,
     out_case: PathLike,
@@ -126,7 +126,7 @@ def synth(
     return MadeCase.of(found)
 
 
-@told
+@records_call
 def make_phantom(
     folder: PathLike,
     *,

@@ -164,7 +164,7 @@ def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Failed:
     """What failed (stage and site), and its error."""
 
     place: str
@@ -180,7 +180,7 @@ class _Entry:
     """How one case went, for the end: content of --json, and what failed."""
 
     content: dict[str, Any]
-    failures: list[_Told]
+    failures: list[_Failed]
 
     @property
     def code(self) -> int:
@@ -192,7 +192,7 @@ class _Entry:
 
 
 class _Way:
-    """How cases are run, and what is told of each."""
+    """How cases are run, and what is reported of each."""
 
     def __init__(self, options: BatchOptions, progress: Progress, *, wait: bool, expect: bool, as_json: bool):
         self.options, self.progress = options, progress
@@ -211,10 +211,10 @@ class _Way:
             with turn if case.is_dir() else nullcontext():
                 outcome = batch(case, out=target, options=self.options, progress=self.progress)
         except Exception as error:  # one case's fault never stops the others
-            told = pasted(in_words(error, target), case, target)
-            report_error(told, as_json=False)
-            content = {"case": str(case), "out": str(target), "error": told.what}
-            return _Entry(content, [_Told("", told)])
+            shown = pasted(in_words(error, target), case, target)
+            report_error(shown, as_json=False)
+            content = {"case": str(case), "out": str(target), "error": shown.what}
+            return _Entry(content, [_Failed("", shown)])
         for failure in outcome.failures:
             report_error(failure.error, as_json=False)
         return self._entry(case, target, outcome)
@@ -230,7 +230,7 @@ class _Way:
         return [self._entry(*pair, outcome) for pair, outcome in zip(pairs, outcomes, strict=True)]
 
     def _entry(self, case: Path, target: Path, outcome: CaseOutcome) -> _Entry:
-        failures = [_Told(each.place, each.error) for each in outcome.failures]
+        failures = [_Failed(each.place, each.error) for each in outcome.failures]
         content = outcome.to_json() | {"case": str(case), "out": str(target)}
         if self.expect:
             content["expected"], unlike = self._expected(case, target)
@@ -239,7 +239,7 @@ class _Way:
             print(outcome.report)
         return _Entry(content, failures)
 
-    def _expected(self, case: Path, target: Path) -> tuple[list[dict[str, Any]], list[_Told]]:
+    def _expected(self, case: Path, target: Path) -> tuple[list[dict[str, Any]], list[_Failed]]:
         """What was compared with expected.toml, and what of it does not hold."""
         from limbcli.stages.expect import EXPECTED_FILE, compare
 
@@ -250,13 +250,13 @@ class _Way:
         try:
             found = compare(case, target)
         except LimbError as error:
-            return [], [_Told(EXPECTED_FILE, error)]
+            return [], [_Failed(EXPECTED_FILE, error)]
         if not self.as_json:
             for each in found:
                 print(each)
         fix = "look at the report; if the new value is right, write it there"
         unlike = [
-            _Told(
+            _Failed(
                 "",
                 FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
             )

@@ -220,18 +220,18 @@ class _Together:
 
         if not isinstance(error, KilledWorker) and self.client.status != "running":
             raise self._no_scheduler(error) from error
-        told: LimbError
+        reported: LimbError
         if isinstance(error, KilledWorker):
-            told = ToolError(
+            reported = ToolError(
                 f"every process that worked on it was lost ({1 + error.allowed_failures} in turn)",
                 where=part.name,
                 fix="look whether the memory suffices (fewer --jobs, more memory a worker); " + _SAME,
             )
         else:
             text = f"the cluster gave it up ({type(error).__name__}: {error})"
-            told = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
+            reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
-        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, told)])
+        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, reported)])
         return Done(outcome, is_all=part.kind == LAST)
 
     def _no_scheduler(self, error: Exception) -> ToolError:

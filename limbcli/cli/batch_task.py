@@ -91,13 +91,13 @@ def work(part: Part, call: Call) -> Done:
     refuse_other(call.client)
     worker = get_worker()
 
-    told = _Told(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
+    event_log = _EventLog(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
     command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.asked]
     with as_called(command, call.threads):
-        return done(part, call, told)
+        return done(part, call, event_log)
 
 
-class _Told:
+class _EventLog:
     """Passes on each stage once, that another's lock is waited for, and now and then that work goes on."""
 
     def __init__(self, part: str, every_s: float, send: Callable[[dict[str, Any]], None]):

@@ -73,7 +73,7 @@ class System(RigidLoads, ElementLoops):
         return any(each.jumps for each in self.operands)
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether a contact has friction."""
         return any(pair.contact.friction for pair in self.pairs)
 

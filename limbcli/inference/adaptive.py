@@ -1,6 +1,6 @@
 """Best fit and profile likelihoods of a costly model, from few simulations.
 
-Everything is searched on stand-ins; another simulation is made where they are not sure
+Everything is searched on surrogates; another simulation is made where they are not sure
 enough: at the best fit, at the intervals' ends, and along the profiles.
 """
 
@@ -20,13 +20,13 @@ from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_PRECISE = 0.1  # allowed error of the stand-in, in standard deviations of the data
+_PRECISE = 0.1  # allowed error of the surrogate, in standard deviations of the data
 _NEAR = 0.05  # a point counts as solved within this distance in ln theta
 _END_NEAR = 0.3  # an interval's end is trusted within this distance
 
 
 class Problem(Protocol):
-    """What is to be estimated, on stand-ins.
+    """What is to be estimated, on surrogates.
 
     parameters : on the log scale, the whole vector theta; `profiled`: indices
     n_freedom : data minus parameters
@@ -37,13 +37,13 @@ class Problem(Protocol):
     n_freedom: int
 
     def objective(self) -> Objective:
-        """Residuals in standard deviations, on the present stand-ins."""
+        """Residuals in standard deviations, on the present surrogates."""
         ...
 
     def starts(self) -> list[Array]: ...
 
     def doubt(self, theta: Array) -> float:
-        """Error of the stand-ins there, in standard deviations of the data."""
+        """Error of the surrogates there, in standard deviations of the data."""
         ...
 
     def distance(self, theta: Array) -> float:
@@ -51,7 +51,7 @@ class Problem(Protocol):
         ...
 
     def solve(self, theta: Array) -> None:
-        """Simulate there and refresh the stand-ins; SolveError where there is no answer."""
+        """Simulate there and refresh the surrogates; SolveError where there is no answer."""
         ...
 
     def within_reach(self, theta: Array) -> Array:

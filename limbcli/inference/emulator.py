@@ -1,4 +1,4 @@
-"""A curve's stand-in, made anew from everything its `Memory` holds."""
+"""A curve's surrogate, made anew from everything its `Memory` holds."""
 
 from __future__ import annotations
 

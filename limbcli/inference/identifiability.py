@@ -135,7 +135,7 @@ def verdict(
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """By the standard error alone, or, where there is none, without a claim."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be told: {why}.")
+        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
     flag = "identified" if reach <= _WEAK_RATIO else "weak"
     share = 100.0 * log_deviation

@@ -33,7 +33,7 @@ class Stiffness:
     """c (MPa) and the standard deviation of its logarithm.
 
     gain_deviation : of ln of the simulated force, by the mesh alone. All forces are proportional
-        to c, so an error common to them is told by nothing from an error of c.
+        to c, so an error common to them cannot be told apart from an error of c.
     """
 
     c: float
@@ -129,12 +129,12 @@ class _ForceProblem:
         self.emulator.refresh()
 
     def within_reach(self, theta: Array) -> Array:
-        """Not further than a stride beyond what was solved before."""
+        """Not further than a increment beyond what was solved before."""
         solved = np.array([each for each, _ in self.curve.solved])
         near = theta.copy()
         for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=True), 1):
             low, high = solved[:, column].min(), solved[:, column].max()
-            near[k] = np.clip(theta[k], low / parameter.stride, high * parameter.stride)
+            near[k] = np.clip(theta[k], low / parameter.step_factor, high * parameter.step_factor)
         return near
 
     def solved_at(self, theta: Array) -> Array:

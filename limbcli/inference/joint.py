@@ -79,7 +79,7 @@ class JointProblem:
     # ------------------------------------------------------------ residuals
 
     def predict(self, k: int, theta: Array, *, data: SiteData | None = None) -> SitePrediction:
-        """Site k at theta, on the stand-ins."""
+        """Site k at theta, on the surrogates."""
         return predict_site(
             self.emulators[k], data or self.task.data[k], self.solved_at(theta),
             c_ratio=float(theta[0]) / self.task.c0, gain=self._gain(k, theta),
@@ -171,7 +171,7 @@ class JointProblem:
         near = theta.copy()
         for k, parameter in enumerate(self.task.shape):
             low, high = solved[:, k].min(), solved[:, k].max()
-            near[1 + k] = np.clip(theta[1 + k], low / parameter.stride, high * parameter.stride)
+            near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
         return near
 
     def solved_at(self, theta: Array) -> Array:
@@ -204,7 +204,7 @@ def joint_fit(
 def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3) -> tuple[float, float]:
     """Root mean square error of left-out depths (mm) and of left-out ln speeds, every n-th level in turn.
 
-    The rest of the levels is fitted again each time (on the stand-ins), so a law with more
+    The rest of the levels is fitted again each time (on the surrogates), so a law with more
     parameters is not favoured. NaN where there are no speeds.
     """
     from limbcli.inference.profile import best_of

@@ -115,7 +115,7 @@ class _Search:
         self.guide = guide
         self.low = np.array([p.low for p in parameters])
         self.high = np.array([p.high for p in parameters])
-        self.stride = np.array([p.stride for p in parameters])
+        self.step_factor = np.array([p.step_factor for p in parameters])
         self.theta = np.array([p.start for p in parameters])
         self.n_evaluations = 1
         self.now = self._linearised(objective(self.theta, True))
@@ -178,8 +178,8 @@ class _Search:
         held_high = (self.theta * _TOUCHING >= self.high) & (gradient < 0)
         free = ~(held_low | held_high) & (gradient != 0.0)
         x = normalised(self.parameters, self.theta)
-        least = normalised(self.parameters, np.maximum(self.theta / self.stride, self.low))
-        most = normalised(self.parameters, np.minimum(self.theta * self.stride, self.high))
+        least = normalised(self.parameters, np.maximum(self.theta / self.step_factor, self.low))
+        most = normalised(self.parameters, np.minimum(self.theta * self.step_factor, self.high))
         return _Line(x, gradient, jacobian.T @ jacobian, free, least - x, most - x)
 
     def _step(self, line: _Line) -> Array:

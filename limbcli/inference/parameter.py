@@ -23,7 +23,7 @@ class Parameter:
     The search runs on the normalised coordinate x: theta / start (scale "ratio",
     the published method) or ln(theta / start) (scale "log"). Both make the
     tolerances and steps independent of the parameter's unit. No search changes it by more
-    than the factor `stride` at a time.
+    than the factor `step_factor` at a time.
 
     >>> f_kappa = Parameter("f_kappa", start=100.0, low=0.01, high=1000.0)
     >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
@@ -35,7 +35,7 @@ class Parameter:
     low: float
     high: float
     scale: Literal["ratio", "log"] = "ratio"
-    stride: float = 10.0
+    step_factor: float = 10.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.low <= self.start <= self.high:

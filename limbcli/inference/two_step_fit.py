@@ -22,7 +22,7 @@ from limbcli.progress import SILENT, Progress
 F_KAPPA, M = 0, 1
 START_F_KAPPA = 100.0
 M_MOONEY_RIVLIN = 2.0
-M_STRIDE = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
+M_STEP_FACTOR = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
 MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 
 
@@ -65,7 +65,7 @@ def search_parameters(
     """f_kappa and m with the paper's bounds."""
     return (
         Parameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
-        Parameter("m", start_m, *M_BOUNDS, stride=M_STRIDE),
+        Parameter("m", start_m, *M_BOUNDS, step_factor=M_STEP_FACTOR),
     )
 
 
@@ -86,7 +86,7 @@ def two_step(
     sampled by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over
     both from that result (Ogden type), each parameter normalised by its start value.
 
-    guided : every iteration first tries the minimum on a stand-in of the solved points, which
+    guided : every iteration first tries the minimum on a surrogate of the solved points, which
         saves simulations; the end point meets the same tests either way
 
     curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
@@ -137,7 +137,7 @@ def _guide(
     parameters: Sequence[Parameter], free: tuple[int, ...], start: Array, curve: Memory, knots: Array,
     data: ForceDepth,
 ) -> Guide:  # fmt: skip
-    """The minimum of the same objective on a stand-in made of everything solved so far."""
+    """The minimum of the same objective on a surrogate made of everything solved so far."""
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)

@@ -1,4 +1,4 @@
-"""How well a layer's edges were marked, told by the marks themselves.
+"""How well a layer's edges were marked, determined by the marks themselves.
 
 A layer shortens under the probe; where a table says that it grew, the marks were wrong. So what is read of a
 layer is taken as a true shortening, exponentially distributed over people, plus Gaussian noise: the

@@ -175,7 +175,7 @@ class _Diagnosed:
                 each.close()
 
     def _turned(self, prepared: Prepared) -> SiteCurves:
-        """The probe turned by 90 degrees; why not is told where it cannot be simulated."""
+        """The probe turned by 90 degrees; why not is reported where it cannot be simulated."""
         try:
             return turned_by_90(
                 self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress

@@ -129,7 +129,7 @@ def _fit_site(
         why_none = "the case states no noise of force or depth"
         writer.warnings.append(
             f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
-            "parameters are cannot be told"
+            "parameters are cannot be determined"
         )
     elif options.intervals:
         limit = options.max_interval_solves

@@ -128,9 +128,9 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:
-        told = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
-        if told not in writer.warnings:
-            writer.warnings.append(told)
+        warning = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
+        if warning not in writer.warnings:
+            writer.warnings.append(warning)
     layers, lines = layer_readings(levels, site), None
     if layers is not None:
         try:
@@ -195,7 +195,7 @@ def _check_contacts(
 
 
 def _first_shapes(law: FitLaw) -> list[Array]:
-    """Where to start: the usual values, and each parameter moved by its stride (f_kappa: a tenth)."""
+    """Where to start: the usual values, and each parameter moved by its step factor (f_kappa: a tenth)."""
     base = np.array([each.start for each in law.shape])
     shapes = [base]
     for k, parameter in enumerate(law.shape):

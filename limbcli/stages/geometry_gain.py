@@ -1,4 +1,4 @@
-"""What a diagnosis takes of an assumed geometry: by how much it puts the force off, told by the fit."""
+"""What a diagnosis takes of an assumed geometry: by how much it puts the force off, determined by the fit."""
 
 from __future__ import annotations
 

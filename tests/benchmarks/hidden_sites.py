@@ -132,9 +132,9 @@ def main() -> None:
             with store.open("a") as stream:
                 stream.write(json.dumps(row) + "\n")
             print(json.dumps(row), flush=True)
-    told = [r for r in rows if "verdict" in r]
-    real = [r for r in told if r["truth"]]
-    print(f"nothing missing: {[r['verdict'] for r in told if not r['truth']]}")
+    reported = [r for r in rows if "verdict" in r]
+    real = [r for r in reported if r["truth"]]
+    print(f"nothing missing: {[r['verdict'] for r in reported if not r['truth']]}")
     for word in ("named", "ambiguous", "unexplained", "adequate", "untestable"):
         these = [r for r in real if r["verdict"] == word]
         inside = sum(r["truth"] in r["set"] for r in these)

@@ -3,7 +3,7 @@
     python tests/benchmarks/joint_coverage.py FIT.npz TRUTH.npz --seeds 100 --out joint.jsonl
 
 Both are a site's mesh as `limbcli mesh` leaves it. The simulated levels lie at fixed
-depths, so all seeds share the simulations; a seed costs its own fit on the stand-ins
+depths, so all seeds share the simulations; a seed costs its own fit on the surrogates
 and now and then one simulation more. Seeds already in the file are skipped.
 """
 

@@ -223,10 +223,12 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "set": [sorted(each) for each in found.confidence_set],
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "held_out_fell": fell(first.held_out, last.held_out),
-        "error": [case.error(each.values) for each in (found.shrink[0].told, found.told)],
-        "error_without_prior": [case.error(each.best) for each in (found.shrink[0].told, found.told)],
-        "values": [dict(each.values) for each in (found.shrink[0].told, found.told)],
-        "intervals": [dict(each.intervals) for each in (found.shrink[0].told, found.told)],
+        "error": [case.error(each.values) for each in (found.shrink[0].estimates, found.estimates)],
+        "error_without_prior": [
+            case.error(each.best) for each in (found.shrink[0].estimates, found.estimates)
+        ],
+        "values": [dict(each.values) for each in (found.shrink[0].estimates, found.estimates)],
+        "intervals": [dict(each.intervals) for each in (found.shrink[0].estimates, found.estimates)],
         "true": {"c_kpa": case.c_kpa, "m": case.m},
         "recommended": None,
         "set_after": None,

@@ -11,7 +11,7 @@ from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import EFFECTS
-from limbcli.stages.diagnosis.sizes import told_sizes
+from limbcli.stages.diagnosis.sizes import reported_sizes
 
 KNOWN = {each.name: each for each in EFFECTS if each.kind != "numerical"}
 
@@ -42,16 +42,16 @@ def test_sizes_are_told_by_their_usual_names_and_units():
         "contraction": {"active_stress_per_c": (-0.1, 0.3)},
         "adipose-layer": {"log_fat_softness": (0.5, 1.2)},
     }
-    told = told_sizes(KNOWN, given, 8.0)
-    assert told["swe-guided-wave"]["f_c_hz"] == pytest.approx((100 / 0.4**0.5, 100 / 0.1**0.5))
-    assert told["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(-0.5), np.e))
-    assert told["contraction"]["t0_kpa"] == pytest.approx((0.0, 2.4))
-    assert told["adipose-layer"]["stiffness_ratio"] == pytest.approx((np.exp(-1.2), np.exp(-0.5)))
+    estimates = reported_sizes(KNOWN, given, 8.0)
+    assert estimates["swe-guided-wave"]["f_c_hz"] == pytest.approx((100 / 0.4**0.5, 100 / 0.1**0.5))
+    assert estimates["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(-0.5), np.e))
+    assert estimates["contraction"]["t0_kpa"] == pytest.approx((0.0, 2.4))
+    assert estimates["adipose-layer"]["stiffness_ratio"] == pytest.approx((np.exp(-1.2), np.exp(-0.5)))
 
 
 def test_what_the_data_leave_open_has_no_end():
-    told = told_sizes(KNOWN, {"depth-zero": {"depth_zero_mm": (-9.0, 1.0)}}, 8.0)
-    assert told["depth-zero"]["d0_mm"] == (None, 1.0)
-    assert told["tilt"]["about_long_axis_deg"] == (None, None)
-    assert told["friction"]["coefficient"] == (0.0, None)
-    assert told["swe-guided-wave"]["f_c_hz"][1] is None
+    estimates = reported_sizes(KNOWN, {"depth-zero": {"depth_zero_mm": (-9.0, 1.0)}}, 8.0)
+    assert estimates["depth-zero"]["d0_mm"] == (None, 1.0)
+    assert estimates["tilt"]["about_long_axis_deg"] == (None, None)
+    assert estimates["friction"]["coefficient"] == (0.0, None)
+    assert estimates["swe-guided-wave"]["f_c_hz"][1] is None

@@ -179,8 +179,8 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
 )  # fmt: skip
 def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, speaks, needed):
     """Its score was not significant at the fit without effects, where sensitivities may tell little."""
-    ground = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
-    run = _Run(ground, 3, False)
+    baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
+    run = _Run(baseline, 3, False)
     run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
     fitted = SimpleNamespace(effect_names=("size",))

@@ -89,6 +89,6 @@ def test_doubt_that_is_a_large_part_of_the_force_is_warned_of():
         return Intervention(name, np.array([0.0, change]), np.zeros((2, 0)), 1.0)
 
     assert too_doubtful([tried("contact", -0.12), tried("locking", 0.9)]) is None
-    told = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
-    assert told is not None
-    assert "contact 35 %, f-kappa 25 %" in told
+    estimates = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
+    assert estimates is not None
+    assert "contact 35 %, f-kappa 25 %" in estimates

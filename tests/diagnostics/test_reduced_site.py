@@ -221,14 +221,14 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
     the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
     base = the_bench.fit((), {})
-    ground = BaselineFit(the_bench, base, 7, 500)
+    baseline = BaselineFit(the_bench, base, 7, 500)
     fitted = the_bench.fit(("anisotropy",), {})
     widths = []
-    for besides in (None, ground.form_error(fitted)):
+    for besides in (None, baseline.form_error(fitted)):
         low, high = the_bench.reported(fitted, besides=besides).intervals["m"]
         widths.append(np.log(high / low))
     assert widths[1] > 1.05 * widths[0]
-    assert not ground.form_error(base).any()
+    assert not baseline.form_error(base).any()
 
 
 def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):

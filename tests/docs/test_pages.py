@@ -92,8 +92,8 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
-    told = set(re.findall(r"^\| `([^`]+)`", (REPOSITORY / "cases/README.md").read_text(), re.MULTILINE))
-    assert told == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
+    reported = set(re.findall(r"^\| `([^`]+)`", (REPOSITORY / "cases/README.md").read_text(), re.MULTILINE))
+    assert reported == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
 
 
 def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):

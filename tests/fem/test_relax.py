@@ -12,12 +12,12 @@ from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium import load_stepping as march
 from limbcli.fem.equilibrium import newton
-from limbcli.fem.equilibrium.newton import Level, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 
-LEVEL = Level(1, 1, 0.0)
+LEVEL = LoadStep(1, 1, 0.0)
 
 
 def test_drag_is_shear_modulus_times_volume() -> None:

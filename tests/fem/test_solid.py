@@ -226,11 +226,11 @@ def test_free_block_is_a_singular_matrix_with_a_fix() -> None:
     assert "fix:" in str(caught.value)
 
 
-def test_impossible_load_stops_with_level_and_place() -> None:
-    """A block squeezed to less than nothing: steps are cut, then the error names level and place."""
+def test_impossible_load_stops_with_load_step_and_place() -> None:
+    """A block squeezed to less than nothing: steps are cut, then the error names load step and place."""
     model = block("tet4", (1, 1, 1))
     supports = (Support("z0", ("x", "y", "z")), Support("z1", ("z",), -1.5, "ramp"))
-    with pytest.raises(SolveError, match="level 1 of 1") as caught:
+    with pytest.raises(SolveError, match="load step 1 of 1") as caught:
         Analysis(replace(model, supports=supports), Settings(threads=1)).run()
     assert "mm" in str(caught.value)
     assert caught.value.facts["level"] == 1

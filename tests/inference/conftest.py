@@ -1,4 +1,4 @@
-"""Makes the stand-in importable, however pytest was started."""
+"""Makes the surrogate importable, however pytest was started."""
 
 import importlib.util
 from pathlib import Path

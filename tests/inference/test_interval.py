@@ -66,7 +66,7 @@ def test_truth_is_covered_at_the_stated_rate(stand_in, kind, truth, n):
 
 
 def test_the_interval_agrees_with_one_on_the_true_model(stand_in):
-    """Twin: the stand-in of the stand-in against profiles with as many simulations as it likes."""
+    """Twin: the surrogate of the surrogate against profiles with as many simulations as it likes."""
     few, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0)
     many, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0, max_solves=0)
     assert few.n_solves > 0 == many.n_solves

@@ -22,7 +22,7 @@ DEPTH = np.linspace(0.8, 9.6, 11)
 LOG_SPEED_0 = float(np.log(np.sqrt(C0 / 2 / 1e-9) / 1e3))
 SHAPE = (
     Parameter("f_kappa", 100.0, 0.01, 1000.0, "log"),
-    Parameter("m", 2.0, 1.0, 100.0, "log", stride=2.5),
+    Parameter("m", 2.0, 1.0, 100.0, "log", step_factor=2.5),
 )
 
 

@@ -1,4 +1,4 @@
-"""The stand-in built from solved points."""
+"""The surrogate built from solved points."""
 
 import numpy as np
 

@@ -131,9 +131,9 @@ def test_changed_numbers_break_the_chain(chain, tmp_path):
 
 def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
     case, out = chain
-    gain, told = assumed_gain(case, case.sites[0], out)
+    gain, reported = assumed_gain(case, case.sites[0], out)
     assert gain == USUAL
-    assert "No fit has varied it" in told
+    assert "No fit has varied it" in reported
 
 
 def test_check_tells_it_as_a_warning(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.reading import Curves, log_force_at
 from limbcli.stages.diagnosis.curves.curves import CurveBook
-from limbcli.stages.diagnosis.curves.penetration import Sinking, sinking
+from limbcli.stages.diagnosis.curves.penetration import Penetration, penetration
 from tests.stages import block_case
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0)
@@ -27,7 +27,7 @@ def book():
 @pytest.mark.parametrize("m", [2.0, 10.0])
 def test_what_is_left_of_the_gap_is_taken_away(book, m):
     usual, hard = book.curves(m), book.curves(m, HARDER)
-    found = sinking(book.curves(5.0), book.curves(5.0, SOFTER))
+    found = penetration(book.curves(5.0), book.curves(5.0, SOFTER))
     assert found is not None
     mended = found.without(usual, usual.force)
     at = np.array(DEPTHS[1:-1])
@@ -45,7 +45,7 @@ def test_a_known_gap_in_series_with_the_tissue():
     curves = {
         times: Curves(depth + times * 0.01 * force, force, np.zeros((25, 0)), np.zeros(0)) for times in (1, 4)
     }
-    found = sinking(curves[1], curves[4])
+    found = penetration(curves[1], curves[4])
     assert found is not None
     np.testing.assert_allclose(found.at(force[4:]), share * 0.03 * force[4:], rtol=0.01)
     np.testing.assert_allclose(found.at(2 * force[-1]), 2 * found.at(force[-1]))
@@ -53,19 +53,19 @@ def test_a_known_gap_in_series_with_the_tissue():
 
 def test_forces_that_do_not_differ_tell_nothing():
     same = Curves(np.arange(4.0), np.arange(4.0), np.zeros((4, 0)), np.zeros(0))
-    assert sinking(same, same) is None
+    assert penetration(same, same) is None
 
 
 def test_depths_stay_in_order_however_steep_the_force():
     curves = Curves(np.arange(4.0), np.array([0.0, 1.0, 50.0, 5000.0]), np.zeros((4, 0)), np.zeros(0))
-    shifted = Sinking(np.array([0.0, 1.0]), np.array([0.0, 0.1])).without(curves, curves.force)
+    shifted = Penetration(np.array([0.0, 1.0]), np.array([0.0, 0.1])).without(curves, curves.force)
     assert np.all(np.diff(shifted.depth) > 0)
 
 
 def test_what_a_softer_contact_takes_is_what_it_was_seen_to_take(book):
     """The same pair of simulations, forward: from the hard contact's curve to the softer one's."""
     usual, softer = book.curves(5.0), book.curves(5.0, SOFTER)
-    found = sinking(usual, softer)
+    found = penetration(usual, softer)
     assert found is not None
     hard = found.without(usual, usual.force)
     for penalty, theirs in ((1.0, usual), (0.25, softer)):

@@ -112,8 +112,8 @@ def test_progress_and_summary_speak(fitted):
     result, seen = fitted
     kinds = [kind for kind, _ in seen]
     assert {"stage", "fit"} <= set(kinds)
-    told = result.data["steps"]["ogden"]["parameters"]["f_kappa"]["headline"]
-    assert any(line.startswith("f_kappa") and told in line for line in result.summary)
+    reported = result.data["steps"]["ogden"]["parameters"]["f_kappa"]["headline"]
+    assert any(line.startswith("f_kappa") and reported in line for line in result.summary)
     json.dumps(result.to_json(), allow_nan=False)
 
 
@@ -122,9 +122,9 @@ def test_headlines_of_a_good_fit_are_numbers_and_it_is_not_called_poor(fitted):
     assert not result.data["misfit"]["poor"]
     assert result.data["misfit"]["noise_rms_n"] > 0.05, "the depth's noise counts through the slope"
     assert not any("poor" in line for line in (*result.summary, *result.warnings))
-    told = result.data["steps"]["ogden"]["parameters"]["m"]
-    assert told["flag"] != "at bound"
-    assert told["value"] == pytest.approx(3.0, rel=0.01)
+    reported = result.data["steps"]["ogden"]["parameters"]["m"]
+    assert reported["flag"] != "at bound"
+    assert reported["value"] == pytest.approx(3.0, rel=0.01)
 
 
 def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
@@ -138,10 +138,10 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
     assert result.data["misfit"]["times_noise"] > 2.0
     for name in ("f_kappa", "m"):
         lines = [line for line in result.summary if line.startswith(name)]
-        told = result.data["steps"]["ogden"]["parameters"][name]
-        assert told["headline"] in lines[0]
-        if told["flag"] == "at bound":
-            assert f"{told['value']:.4g}" not in lines[0], "a bound of the search is no result"
+        reported = result.data["steps"]["ogden"]["parameters"][name]
+        assert reported["headline"] in lines[0]
+        if reported["flag"] == "at bound":
+            assert f"{reported['value']:.4g}" not in lines[0], "a bound of the search is no result"
 
 
 @pytest.fixture

@@ -68,10 +68,10 @@ def test_one_that_was_killed_leaves_nobody_at_work():
         "import os, signal; from limbcli import ahead; ahead.start('timeit', '-n1', '-r1', "
         "'import time; time.sleep(60)'); print(ahead.at_work()[0].pid, flush=True); os.kill(os.getpid(), 9)"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
     if not sys.platform.startswith("linux"):
         pytest.skip("only Linux tells children")
-    child, until = int(told), time.monotonic() + 20
+    child, until = int(output), time.monotonic() + 20
     while time.monotonic() < until and Path(f"/proc/{child}/stat").exists():
         if Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
             return

@@ -1,4 +1,4 @@
-"""The refinement study with a stand-in for the solver, and once with the solver itself."""
+"""The refinement study with a surrogate for the solver, and once with the solver itself."""
 
 from __future__ import annotations
 

@@ -26,17 +26,17 @@ _MOST_COMPARED = 5  # members of the set, in looking for the next measurement
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """Everything is told of the ground's data."""
+    """Reports what the baseline's data say beside the verdict."""
 
-    ground: BaselineFit
+    baseline: BaselineFit
 
     def shrink(self, refit: Refit | None, refits: Refits | None) -> tuple[Shrink, ...]:
         """The base, and the explanation's members added in turn."""
-        ground = self.ground
-        stages = [self._stage(ground.base, ground.state, None)]
+        baseline = self.baseline
+        stages = [self._stage(baseline.base, baseline.state, None)]
         if refit is None or refits is None:
             return tuple(stages)
-        closing = Closing(ground, len(refits.trials))
+        closing = Closing(baseline, len(refits.trials))
         for size in range(1, len(refit.explanation)):
             part = refits.of(refit.explanation[:size])
             if part is not None:
@@ -45,13 +45,15 @@ class Account:
         return tuple(stages)
 
     def _stage(self, fitted: Fitted, state: LinearFit, percentile: float | None) -> Shrink:
-        data = self.ground.data
+        data = self.baseline.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.ground.is_relative(state) else 1.0
-        told = self.ground.bench.reported(fitted, scale=scale, besides=self.ground.form_error(fitted))
+        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
+        estimates = self.baseline.bench.reported(
+            fitted, scale=scale, besides=self.baseline.form_error(fitted)
+        )
         return Shrink(
-            fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), told, percentile
+            fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), estimates, percentile
         )
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
@@ -64,8 +66,8 @@ class Account:
                 continue
             typical = np.array([known.typical.get(name, 0.0) for name in direction.names])
             spots.append(
-                blind_spot(self.ground.state, tested.name, direction, typical, critical=tested.critical,
-                           base_names=self.ground.base.base_names)
+                blind_spot(self.baseline.state, tested.name, direction, typical, critical=tested.critical,
+                           base_names=self.baseline.base.base_names)
             )  # fmt: skip
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 
@@ -75,20 +77,20 @@ class Account:
             return ()
         fits = [refit.fitted for refit in sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]]
         try:
-            proposals = self.ground.bench.proposals(fits)
+            proposals = self.baseline.bench.proposals(fits)
         except LimbError as error:
             not_evaluated["next measurement"] = error.what
             return ()
-        return tuple(rank_proposals(fits, proposals, self.ground.whiten))
+        return tuple(rank_proposals(fits, proposals, self.baseline.whiten))
 
     def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
         """Cosines between what the members of the set do to the data, the fitted parameters aside."""
-        ground = self.ground
+        baseline = self.baseline
         found = {}
         changes = []
         for refit in kept:
-            change = ground.whiten(refit.fitted.prediction - ground.base.prediction)
-            changes.append((" + ".join(refit.explanation), ground.state.project(change)))
+            change = baseline.whiten(refit.fitted.prediction - baseline.base.prediction)
+            changes.append((" + ".join(refit.explanation), baseline.state.project(change)))
         for i, (a, x) in enumerate(changes):
             for b, y in changes[i + 1 :]:
                 size = float(np.linalg.norm(x) * np.linalg.norm(y))
@@ -97,7 +99,7 @@ class Account:
 
     def held_out_z(self) -> dict[str, tuple[float, float]]:
         """Each part of the data predicted from the rest: (root mean square, largest) z."""
-        data, base = self.ground.data, self.ground.base
+        data, base = self.baseline.data, self.baseline.base
         residual = data.y - base.prediction
         found = {}
         for name, mask in data.groups.items():

@@ -38,7 +38,7 @@ def _fit(found: Diagnosis) -> str:
     base = found.shrink[0] if found.shrink else None
     if base is None:
         return ""
-    values = base.told.values
+    values = base.estimates.values
     level = "of unknown level" if found.relative else "as stated"
     text = (
         f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
@@ -72,31 +72,31 @@ def _set(found: Diagnosis) -> str:
         return ""
     listed = "; ".join(" + ".join(each) for each in found.confidence_set)
     if found.verdict == "named":
-        told = found.told
-        sizes = ", ".join(f"{name} {told.values[name]:.3g}" for name in found.final.effect_names)
-        return f"Added to the model: {listed} ({sizes}){_tissue(told)}."
+        estimates = found.estimates
+        sizes = ", ".join(f"{name} {estimates.values[name]:.3g}" for name in found.final.effect_names)
+        return f"Added to the model: {listed} ({sizes}){_tissue(estimates)}."
     if found.verdict == "ambiguous":
         return f"It may be: {listed}."
     return f"Fits, but is not believed: {listed}."
 
 
-def _tissue(told: Reported) -> str:
+def _tissue(estimates: Reported) -> str:
     """c and m with it, and what the data do not tell of them.
 
     >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
     '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: the data do not tell it from below)'
     """
-    if "c_kpa" not in told.intervals or "m" not in told.intervals:
+    if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    (c_low, c_high), (low, high) = told.intervals["c_kpa"], told.intervals["m"]
+    (c_low, c_high), (low, high) = estimates.intervals["c_kpa"], estimates.intervals["m"]
     reach = f"{low:.2f} to {high:.2f}"
-    if len(told.open) == 2:
+    if len(estimates.open) == 2:
         reach = "the data do not tell it"
-    elif "m below" in told.open:
+    elif "m below" in estimates.open:
         reach = f"up to {high:.2f}: the data do not tell it from below"
-    elif "m above" in told.open:
+    elif "m above" in estimates.open:
         reach = f"from {low:.2f}: the data do not tell it from above"
-    values = told.values
+    values = estimates.values
     return f"; then c {values['c_kpa']:.2f} kPa ({c_low:.2f} to {c_high:.2f}), m {values['m']:.2f} ({reach})"
 
 
@@ -145,12 +145,12 @@ def _next(found: Diagnosis) -> str:
     ]
     if not useful:
         return "Next measurement: nothing on the menu would tell the explanations apart."
-    told, worst = useful[0], useful[-1]
+    best_pair, worst = useful[0], useful[-1]
     text = (
-        f"Next measurement: {told.sentence}; it tells {told.pair[0]} from {told.pair[1]} with "
-        f"{100 * told.power:.0f} % power"
+        f"Next measurement: {best_pair.sentence}; it tells {best_pair.pair[0]} from {best_pair.pair[1]} with "
+        f"{100 * best_pair.power:.0f} % power"
     )
-    if worst.pair != told.pair:
+    if worst.pair != best_pair.pair:
         text += f", {worst.pair[0]} from {worst.pair[1]} with {100 * worst.power:.0f} %"
     return text + "."
 

@@ -31,7 +31,7 @@ class Shrink:
     nu: int
     rms: Mapping[str, float]
     held_out: Mapping[str, float]
-    told: Reported
+    estimates: Reported
     placebo_percentile: float | None = None
 
     @property
@@ -76,9 +76,11 @@ class Diagnosis:
     sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     @property
-    def told(self) -> Reported:
+    def estimates(self) -> Reported:
         """The parameters of the model as it stands in the end: with what was added, if anything was."""
-        return next((s.told for s in self.shrink if s.explanation == self.chosen), self.shrink[0].told)
+        return next(
+            (s.estimates for s in self.shrink if s.explanation == self.chosen), self.shrink[0].estimates
+        )
 
     @property
     def final(self) -> Fitted:

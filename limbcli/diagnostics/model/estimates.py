@@ -40,7 +40,7 @@ class Conditional:
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """What is told of an explanation's parameters.
+    """What is reported of an explanation's parameters.
 
     values : with the weak prior; best : without it; intervals : 95 %, by name; open : "m below", "m above"
     where the interval runs to a bound

@@ -136,7 +136,7 @@ class ForwardModel(Protocol):
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit the model with these effects in it; `start`: first guesses of effect parameters.
 
-        Where a simulation is dear this may be a stand-in's fit; `verified` makes it good.
+        Where a simulation is dear this may be a surrogate's fit; `verified` makes it good.
         """
         ...
 
@@ -145,7 +145,7 @@ class ForwardModel(Protocol):
         ...
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """What is told of its parameters.
+        """What is reported of its parameters.
 
         scale : of the deviance, where the noise's level is not known; besides : covariance (n, n) of what
         the data have to allow for beside their noise

@@ -46,7 +46,7 @@ class BaselineFit:
 
     @cached_property
     def rough(self) -> Roughness | None:
-        """The data's own scatter, level by level; None where it cannot be told."""
+        """The data's own scatter, level by level; None where it cannot be determined."""
         return self._roughness(self.state)
 
     @cached_property

@@ -16,12 +16,12 @@ from limbcli.diagnostics.statistical_tests.placebo import library_percentile, pl
 class Closing:
     """n_candidates : how many an explanation by several effects was picked from."""
 
-    ground: BaselineFit
+    baseline: BaselineFit
     n_candidates: int
 
     def is_closed(self, refit: Refit) -> bool:
-        data = self.ground.data
-        before, after = held_out_error(data, self.ground.base), held_out_error(data, refit.fitted)
+        data = self.baseline.data
+        before, after = held_out_error(data, self.baseline.base), held_out_error(data, refit.fitted)
         if not fell(before, after) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
         if len(refit.explanation) == 1:
@@ -32,25 +32,25 @@ class Closing:
 
     def percentile(self, refit: Refit) -> float:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""
-        ground = self.ground
+        baseline = self.baseline
         return placebo_percentile(
-            ground.state, ground.whiten, self._explained(refit), n_parameters=max(self._added(refit), 1),
-            channels=ground.data.channels(), order=ground.data.order, deviation=ground.data.deviation,
-            rng=ground.rng(3),
+            baseline.state, baseline.whiten, self._explained(refit), n_parameters=max(self._added(refit), 1),
+            channels=baseline.data.channels(), order=baseline.data.order, deviation=baseline.data.deviation,
+            rng=baseline.rng(3),
         )  # fmt: skip
 
     def _library_percentile(self, refit: Refit) -> float:
         """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
-        ground = self.ground
+        baseline = self.baseline
         n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), thresholds.MOST_PICKED)
         return library_percentile(
-            ground.state, ground.whiten, self._explained(refit), n_parameters=self._added(refit),
-            n_tried=n_tried, channels=ground.data.channels(), order=ground.data.order,
-            deviation=ground.data.deviation, rng=ground.rng(4),
+            baseline.state, baseline.whiten, self._explained(refit), n_parameters=self._added(refit),
+            n_tried=n_tried, channels=baseline.data.channels(), order=baseline.data.order,
+            deviation=baseline.data.deviation, rng=baseline.rng(4),
         )  # fmt: skip
 
     def _explained(self, refit: Refit) -> float:
-        return self.ground.state.chi2 - refit.state.chi2
+        return self.baseline.state.chi2 - refit.state.chi2
 
     def _added(self, refit: Refit) -> int:
-        return refit.fitted.jacobian.shape[1] - self.ground.base.jacobian.shape[1]
+        return refit.fitted.jacobian.shape[1] - self.baseline.base.jacobian.shape[1]

@@ -1,4 +1,4 @@
-"""Refits of explanations: first on the bench's stand-in, then, near the best, simulated as they stand."""
+"""Refits of explanations: first on the bench's surrogate, then, near the best, simulated as they stand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Refits:
     """All refits of a diagnosis so far. What has no answer goes into `not_evaluated`, what is dropped into
     `left_out`, each with its reason."""
 
-    ground: BaselineFit
+    baseline: BaselineFit
     trials: dict[str, Trial]
     not_evaluated: dict[str, str]
     left_out: dict[str, str]
@@ -30,14 +30,14 @@ class Refits:
 
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
         """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
-        ground, several = self.ground, [self._in_order(each) for each in several]
+        baseline, several = self.baseline, [self._in_order(each) for each in several]
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
         joint |= {each: self._joint(each) for each in several}
         found = self._refitted(several)
-        relative = all(ground.is_relative(each.state) for each in found)
+        relative = all(baseline.is_relative(each.state) for each in found)
         refits = compare(
-            found, ground.base, ground.state, joint, ground.whiten, ground.form_error, rng=ground.rng(2),
-            relative=relative,
+            found, baseline.base, baseline.state, joint, baseline.whiten, baseline.form_error,
+            rng=baseline.rng(2), relative=relative,
         )  # fmt: skip
         self.known.update({each.explanation: each for each in refits})
         return refits
@@ -50,7 +50,7 @@ class Refits:
             if fitted is not None:
                 best = self.best()
                 limit = math.inf if best is None else best.state.chi2 + thresholds.HOPELESS
-                self._settle(explanation, fitted, simulated=self.ground.linearised(fitted).chi2 <= limit)
+                self._settle(explanation, fitted, simulated=self.baseline.linearised(fitted).chi2 <= limit)
         return self.known.get(explanation)
 
     def tried(self, explanation: Explanation) -> bool:
@@ -73,7 +73,7 @@ class Refits:
     def _refitted(self, several: Sequence[Explanation]) -> list[Refit]:
         drafts = [(each, self._draft(each)) for each in several if each not in self.known]
         found = [(each, fitted) for each, fitted in drafts if fitted is not None]
-        chi2 = {each: self.ground.linearised(fitted).chi2 for each, fitted in found}
+        chi2 = {each: self.baseline.linearised(fitted).chi2 for each, fitted in found}
         usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
         limit = min(usable, default=math.inf) + thresholds.HOPELESS
         n_simulated = 0
@@ -98,16 +98,16 @@ class Refits:
 
     def _narrowed(self, name: str) -> Trial:
         if name not in self._few:
-            self._few[name] = narrowed(self.ground.state, self.trials[name])
+            self._few[name] = narrowed(self.baseline.state, self.trials[name])
         return self._few[name]
 
     def _draft(self, explanation: Explanation) -> Fitted | None:
-        """The refit on the stand-in; None (and why) where it has no answer."""
-        found = score(self.ground.state, self._joint(explanation))
+        """The refit on the surrogate; None (and why) where it has no answer."""
+        found = score(self.baseline.state, self._joint(explanation))
         start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
         start |= found.direction.at
         try:
-            return self.ground.bench.fit(explanation, start)
+            return self.baseline.bench.fit(explanation, start)
         except LimbError as error:
             self.not_evaluated[" + ".join(explanation)] = error.what
             return None
@@ -115,11 +115,11 @@ class Refits:
     def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
         """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
         label = " + ".join(explanation)
-        self.ground.progress.event("note", text=f"refit with {label}")
+        self.baseline.progress.event("note", text=f"refit with {label}")
         refit = self._judged(draft)
         if simulated and refit.left_p >= thresholds.UNFIT:
             try:
-                fitted = self.ground.bench.verified(draft)
+                fitted = self.baseline.bench.verified(draft)
             except LimbError as error:
                 self.not_evaluated[label] = error.what
                 return
@@ -131,22 +131,22 @@ class Refits:
 
     def _judged(self, fitted: Fitted) -> Refit:
         """With tests of what it leaves, which allow for the error of the effect's form: models are rough."""
-        ground = self.ground
-        whiten = Whitener.of(ground.data.noise.covariance + ground.form_error(fitted))
+        baseline = self.baseline
+        whiten = Whitener.of(baseline.data.noise.covariance + baseline.form_error(fitted))
 
         def anew(direction: Direction) -> Direction:
-            return replace(direction, columns=whiten(ground.whiten.undo(direction.columns)))
+            return replace(direction, columns=whiten(baseline.whiten.undo(direction.columns)))
 
         others = [
             Trial(name, tuple(map(anew, trial.directions)))
             for name, trial in self.trials.items() if name not in fitted.explanation
         ]  # fmt: skip
-        state = ground.linearised(fitted)
-        family = ground.family(
-            LinearFit.of(whiten(ground.data.y - fitted.prediction), whiten(fitted.jacobian)),
-            [*ground.parts(whiten), *others], n_draws=min(ground.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
-            relative=ground.is_relative(state),
+        state = baseline.linearised(fitted)
+        family = baseline.family(
+            LinearFit.of(whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian)),
+            [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
+            relative=baseline.is_relative(state),
         )  # fmt: skip
-        explained = ground.state.chi2 - state.chi2
-        allowances = form_allowances(ground.data, fitted, family, whiten, explained)
+        explained = baseline.state.chi2 - state.chi2
+        allowances = form_allowances(baseline.data, fitted, family, whiten, explained)
         return Refit(fitted, state, family, form_allowances=allowances)

@@ -12,7 +12,19 @@ from numba import njit
 from limbcli.materials import simd_laws as lanes
 from limbcli.materials.dispatch import workspace
 from limbcli.materials.simd import LANES, add_three
-from limbcli.materials.simd_rows import CC, PRODUCTS, SHIFT, STRESS, TANGENT, UPPER, WEIGHT, F, J, S, room
+from limbcli.materials.simd_rows import (
+    CC,
+    PRODUCTS,
+    SHIFT,
+    STRESS,
+    TANGENT,
+    UPPER,
+    WEIGHT,
+    F,
+    J,
+    S,
+    simd_workspace,
+)
 from limbcli.materials.tensors import VOIGT
 
 WIDTH = 12  # at least the nodes of a cell, and a multiple of four
@@ -139,7 +151,7 @@ def _worst(w, n):
 @njit(cache=True, nogil=True, error_model="numpy")
 def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, history, force):
     """force (n_points, 3) += integral of P grad N."""
-    w, one, six, square = room()
+    w, one, six, square = simd_workspace()
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()
     worst, place = 1e300, -1
     n_gauss = weight.shape[1]
@@ -245,7 +257,7 @@ def tangent(
     order (n_cells,): the cells as they are gone through; pairs (n_cells, n_nodes (n_nodes + 1) / 2):
     number of the node pair, times two, plus one where the pair is stored the other way round.
     """
-    w, one, six, square = room()
+    w, one, six, square = simd_workspace()
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()
     n_nodes, n_gauss = cells.shape[1], weight.shape[1]
     G, DG = np.zeros((3 * n_gauss, WIDTH)), np.zeros((3 * n_gauss, _LONG))

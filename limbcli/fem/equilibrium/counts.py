@@ -40,9 +40,13 @@ class Counts:
 
 
 @dataclass(frozen=True)
-class Level:
+class LoadStep:
     """Where the load stands, for messages."""
 
     number: int
-    n_levels: int
+    n_steps: int
     depth: float
+
+    def at(self, time: float) -> str:
+        """In words."""
+        return f"load step {self.number} of {self.n_steps} (time {time:.6g}, depth {self.depth:.2f} mm)"

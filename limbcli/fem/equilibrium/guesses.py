@@ -15,7 +15,7 @@ _STRAIGHT = 1 - 1e-6  # cosine
 
 
 def continued(system: System, last: State, before: State, after: State) -> State:
-    """The last level plus what an earlier solve changed by, between two of its levels."""
+    """The last state plus what an earlier solve changed by, between two of its load steps."""
     still = np.zeros_like(last.u)
     change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
     volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]

@@ -26,7 +26,7 @@ _OLD_KRYLOV = 1.5  # factorisations: Krylov iterations after which an older fact
 _LARGE = 6_000  # equations, from which on single precision pays
 _FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
 _PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
-_WORN = 0.4  # of a factorisation wasted, from which on a new factor is made
+_OUTDATED = 0.4  # of a factorisation wasted, from which on a new factor is made
 _MEMORY = 0.5  # of what older factors wasted: weight of the last
 _FORGETTING = 0.9  # of the same, where none was tried
 _ROUNDS = 8  # of contact in one step
@@ -38,8 +38,8 @@ _ROUGH = 0.1  # to which the linear system is solved while the set of touching p
 class Linearised:
     """Tangent and factor of one system, and what solving with them costs.
 
-    debt : Krylov iterations that a fresh factor would have saved, in factorisations: at 1 the old one has
-        cost as much as a new one
+    reuse_cost : Krylov iterations that a fresh factor would have saved, in factorisations: at 1 the old
+        one has cost as much as a new one
     ageing : what an older factor has lately wasted at one tangent, in factorisations: above 1 none is used
         (the less compressible the tissue, the sooner its factor is too old)
     rate : Krylov iterations per decade, last time
@@ -51,7 +51,7 @@ class Linearised:
         self.system, self.counts = system, counts
         self.tangent: Tangent | None = None
         self.inverse: Inverse | None = None
-        self.debt = 0.0
+        self.reuse_cost = 0.0
         self.ageing = self._wasted = 0.0
         self.rate = _FRESH
         self.stuck = False
@@ -74,13 +74,13 @@ class Linearised:
     def forget(self) -> None:
         """As before the first tangent."""
         self.tangent = self.inverse = None
-        self.debt = self.ageing = self._wasted = 0.0
+        self.reuse_cost = self.ageing = self._wasted = 0.0
         self.rate, self.stuck = _FRESH, False
 
     @property
-    def worn(self) -> bool:
+    def is_outdated(self) -> bool:
         """Whether there is no factor, or one that has cost more than a new one, or will."""
-        return self.inverse is None or self.debt > _WORN or self.ageing > 1.0
+        return self.inverse is None or self.reuse_cost > _OUTDATED or self.ageing > 1.0
 
     @property
     def per_factor(self) -> float:
@@ -110,7 +110,7 @@ class Linearised:
         if state.time == 0.0 and self.linear is not None:
             linear_solvers.check_supported(self.linear)
         self.counts.factorisations += 1
-        self.debt, self.rate = 0.0, _FRESH
+        self.reuse_cost, self.rate = 0.0, _FRESH
 
     def assemble(self, state: State, nodal: Array) -> None:
         """The tangent at a state; the factor stays."""
@@ -153,7 +153,7 @@ class Linearised:
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
         wasted = max(n - _FRESH * decades, 0.0) / self.per_factor
-        self.debt += wasted
+        self.reuse_cost += wasted
         self._wasted += wasted
         return step
 
@@ -172,7 +172,7 @@ class Linearised:
         """
         system, tangent = self.system, self.tangent
         assert tangent is not None
-        if system.rubs:
+        if system.has_friction:
             return first if first is not None else self._once(base, tissue, goal)
         step = np.zeros_like(tissue) if first is None else first
         at, searched = base, first is not None

@@ -1,4 +1,4 @@
-"""Stepping to a load level in increments that Newton's method can take: first guesses, and step cutting."""
+"""Stepping to a load in increments that Newton's method can take: first guesses, and step cutting."""
 
 from __future__ import annotations
 
@@ -7,43 +7,43 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.guesses import continued, extrapolate
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.newton import Level, Newton, NotConverged
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import LimbModel, Step
 
 _MAX_CUTS = 8
-BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a level that is tried briefly
-_SMALLEST = 1e-3  # of the nominal step: a stride below it is given up
-# Residual at which a stride on the way is good enough, and once one was cut at the level: loose ones then
-# lead nowhere, however short.
+BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a load step that is tried briefly
+_SMALLEST = 1e-3  # of the nominal step: an increment below it is given up
+# Residual at which an increment on the way is good enough, and once one was cut at the load step:
+# loose ones then lead nowhere, however short.
 _LOOSE, _FIRM = 3e-2, 1e-3
-_FIRST = 4.0  # of the model's step: the first stride, where the response does not depend on the way
-_MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a level
-_FAR_OUT = 3.0  # error of a first guess above which a stride is shortened untried
+_FIRST = 4.0  # of the model's step: the first increment, where the response does not depend on the way
+_MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a load step
+_FAR_OUT = 3.0  # error of a first guess above which an increment is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
-_WARY = 5  # strides after a cut before they may grow again
-_EASY = 4  # iterations up to which the next stride may be longer
+_WARY = 5  # increments after a cut before they may grow again
+_EASY = 4  # iterations up to which the next increment may be longer
 
 
-def rubs(model: LimbModel) -> bool:
+def has_friction(model: LimbModel) -> bool:
     """Whether there is friction: points that stick or slip by turns take their time to settle."""
     return any(contact.friction for contact in model.contacts)
 
 
 def is_timed(model: LimbModel) -> bool:
-    """Whether the response depends on the length of every stride taken."""
+    """Whether the response depends on the length of every increment taken."""
     return any(material.law == "viscoelastic" for material in model.materials.values())
 
 
 class LoadStepping:
-    """Goes through the levels of one step after the other; remembers how long a stride may be."""
+    """Goes through the load steps of one step after the other; remembers how long an increment may be."""
 
     _newton: Newton
     _step: Step
     _histories: Histories | None
     _reached: list[State]
-    _forces: Forces  # at the last level
+    _forces: Forces  # at the last load step
     _tried: Forces  # at the last first guess
 
     def __init__(self) -> None:
@@ -51,26 +51,26 @@ class LoadStepping:
         self.patient = True  # where Newton's method fails, whether the tissue is let come to rest
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
-        """Stand at the start of a step. histories : those that every stride is a step of, if any"""
+        """Stand at the start of a step. histories : those that every increment is a step of, if any"""
         self._step, self._newton, self._histories = step, newton, histories
-        self._rubbing, self._timed = rubs(model), is_timed(model)
-        # strides are short steps that serve as first guesses only
-        self._marching = bool(model.contacts) and not self._timed
-        self._stride = _FIRST * step.step_size if self._marching else np.inf
-        self._cuts = self._restless = 0  # on the way to the level: cuts, and tissue that did not come to rest
+        self._has_friction, self._timed = has_friction(model), is_timed(model)
+        # increments are short steps that serve as first guesses only
+        self._incremental = bool(model.contacts) and not self._timed
+        self._increment = _FIRST * step.step_size if self._incremental else np.inf
+        self._cuts = self._restless = 0  # on the way: cuts, and tissue that did not come to rest
         self._reached = [newton.system.start]
-        self._known: State | None = None  # of an earlier solve, at the last level
-        self._n_touching = self._n_pressed = 0  # points that touched last; strides that ended in contact
+        self._known: State | None = None  # of an earlier solve, at the last load step
+        self._n_touching = self._n_pressed = 0  # points that touched last; increments that ended in contact
 
     def advance_to(
-        self, target: float, level: Level, known: State | None, *, brief: bool
+        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool
     ) -> tuple[State, Forces]:
-        """Equilibrium at a time, by strides that Newton's method can take.
+        """Equilibrium at a time, by increments that Newton's method can take.
 
         known : first guess there, from an earlier solve
         brief : give up after a few cuts and iterations
 
-        Strides on the way serve as first guesses only: they are solved loosely and not kept.
+        Increments on the way serve as first guesses only: they are solved loosely and not kept.
         """
         newton, reached = self._newton, self._reached
         self._restless = 0
@@ -81,46 +81,46 @@ class LoadStepping:
         while True:
             begin = reached[-1].time
             rest = target - begin
-            n = 1 if known is not None else int(np.ceil(rest / self._stride - 1e-6))
+            n = 1 if known is not None else int(np.ceil(rest / self._increment - 1e-6))
             aim = target if n <= 1 else begin + rest / n
             last = cuts >= most
             before = newton.counts.iterations
             if brief and before > until:
-                raise newton.failure(reached[-1], self._forces, level, before - until, "it takes long")
+                raise newton.failure(reached[-1], self._forces, load_step, before - until, "it takes long")
             try:
-                patient = last or self._rubbing or newton.system.jumps
-                state, forces = self._solve(aim, level, known, aim == target, patient=patient)
+                patient = last or self._has_friction or newton.system.jumps
+                state, forces = self._solve(aim, load_step, known, aim == target, patient=patient)
                 if aim == target:
-                    state, forces = self._augmented(state, forces, level)
+                    state, forces = self._augmented(state, forces, load_step)
             except (NotConverged, SingularMatrix) as error:
                 cuts += 1
                 self._note_cut(error)
                 relaxed = (
                     None
                     if brief or not self.patient
-                    else self._relaxed(aim, level, error, last=aim == target)
+                    else self._relaxed(aim, load_step, error, last=aim == target)
                 )
                 if relaxed is not None:
                     cuts, known = 0, None
-                    self._stride = aim - begin
+                    self._increment = aim - begin
                     if aim < target:
                         self._accept(*relaxed, easily=False)
                         continue
-                    state, forces = self._augmented(*relaxed, level)
+                    state, forces = self._augmented(*relaxed, load_step)
                     self._accept(state, forces, easily=False)
                     self._forces, self._known = forces, None
                     return state, forces
                 hopeless = _hopeless(error, reached)
                 if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
-                    if not newton.mixed or self._timed or self._rubbing or brief or hopeless:
-                        raise self._explained(error, level, aim) from error
+                    if not newton.mixed or self._timed or self._has_friction or brief or hopeless:
+                        raise self._explained(error, load_step, aim) from error
                     self._start_again(*start)
                     cuts, aim, begin = 0, target, reached[-1].time
-                self._stride = rest if known is not None else 0.5 * (aim - begin)
+                self._increment = rest if known is not None else 0.5 * (aim - begin)
                 self._wary = _WARY if known is None else 0
                 known = None
                 if newton.counts.iterations > before:  # else the factor is of the state to start from
-                    newton.linearised.debt = np.inf
+                    newton.linearised.reuse_cost = np.inf
                 newton.system.recall(reached[-1].hints)
                 continue
             cuts = 0
@@ -131,20 +131,20 @@ class LoadStepping:
                 return state, forces
 
     def _relaxed(
-        self, time: float, level: Level, error: SolveError, *, last: bool
+        self, time: float, load_step: LoadStep, error: SolveError, *, last: bool
     ) -> tuple[State, Forces] | None:
-        """The state that the tissue relaxes to at a time, from the last stride's; None where it does not."""
+        """The state that the tissue relaxes to at a time, from the last increment's; None if it does not."""
         newton, begin = self._newton, self._reached[-1]
         # the response is by the way, or by forces on bodies
-        given = self._timed or self._rubbing or bool(newton.system.rigid)
+        given = self._timed or self._has_friction or bool(newton.system.rigid)
         restless = self._restless >= _MOST_RESTLESS
         if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
         newton.system.recall(begin.hints)
-        newton.linearised.debt = np.inf
+        newton.linearised.reuse_cost = np.inf
         try:
             guess = newton.system.prescribed(begin, time)
-            return newton.relax(guess, level, tolerance=None if last else _FIRM)
+            return newton.relax(guess, load_step, tolerance=None if last else _FIRM)
         except (NotConverged, SingularMatrix):
             self._restless += 1
             return None
@@ -156,18 +156,18 @@ class LoadStepping:
             self._newton.linearised.inverse = None
 
     def _start_again(self, n_reached: int, n_pressed: int, n_touching: int) -> None:
-        """Back to the last level, for a try without pressures of their own: they go further, but now and
+        """Back to the last load step, for a try without pressures of their own: they go further, but now and
         then astray."""
         self._newton.mixed = False
         del self._reached[n_reached:]
         self._n_pressed, self._n_touching = n_pressed, n_touching
 
     def _accept(self, state: State, forces: Forces, *, easily: bool) -> None:
-        """Take a stride: the next begins at its end, and may be longer after an easy one."""
+        """Take an increment: the next begins at its end, and may be longer after an easy one."""
         length = state.time - self._reached[-1].time
         self._wary = max(self._wary - 1, 0)
-        if length >= 0.6 * self._stride and easily and not self._wary:
-            self._stride *= 2.0
+        if length >= 0.6 * self._increment and easily and not self._wary:
+            self._increment *= 2.0
         self._reached.append(state)
         self._n_touching = forces.n_touching
         self._n_pressed += int(forces.n_touching > 0)
@@ -175,25 +175,25 @@ class LoadStepping:
             self._histories.accept(length, state)
 
     def _solve(
-        self, time: float, level: Level, known: State | None, must: bool, *, patient: bool
+        self, time: float, load_step: LoadStep, known: State | None, must: bool, *, patient: bool
     ) -> tuple[State, Forces]:
         newton = self._newton
         tolerance = None if must or self._timed else _FIRM if self._cuts else _LOOSE
         if self._histories is not None:
             self._histories.begin(time - self._reached[-1].time)
-        guess, forces = self._guess(time, level, known, patient)
-        if known is not None:  # a level away from where the factor was made
-            newton.linearised.debt = np.inf
-        return newton.equilibrate(guess, level, forces=forces, tolerance=tolerance, patient=patient)
+        guess, forces = self._guess(time, load_step, known, patient)
+        if known is not None:  # a load step away from where the factor was made
+            newton.linearised.reuse_cost = np.inf
+        return newton.equilibrate(guess, load_step, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
-        self, time: float, level: Level, known: State | None, patient: bool
+        self, time: float, load_step: LoadStep, known: State | None, patient: bool
     ) -> tuple[State, Forces | None]:
         """The best of the first guesses there are; with the contact searched for it.
 
-        From an earlier solve: its level as it is, and its increment added to the last level. Else on
+        From an earlier solve: its state as it is, and its change added to the last state. Else on
         the line and on the parabola through the last states, or, where that leads nowhere, along the tangent.
-        A stride whose guesses are all far out is refused at once, which is cheaper than to fail.
+        An increment whose guesses are all far out is refused at once, which is cheaper than to fail.
         """
         system, reached = self._newton.system, self._reached
         if known is not None:
@@ -208,9 +208,9 @@ class LoadStepping:
         error, guess, forces = self._best(guesses, time)
         if guess is None or (known is None and error > limit):
             error, guess, forces = self._best([self._newton.predict(reached[-1], time)], time)
-        if guess is None or (error > limit and self._marching and not patient and len(reached) > 1):
+        if guess is None or (error > limit and self._incremental and not patient and len(reached) > 1):
             raise self._newton.failure(
-                reached[-1], self._tried, level, 0, "the step is too long for a first guess"
+                reached[-1], self._tried, load_step, 0, "the step is too long for a first guess"
             )
         return guess, forces
 
@@ -238,28 +238,28 @@ class LoadStepping:
             return best[0], guess, None
         return best
 
-    def _explained(self, error: SolveError, level: Level, time: float) -> SolveError:
-        """The error with the level it belongs to, what is behind it, and how far there is an answer."""
+    def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
+        """The error with the load step it belongs to, what is behind it, and how far there is an answer."""
         newton, n_reached = self._newton, len(self._reached) - 1
-        place = f"load level {level.number} of {level.n_levels} (time {time:.6g}, depth {level.depth:.2f} mm)"
+        place = load_step.at(time)
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(self._reached[-1])
-        told = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""
+        reported = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""
         cause = "a part of the tissue, or a rigid body, can move freely"
         fix = error.fix
         if n_reached:
             cause = newton.weakness(self._reached[-1])
             fix = "press less deep; look at the mesh there; or take a lower contact penalty"
         return SolveError(
-            what + told,
+            what + reported,
             where=f"{error.where}; {cause}",
             fix=fix,
-            level=level.number,
-            depth=level.depth,
+            level=load_step.number,
+            depth=load_step.depth,
             reached_depth_mm=depth,
         )
 
-    def _augmented(self, state: State, forces: Forces, level: Level) -> tuple[State, Forces]:
+    def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
         """Augmentations of the contact pressure until its multipliers settle."""
         for pair in self._newton.system.pairs:
             if not pair.contact.augmented:
@@ -268,7 +268,7 @@ class LoadStepping:
             for _ in range(most):
                 if pair.augment() <= pair.contact.tolerance:
                     break
-                state, forces = self._newton.equilibrate(state, level)
+                state, forces = self._newton.equilibrate(state, load_step)
         return state, forces
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.equilibrium.counts import Counts, Level, Settings
+from limbcli.fem.equilibrium.counts import Counts, LoadStep, Settings
 from limbcli.fem.equilibrium.linearised import Linearised
 from limbcli.fem.equilibrium.standing import Standing
 from limbcli.fem.motion.state import Forces, State, norm
@@ -15,7 +15,7 @@ from limbcli.fem.system import System
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-__all__ = ["Counts", "Level", "Newton", "NotConverged", "Settings"]
+__all__ = ["Counts", "LoadStep", "Newton", "NotConverged", "Settings"]
 
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
 _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
@@ -57,7 +57,7 @@ class Newton:
         system, linearised = self.system, self.linearised
         system.at(time)
         forces = self.forces(replace(state, time=time, volumes=()))
-        if linearised.worn:
+        if linearised.is_outdated:
             linearised.refresh(state, forces.nodal)
         else:
             linearised.assemble(state, forces.nodal)
@@ -71,7 +71,7 @@ class Newton:
         tissue = forces.residual - contact
         tissue[: system.n_tissue] += change[system.free]
         rhs = tissue + contact + system.contact_change(state, motions=motions)
-        first = linearised.solve(state, -rhs, _ROUGH**2 if system.rubs else _ROUGH)
+        first = linearised.solve(state, -rhs, _ROUGH**2 if system.has_friction else _ROUGH)
         step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
         return self.with_volumes(system.moved(aim, step), state)
 
@@ -91,7 +91,7 @@ class Newton:
     def equilibrate(
         self,
         guess: State,
-        level: Level,
+        load_step: LoadStep,
         *,
         forces: Forces | None = None,
         tolerance: float | None = None,
@@ -100,7 +100,7 @@ class Newton:
         """The equilibrium near a guess; raises NotConverged.
 
         forces : at the guess, where nothing else was evaluated since
-        tolerance : other than the settings', for a level on the way
+        tolerance : other than the settings', for an increment on the way
         patient : False gives up early, where a shorter step is the better answer
         """
         system, settings = self.system, self.settings
@@ -109,11 +109,11 @@ class Newton:
         state = guess
         forces = forces if forces is not None else self.forces(guess)
         if forces.worst <= 0:
-            raise self.failure(state, forces, level, 0, "a cell was turned inside out by the first guess")
+            raise self.failure(state, forces, load_step, 0, "a cell was turned inside out by the first guess")
         sizes: list[float] = []
         renew, standing = True, Standing(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
-            self.report(level, iteration, forces)
+            self.report(load_step, iteration, forces)
             self._note(standing, state, forces)
             if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
                 return replace(state, hints=system.hints(), volumes=()), forces
@@ -123,7 +123,7 @@ class Newton:
             if not patient and _too_long(sizes):
                 if standing.will_do:
                     break
-                raise self.failure(state, forces, level, iteration, "the step is too long")
+                raise self.failure(state, forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
             step = self.direction(state, forces, renew, target)
             before = forces.error
@@ -133,9 +133,11 @@ class Newton:
             renew = forces.error > settings.renew_ratio * before
         if standing.will_do:
             return self._least(standing)
-        raise self.failure(state, forces, level, iteration, "Newton's method made no further progress")
+        raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
-    def relax(self, guess: State, level: Level, *, tolerance: float | None = None) -> tuple[State, Forces]:
+    def relax(
+        self, guess: State, load_step: LoadStep, *, tolerance: float | None = None
+    ) -> tuple[State, Forces]:
         """The equilibrium that tissue held back by a drag comes to from a guess; raises NotConverged.
 
         Implicit steps in a pseudo-time, with the drag over the step's length on the tangent's diagonal
@@ -149,7 +151,7 @@ class Newton:
         linearised.drag, standing = _DRAG, Standing(self.settings.stalled)
         try:
             for iteration in range(_RELAXED + 1):
-                self.report(level, iteration, forces)
+                self.report(load_step, iteration, forces)
                 self._note(standing, state, forces)
                 if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
                     return replace(state, hints=system.hints(), volumes=()), forces
@@ -172,7 +174,7 @@ class Newton:
             linearised.drag = 0.0
         if standing.will_do:
             return self._least(standing)
-        raise self.failure(state, forces, level, iteration, "the tissue does not come to rest")
+        raise self.failure(state, forces, load_step, iteration, "the tissue does not come to rest")
 
     def _note(self, standing: Standing, state: State, forces: Forces) -> None:
         if standing.stalled > 0:
@@ -204,7 +206,7 @@ class Newton:
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
         linearised = self.linearised
-        if linearised.worn:
+        if linearised.is_outdated:
             linearised.refresh(state, forces.nodal)
         elif renew or linearised.tangent is None:
             linearised.assemble(state, forces.nodal)
@@ -256,21 +258,23 @@ class Newton:
         self.forces(best[1])
         return best[1], best[2], best[3]
 
-    def report(self, level: Level, iteration: int, forces: Forces) -> None:
+    def report(self, load_step: LoadStep, iteration: int, forces: Forces) -> None:
         self.progress.event(
             "newton",
-            step=level.number,
-            n_steps=level.n_levels,
+            step=load_step.number,
+            n_steps=load_step.n_steps,
             iteration=iteration,
             residual=forces.error,
             target=self.settings.tolerance,
-            depth=level.depth,
+            depth=load_step.depth,
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
 
-    def failure(self, state: State, forces: Forces, level: Level, iteration: int, why: str) -> NotConverged:
-        """The error of a level that was not reached, with the worst place."""
+    def failure(
+        self, state: State, forces: Forces, load_step: LoadStep, iteration: int, why: str
+    ) -> NotConverged:
+        """The error of a load step that was not reached, with the worst place."""
         system = self.system
         if forces.worst <= 0:
             k, cell = forces.place
@@ -281,15 +285,14 @@ class Newton:
             node = int(np.argmax((size**2).sum(axis=1)))
             place, what = (system.X + state.u)[node], f"largest at node {node}"
         return NotConverged(
-            f"load level {level.number} of {level.n_levels}"
-            f" (time {state.time:.6g}, depth {level.depth:.2f} mm)"
+            f"{load_step.at(state.time)}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at {_mm(place)}",
             fix="use more load steps; look at the mesh quality there; lower the contact penalty",
-            level=level.number,
+            level=load_step.number,
             residual=forces.error,
-            depth=level.depth,
+            depth=load_step.depth,
         )
 
     def depth(self, state: State) -> float:

@@ -43,8 +43,8 @@ def _variations(site: str, doubt: Mapping[str, Any]) -> Table:
         changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
         shifts = [number(each["log_shift"].get(name)) for name in _NAMES]
         reach = f"{100 * min(changes):+.1f} to {100 * max(changes):+.1f} %" if changes else DASH
-        told = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
-        rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *told))
+        reported = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
+        rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
     caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
     return Table(caption, (names,), tuple(rows))

@@ -95,10 +95,10 @@ def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
 
 def _notes(fit: StageResult | None) -> tuple[str, ...]:
     """How far the prediction is off, and what c was."""
-    told = fit.data.get("swe") if fit else None
+    reported = fit.data.get("swe") if fit else None
     notes = []
-    if isinstance(told, dict) and number(told.get("rmse_m_per_s")) is not None:
-        off = quantity(told["rmse_m_per_s"], "m/s", digits=2)
+    if isinstance(reported, dict) and number(reported.get("rmse_m_per_s")) is not None:
+        off = quantity(reported["rmse_m_per_s"], "m/s", digits=2)
         notes.append(f"Under load the predicted mean speed is off by {off} (root mean square over levels).")
     c = fit.data.get("stiffness_map") if fit else None
     if isinstance(c, dict):

@@ -1,4 +1,4 @@
-"""Which parameters, how sure, and what cannot be told from these data."""
+"""Which parameters, how sure, and what cannot be determined from these data."""
 
 from __future__ import annotations
 

@@ -236,5 +236,5 @@ def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
 def lost_workers(client: Client) -> int:
     """How many have ended without having been asked to, since the scheduler began."""
     events = client.get_events("all") or ()
-    told = [event for _, event in events if isinstance(event, dict)]
-    return sum(each.get("action") == "remove-worker" and not each.get("expected") for each in told)
+    reported = [event for _, event in events if isinstance(event, dict)]
+    return sum(each.get("action") == "remove-worker" and not each.get("expected") for each in reported)

@@ -1,4 +1,4 @@
-"""What a batch is told, and how one case went: what ran, what was fresh, what failed and why."""
+"""What a batch is asked for, and how one case went: what ran, what was fresh, what failed and why."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ERROR_FILE = "error.json"
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """What the stages are told: `element` None is the case's own; `force` redoes everything.
+    """What the stages are asked for: `element` None is the case's own; `force` redoes everything.
 
     defaults : stages forget what they were asked for by hand; else each is called as it was last called
     diagnose : every place is diagnosed, too, once its sites are fitted

@@ -19,7 +19,7 @@ from limbcli.measurement.cohort_table import CohortTable
 from limbcli.model import Array
 
 _PERSON_COLUMNS = ("age_years", "bmi_kg_per_m2")
-_PAIRS = 8  # repeated measurements, from which on repeatability is told
+_PAIRS = 8  # repeated measurements, from which on repeatability is reported
 _OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard deviation of 1
 
 

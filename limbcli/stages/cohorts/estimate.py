@@ -48,8 +48,8 @@ def noise_of(table: CohortTable) -> CohortNoise:
     """The noise that the table itself tells."""
     convexity = np.log(table.force / table.face / table.depth / table.slope)
     one, two = (table.others.get(name) for name in ("r2_line", "r2_parabola"))
-    slope, told = slope_noise(convexity, one, two)
-    return CohortNoise(layer_noise(table.shortened), slope, told)
+    slope, reported = slope_noise(convexity, one, two)
+    return CohortNoise(layer_noise(table.shortened), slope, reported)
 
 
 def estimate_sites(

@@ -1,7 +1,7 @@
 """The family behind `cohort`: a layered slab under the probe, solved by the reference solver over its shape
 and its tissue.
 
-Everything is told in sizes of the probe's face: lengths over the root of its area, forces over its area and
+Everything is in sizes of the probe's face: lengths over the root of its area, forces over its area and
 the muscle's c. So one family serves every probe of about these proportions. Its numbers:
 
     thickness  the whole, skin to bone, over the root of the face's area

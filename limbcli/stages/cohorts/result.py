@@ -1,4 +1,4 @@
-"""What is told of a cohort: of every site, of every row, and who stands out."""
+"""What is reported of a cohort: of every site, of every row, and who stands out."""
 
 from __future__ import annotations
 
@@ -183,11 +183,11 @@ def row_entries(
                 "outside_family": bool(not inside[i]),
                 "tissue_at_an_end": bool(at_end[i]),
             }
-            told = left_out[k] if left_out else {}
+            reported = left_out[k] if left_out else {}
             entry |= {
-                "fold": told.get("fold"),
+                "fold": reported.get("fold"),
                 "compliance_mm_per_mpa": float(table.compliance[k]),
-                "compliance_left_out_mm_per_mpa": told.get("predicted_mm_per_mpa"),
+                "compliance_left_out_mm_per_mpa": reported.get("predicted_mm_per_mpa"),
             }
             entries[k] = entry
     return [entries[k] for k in sorted(entries)]
@@ -258,17 +258,17 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
     """What a person reads on the terminal."""
     lines = [f"{data['n_rows']} rows of {data['n_people']} people"]
     for name, site in data["sites"].items():
-        told = []
+        reported = []
         for key, unit in zip(_KEYS, (" kPa", " kPa", ""), strict=True):
             own = site["population"][key]
             if own["beyond_family"]:
-                told.append(f"{key} {own['beyond_family']}")
+                reported.append(f"{key} {own['beyond_family']}")
                 continue
-            told.append(
+            reported.append(
                 f"{key.removesuffix('_kpa')} {own['geometric_mean']:.3g}{unit} (x/÷ "
                 f"{own['spread_factor']:.2f})"
             )
-        lines.append(f"{name}: {site['n_rows']} rows, {', '.join(told)}")
+        lines.append(f"{name}: {site['n_rows']} rows, {', '.join(reported)}")
     told_off = data["compliance_left_out"]["mean_absolute_difference_percent"]
     if told_off is not None:
         lines.append(f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average")

@@ -123,7 +123,7 @@ def turned_by_90(
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
-    curves = SiteCurves(known.site, book, known.effects, sinking=known.sinking, progress=progress)
+    curves = SiteCurves(known.site, book, known.effects, penetration=known.penetration, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:2])
@@ -190,7 +190,9 @@ class _Preparation:
         except LimbError:
             book.close()
             raise
-        curves = SiteCurves(data, book, effects, tie=tie, sinking=numerics.sinking, progress=self.progress)
+        curves = SiteCurves(
+            data, book, effects, tie=tie, penetration=numerics.penetration, progress=self.progress
+        )
         return Prepared(self.site, self.size, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:

@@ -18,7 +18,7 @@ from limbcli.effects.base import Effect
 from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import slices
-from limbcli.stages.diagnosis.sizes import told_sizes
+from limbcli.stages.diagnosis.sizes import reported_sizes
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
             "power_for_its_worst_pair": best[1] if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": told_sizes(bench.effects, found.sizes, found.told.values["c_kpa"]),
+        "sizes_95": reported_sizes(bench.effects, found.sizes, found.estimates.values["c_kpa"]),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,
@@ -75,14 +75,14 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
 
 
 def _stage(stage: Shrink) -> dict[str, Any]:
-    told = stage.told
+    estimates = stage.estimates
     return {
         "explanation": list(stage.explanation), "chi2": stage.chi2, "nu": stage.nu,
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
-        "placebo_percentile": stage.placebo_percentile, "values": dict(told.values),
-        "intervals_95": {name: list(ends) for name, ends in told.intervals.items()},
-        "not_told_by_the_data": list(told.open), "values_without_prior": dict(told.best),
-        "prior": told.prior,
+        "placebo_percentile": stage.placebo_percentile, "values": dict(estimates.values),
+        "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
+        "not_told_by_the_data": list(estimates.open), "values_without_prior": dict(estimates.best),
+        "prior": estimates.prior,
     }  # fmt: skip
 
 

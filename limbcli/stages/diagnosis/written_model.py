@@ -35,7 +35,7 @@ def write_diagnosed(
     if not path.is_file():
         writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
         return
-    fitted = replace(found.final, values={**found.final.values, **found.told.values})
+    fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
     curves, reading = bench.curves_of(fitted, number)
     depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
     depths = [float(d) for d in depth if d > 2 * least_level()]
@@ -55,8 +55,8 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(model, writer.file("feb", "diagnosed.feb"), templates)
-    told = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
-    writer.warnings.extend([told] if told else [])
+    warning = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
+    writer.warnings.extend([warning] if warning else [])
 
 
 def _contact_takes(
@@ -66,7 +66,7 @@ def _contact_takes(
 
     force (n,) : theirs at the reference stiffness
     """
-    known = mine.curves.sinking
+    known = mine.curves.penetration
     if known is None:
         return None
     # A penalty is taken for a facet of its size.

@@ -54,14 +54,14 @@ def leave_contact_check(
     key, at = ("contact_check", "") if site is None else (site, f"{site}: ")
     progress.event("note", text=f"the fitted model with {HARDER:g} times the contact's penalty")
     penalty = model.contacts[0].penalty
-    told = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}
+    reported = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}
     try:
         change = contact_change(model, forces, progress=progress)
     except SolveError as error:
-        found[key] = {**told, "not_evaluated": error.what}
+        found[key] = {**reported, "not_evaluated": error.what}
         writer.warnings.append(f"{at}what the contact takes from the force was not evaluated: {error.what}")
         return
-    found[key] = {**told, "force_change_fraction": change}
+    found[key] = {**reported, "force_change_fraction": change}
     worst = int(np.argmax(np.abs(change)))
     words = f"{HARDER:g} times the contact's penalty changes the force by {100 * change[worst]:+.1f} %"
     where = f"at {depths[worst]:.1f} mm"

@@ -81,7 +81,7 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
 class ReferenceCurve:
     """Forces at the levels and their exact derivatives, by one session of the reference solver.
 
-    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve; `at_most` solves are told
+    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve; `at_most` solves are reported
     to whoever waits, where that is known.
     """
 

@@ -23,7 +23,7 @@ def leave_geometry(
     """
     rows = _rows(found, doubt)
     share = total_share(list(doubt.modes))
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "words": doubt.words,
         "gain_fraction": share,
         "variations": rows,
@@ -33,12 +33,12 @@ def leave_geometry(
         "interval_95": ends(found.intervals[-1]) if found.intervals else {},
         "standard_error_fraction": _deviations(rows, doubt),
     }
-    writer.data["geometry_doubt"] = told
+    writer.data["geometry_doubt"] = reported
     if doubt.words not in writer.warnings:
         writer.warnings.insert(0, doubt.words)
     writer.summary.append(
         f"the assumed geometry puts the force off by {100 * share:.2g} % (one deviation, {len(doubt.done)} "
-        f"shapes); {_widening(told)}"
+        f"shapes); {_widening(reported)}"
     )
 
 
@@ -72,13 +72,13 @@ def _deviations(rows: list[dict[str, Any]], doubt: GeometryDoubt) -> dict[str, f
     }
 
 
-def _widening(told: dict[str, Any]) -> str:
+def _widening(reported: dict[str, Any]) -> str:
     """
     >>> _widening({"interval_95_noise": {"m": [4.0, 5.0]}, "interval_95": {"m": [3.5, 5.5]}})
     '95 % of m: 4 to 5 by noise alone, 3.5 to 5.5 with it'
     """
-    before, after = (told[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
+    before, after = (reported[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
     if None in before or None in after:
-        return "the interval of m is open" if told["interval_95"] else "no interval was computed"
+        return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
     narrow, wide = (f"{low:.3g} to {high:.3g}" for low, high in (before, after))
     return f"95 % of m: {narrow} by noise alone, {wide} with it"

@@ -13,7 +13,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
-from limbcli.inference.two_step_fit import M_STRIDE
+from limbcli.inference.two_step_fit import M_STEP_FACTOR
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material
 from limbcli.problems import suggestion
@@ -63,7 +63,7 @@ def _holmes_mow(c: float, shape: Array) -> Material:
 
 
 _F_KAPPA = Parameter("f_kappa", 100.0, *F_KAPPA_BOUNDS, "log")
-_M = Parameter("m", 2.0, *M_BOUNDS, "log", stride=M_STRIDE)
+_M = Parameter("m", 2.0, *M_BOUNDS, "log", step_factor=M_STEP_FACTOR)
 
 LAWS: Mapping[str, FitLaw] = {
     law.name: law
@@ -84,8 +84,8 @@ LAWS: Mapping[str, FitLaw] = {
             "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m that carries a share of c",
             (
                 _F_KAPPA,
-                Parameter("share", 0.3, 0.001, 0.999, "log", stride=3.0),
-                Parameter("m", 8.0, 2.5, 60.0, "log", stride=M_STRIDE),
+                Parameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),
+                Parameter("m", 8.0, 2.5, 60.0, "log", step_factor=M_STEP_FACTOR),
             ),
             _two_terms,
         ),
@@ -94,7 +94,7 @@ LAWS: Mapping[str, FitLaw] = {
             # Its exponent grows with lambda: nearly incompressible it cannot be solved far.
             (
                 Parameter("f_kappa", 2.0, 0.01, 50.0, "log"),
-                Parameter("beta", 0.3, 0.01, 50.0, "log", stride=M_STRIDE),
+                Parameter("beta", 0.3, 0.01, 50.0, "log", step_factor=M_STEP_FACTOR),
             ),
             _holmes_mow,
         ),

@@ -85,7 +85,7 @@ def predict_layers(
 def _tell(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer: StageWriter) -> None:
     """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
     used, k = layers.used(levels)[found.levels], found.levels
-    deviance, n, told = 0.0, 0, {}
+    deviance, n, reported = 0.0, 0, {}
     for j, name in enumerate(layers.names[: layers.n_told]):
         rows = used[:, j]
         if not rows.any():
@@ -93,16 +93,16 @@ def _tell(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer:
         off = (layers.thickness[k, j] - found.thickness[:, j])[rows]
         covariance = layers.covariance(found.thickness[rows, j], j)
         deviance, n = deviance + float(off @ np.linalg.solve(covariance, off)), n + int(rows.sum())
-        told[name] = {
+        reported[name] = {
             "rms_mm": float(np.sqrt(np.mean(off**2))), "last_mm": float(off[-1]),
             "last_deviations": float(off[-1] / np.sqrt(covariance[-1, -1])),
         }  # fmt: skip
     p = float(chi2.sf(deviance, n)) if n else None
     writer.data["layers"] = {
         "names": list(layers.names), "deviation_mm": layers.deviation, "n_readings": n,
-        "chi_square": deviance, "p": p, "measured_less_predicted": told, "drift_mm": found.drift,
+        "chi_square": deviance, "p": p, "measured_less_predicted": reported, "drift_mm": found.drift,
     }  # fmt: skip
-    parts = ", ".join(f"{name} {each['last_mm']:+.2f} mm" for name, each in told.items())
+    parts = ", ".join(f"{name} {each['last_mm']:+.2f} mm" for name, each in reported.items())
     if parts:
         writer.summary.append(
             f"layers, measured less predicted at the last level: {parts}; "

@@ -37,7 +37,7 @@ class FitOptions:
     time_limit_s: float | None = None
 
     def asked(self) -> dict[str, Any]:
-        """What another run of the same kind needs to be told."""
+        """What another run of the same kind needs to be given."""
         return asked_of_options(self)
 
 

@@ -166,7 +166,7 @@ def _headline(name: str, content: Mapping[str, Any]) -> str:
     said, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
     if not said[0].isdigit():
         return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
-    if "(" in said:  # its interval, or that it has none, is told with it
+    if "(" in said:  # its interval, or that it has none, is reported with it
         return f"{name} = {said}: {flag}"
     interval = "no interval" if None in ends else f"95 %: {ends[0]:.3g} to {ends[1]:.3g}"
     return f"{name} = {said} ({interval}): {flag}"

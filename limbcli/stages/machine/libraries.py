@@ -132,21 +132,21 @@ def missing_libraries(package: str) -> tuple[str, ...]:
     if not parts:
         return ()
     try:
-        told = subprocess.run(
+        output = subprocess.run(
             ["ldd", *parts], capture_output=True, text=True, timeout=_TIME_LIMIT_S, check=False
         ).stdout
     except (OSError, subprocess.TimeoutExpired):
         return ()
-    return not_found(told)
+    return not_found(output)
 
 
-def not_found(told: str) -> tuple[str, ...]:
+def not_found(output: str) -> tuple[str, ...]:
     """What `ldd` did not find.
 
     >>> not_found("/a.so:\\n\\tlibGL.so.1 => not found\\n\\tlibc.so.6 => /lib/libc.so.6 (0x00007f)\\n")
     ('libGL.so.1',)
     """
-    lines = (line.strip() for line in told.splitlines())
+    lines = (line.strip() for line in output.splitlines())
     return tuple(sorted({line.split(" => ")[0] for line in lines if line.endswith("=> not found")}))
 
 

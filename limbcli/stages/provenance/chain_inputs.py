@@ -21,8 +21,8 @@ def input_path(case: Case, role: str) -> Path | None:
     """Where the file or folder of a role lies today; None where the case names none."""
     if Path(role).is_absolute():
         return Path(role)
-    room, name, *rest = role.split("/")
-    if room == "imaging":
+    section, name, *rest = role.split("/")
+    if section == "imaging":
         return _image(case, name, rest)
     site = _site(case, name)
     if site is None:
@@ -35,15 +35,15 @@ def input_path(case: Case, role: str) -> Path | None:
 
 def case_value(case: Case, key: str) -> Any:
     """The value of a key today, defaults filled in; None where the case has none."""
-    room, *rest = key.split("/")
-    if room == SITES:
+    section, *rest = key.split("/")
+    if section == SITES:
         return [each.name for each in case.sites]
-    if room == "imaging":
+    if section == "imaging":
         return plain(case.raw.get("imaging"))
-    if room == "site":
+    if section == "site":
         site = _site(case, rest[0])
         return None if site is None else plain(_of_site(site, rest[1]))
-    found = plain(vars(getattr(case, room)))
+    found = plain(vars(getattr(case, section)))
     return found[rest[0]] if rest else found
 
 

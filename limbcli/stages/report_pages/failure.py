@@ -20,8 +20,8 @@ def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
     One subject's unusable folder does not stop a batch; this is that subject's page,
     and its row in the index.
     """
-    told = pasted(error, folder, out)
-    failure = Failure(type(told).__name__, told.what, told.where, told.fix, problems_of(told.facts))
+    shown = pasted(error, folder, out)
+    failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))
     name = folder.resolve().name
     own = provenance()
     with open_stage(out, "report", subject=name) as writer:

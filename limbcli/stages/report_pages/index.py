@@ -116,8 +116,8 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     name, assumed = out.resolve().name, str(report.data.get("geometry_assumed") or "")
     if failures:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
-        told = tuple(_failure(each) for each in failures)
-        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, told, assumed)
+        shown = tuple(_failure(each) for each in failures)
+        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, shown, assumed)
     try:
         view = read_fit_view(read_result(out, "fit", site=site))
     except CaseError:
@@ -137,14 +137,14 @@ def _failure(content: Mapping[str, Any]) -> Failure:
 
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     """A subject whose report is missing; its first failure, if one was noted, is the state."""
-    state, told = error.what, Failure("CaseError", error.what, error.where, error.fix)
+    state, shown = error.what, Failure("CaseError", error.what, error.where, error.fix)
     for path in sorted(out.glob("**/error.json")):
         try:
             content = json.loads(path.read_text())
             what = content["what"].splitlines()[0]
-            state, told = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
+            state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
             break
         except (ValueError, KeyError, TypeError, IndexError):
             continue
     name = out.resolve().name
-    return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(told,))
+    return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))

@@ -1,4 +1,4 @@
-"""Collects what a report page needs from the rooms that can read it."""
+"""Collects what a report page needs from the packages that can read it."""
 
 from __future__ import annotations
 
@@ -120,8 +120,8 @@ def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
         joint = outcomes.maybe("fit-joint")
         if joint and joint.result and site in joint.result.data.get("sites", ()):
             pairs.append((outcomes.of("build-feb", site), joint))
-    told = [_older(before, after) for before, after in pairs]
-    return [each for each in told if each]
+    reported = [_older(before, after) for before, after in pairs]
+    return [each for each in reported if each]
 
 
 def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:

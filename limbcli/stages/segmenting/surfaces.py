@@ -122,19 +122,19 @@ def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
 
 def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
     """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
-    surface, told = _turned(surface, name, path)
-    writer.warnings.extend(told)
+    surface, warnings = _turned(surface, name, path)
+    writer.warnings.extend(warnings)
     return surface
 
 
 def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
-    told = []
+    warnings = []
     if not surface.is_closed:
-        told.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
+        warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
     if surface.volume < 0:
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
-        told.append(f"the normals of {path.name} pointed inward and were turned")
-    return surface, told
+        warnings.append(f"the normals of {path.name} pointed inward and were turned")
+    return surface, warnings
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:

@@ -51,7 +51,7 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
 
 @njit(cache=True, nogil=True)
 def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """Factor the diagonal block of columns j0..j1; pivots made up for, or NOT_FINITE.
+    """Factor the diagonal block of columns j0..j1; pivots perturbed, or NOT_FINITE.
 
     inverse : gets S L^-1 of the TILE x TILE blocks on its diagonal, column after column
     """
@@ -160,7 +160,7 @@ def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # 
 
 @njit(cache=True, nogil=True)
 def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """The first p columns of a front of m rows; pivots made up for, or NOT_FINITE."""
+    """The first p columns of a front of m rows; pivots perturbed, or NOT_FINITE."""
     made_up = 0
     for j0 in range(0, p, block):
         j1 = min(j0 + block, p)

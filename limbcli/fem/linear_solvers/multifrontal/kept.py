@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE, down_part, keep_column, times_tile, up_part
 from limbcli.model import IntArray
 
-PAD = 3 * TILE  # room beyond the rows of a front
+PAD = 3 * TILE  # space beyond the rows of a front
 _MOST = 32767.0
 
 
@@ -35,7 +35,7 @@ class Kept(NamedTuple):
 
 
 def make_kept(n: int, n_tiles: int, size: int, kind: Any) -> Kept:
-    """Room for a factor of n pivots; `kind` is that of its panels."""
+    """Workspace for a factor of n pivots; `kind` is that of its panels."""
     part = np.int16 if kind is np.float32 else kind
     tiles = np.empty((2, n_tiles * TILE * TILE), dtype=kind)
     return Kept(np.empty(size, dtype=part), np.zeros(n + TILE, dtype=kind), tiles[0], tiles[1])
@@ -125,7 +125,7 @@ def _keep_triangle(a, d, ld, n, inverses, transposed, at):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def down(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
-    """y -> L^-1 y for the first p, less L2 times that for the others; y has PAD more, z is room."""
+    """y -> L^-1 y for the first p, less L2 times that for the others; y has PAD more, z is workspace."""
     for j0 in range(0, p, TILE):
         j1 = min(j0 + TILE, p)
         width, chunks = (j1 - j0 + 3) // 4 * 4, (m - j1 + TILE - 1) // TILE

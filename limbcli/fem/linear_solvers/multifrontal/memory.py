@@ -16,12 +16,12 @@ class Pieces:
         self.size = base
 
     def take(self, n: int) -> int:
-        for k, (at, room) in enumerate(self.free):
-            if room >= n:
-                if room == n:
+        for k, (at, size) in enumerate(self.free):
+            if size >= n:
+                if size == n:
                     del self.free[k]
                 else:
-                    self.free[k] = (at + n, room - n)
+                    self.free[k] = (at + n, size - n)
                 return at
         if self.free and sum(self.free[-1]) == self.size:
             at, _ = self.free.pop()
@@ -36,11 +36,11 @@ class Pieces:
         self.free.append((at, n))
         self.free.sort()
         joined = self.free[:1]
-        for start, room in self.free[1:]:
+        for start, size in self.free[1:]:
             if sum(joined[-1]) == start:
-                joined[-1] = (joined[-1][0], joined[-1][1] + room)
+                joined[-1] = (joined[-1][0], joined[-1][1] + size)
             else:
-                joined.append((start, room))
+                joined.append((start, size))
         self.free = joined
 
 

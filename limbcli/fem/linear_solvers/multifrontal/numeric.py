@@ -93,7 +93,7 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """Fronts start..stop, one after the other; pivots made up for, or NOT_FINITE."""
+    """Fronts start..stop, one after the other; pivots perturbed, or NOT_FINITE."""
     made_up = 0
     begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared: see `materials.cache`
     for s in range(start, stop):

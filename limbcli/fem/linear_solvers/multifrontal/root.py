@@ -59,7 +59,7 @@ class Root:
 
     @property
     def made_up(self) -> int:
-        """Pivots made up for."""
+        """Pivots perturbed."""
         return self._made_up
 
     def _factor(self) -> int:

@@ -25,7 +25,7 @@ def leave(order, scaling, x, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-def]
-    """Fronts start..stop: pivots of w solved for, the rows below reduced. y, z: room for a front, a tile."""
+    """Fronts start..stop: pivots of w solved for, rows below reduced. y, z: workspace (a front, a tile)."""
     for s in range(start, stop):
         first, at = plan.pivot_at[s], plan.rows_at[s]
         p = plan.pivot_at[s + 1] - first

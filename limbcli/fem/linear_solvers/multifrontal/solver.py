@@ -26,7 +26,7 @@ from limbcli.model import Array, IntArray
 class Multifrontal:
     """L S L^T of a symmetric matrix (upper triangle, CSR), S = diag(+-1), analysed once.
 
-    Pivots keep their order; those that come out as next to nothing are made up for and
+    Pivots keep their order; those that come out as next to nothing are perturbed and
     counted. The matrix is scaled to a diagonal of +-1.
 
     single : made in single precision, kept as short integers (`kept`): an approximate inverse, good to 1e-4
@@ -87,15 +87,15 @@ class Multifrontal:
 
     def _factor_subtrees(self) -> int:
         store = self._store
-        rooms = deque(zip(store.panels, store.inverses, store.work, strict=True))
+        workspaces = deque(zip(store.panels, store.inverses, store.work, strict=True))
 
         def run(start: int, stop: int) -> int:
-            room = panel, inverse, work = rooms.pop()
+            workspace = panel, inverse, work = workspaces.pop()
             made_up = numeric.factor_subtree(
                 store.blas, store.plan, start, stop, store.values,
                 panel, store.updates, store.kept, store.sign, store.tiny, inverse, work,
             )  # fmt: skip
-            rooms.append(room)
+            workspaces.append(workspace)
             return int(made_up)
 
         found = self._crew.run([partial(run, a, b) for a, b in self.layout.factoring.subtrees])

@@ -21,7 +21,7 @@ class Store:
     kept : the factor, but for the last front
     panels, updates : pivot columns of a front for each of two threads; update matrices (see `Plan`)
     values : the matrix, scaled; scaling (n,) : by equation number; sign (n,) : of the pivots, in order
-    work, inverses : room for each of two threads
+    work, inverses : workspace for each of two threads
     """
 
     def __init__(self, layout: Layout, n: int, n_values: int, single: bool):
@@ -31,14 +31,14 @@ class Store:
         self.tiny = self.kind(_TINY[single])
         plan = layout.plan
         self.kept = make_kept(n, int(plan.tile_at[-2]), int(plan.part_at[-2]), self.kind)
-        room = layout.panel_size + ALIGNED  # the last vector may reach over
-        self.panels = [np.empty(room, dtype=self.kind) for _ in range(2)]
+        workspace = layout.panel_size + ALIGNED  # the last vector may reach over
+        self.panels = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
         self.updates = np.empty(layout.update_size, dtype=self.kind)
         self.values = np.empty(n_values, dtype=self.kind)
         self.sign = np.ones(n, dtype=self.kind)
         self.scaling = np.ones(n)
-        room = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP) + TILE * TILE
-        self.work = [np.empty(room, dtype=self.kind) for _ in range(2)]
+        workspace = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP) + TILE * TILE
+        self.work = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
         self.inverses = [np.empty((BLOCK + TILE) * TILE, dtype=self.kind) for _ in range(2)]
 
     @property

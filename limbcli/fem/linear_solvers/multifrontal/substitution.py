@@ -31,7 +31,7 @@ class Substitution:
         for start, stop in self._mine[1]:
             self._of_second[pivot_at[start] : pivot_at[stop]] = True
         lengths = (layout.largest_front + PAD, TILE)
-        self._rooms = [tuple(np.zeros(n, dtype=store.kind) for n in lengths) for _ in range(2)]
+        self._workspaces = [tuple(np.zeros(n, dtype=store.kind) for n in lengths) for _ in range(2)]
 
     def enter(self, rhs: Any) -> Any:
         """Right-hand side (n,) in the order of elimination, scaled."""
@@ -61,11 +61,11 @@ class Substitution:
         self.crew.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
 
     def _forward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
-        store, room = self.store, self._rooms[thread]
+        store, workspace = self.store, self._workspaces[thread]
         for start, stop in ranges:
-            solve.forward(store.plan, start, stop, store.kept, store.sign, w, *room)
+            solve.forward(store.plan, start, stop, store.kept, store.sign, w, *workspace)
 
     def _backward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
-        store, room = self.store, self._rooms[thread]
+        store, workspace = self.store, self._workspaces[thread]
         for start, stop in ranges:
-            solve.backward(store.plan, start, stop, store.kept, w, *room)
+            solve.backward(store.plan, start, stop, store.kept, w, *workspace)

@@ -40,7 +40,7 @@ class Top:
         )
 
     def factor(self, s: int, panel: Any) -> int:
-        """The pivot columns of front s, once gathered; pivots made up for, or NOT_FINITE."""
+        """The pivot columns of front s, once gathered; pivots perturbed, or NOT_FINITE."""
         plan, made_up = self.store.plan, 0
         ld, first = int(plan.ld[s]), int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first

@@ -1,1 +1,1 @@
-"""Predictions beside the data: the stand-in, its fits and its repairs."""
+"""Predictions beside the data: the surrogate, its fits and its repairs."""

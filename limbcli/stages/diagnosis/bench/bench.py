@@ -1,6 +1,6 @@
 """The diagnosis' bench: fits and sensitivities of one site, or of several measurements of one place.
 
-Fits run on each site's stand-in; after a refit the model with the effect in it is solved once as it stands
+Fits run on each site's surrogate; after a refit the model with the effect in it is solved once as it stands
 and the fit is repeated: reported numbers come from that.
 """
 
@@ -107,8 +107,8 @@ class SiteBench(Fits):
         return replace(found, intervals=inside)
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Solve the model as fitted, repair the stand-in there, fit again, until the fit stays; twice at most
-        with several effects, four times with one. As it is where the work is spent."""
+        """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most
+        twice with several effects, four times with one. As it is where the work is spent."""
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
@@ -153,7 +153,7 @@ class SiteBench(Fits):
     # ------------------------------------------------------------
 
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
-        """Sensitivity at the effect's null by differences of the stand-in, around the fitted model."""
+        """Sensitivity at the effect's null by differences of the surrogate, around the fitted model."""
         p, old = slot.parameter, fitted.explanation
         points = [*self.points(fitted), effect.held(point)]
         explanation = (*old, effect.name)

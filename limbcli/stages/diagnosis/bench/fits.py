@@ -1,6 +1,6 @@
 """Fits of explanations to one site's data, or to those of several measurements of one place.
 
-They run on each site's stand-in (`site`): c, m and the effects' parameters by least squares, at
+They run on each site's surrogate (`site`): c, m and the effects' parameters by least squares, at
 given points of the effects' grids.
 """
 
@@ -254,8 +254,8 @@ class Fits:
         low, high = self.bounds(explanation)
         for k, slot in enumerate(self.slots(explanation)):
             if slot.name in held:
-                room = 1e-4 * (slot.parameter.high - slot.parameter.low)
-                low[2 + k], high[2 + k] = held[slot.name] - room, held[slot.name] + room
+                margin = 1e-4 * (slot.parameter.high - slot.parameter.low)
+                low[2 + k], high[2 + k] = held[slot.name] - margin, held[slot.name] + margin
         return low, high
 
     def at(self, fitted: Fitted, m: float, start: Mapping[str, float], whiten: Whitener) -> Conditional:

@@ -2,7 +2,7 @@
 
 The law's exponent m is solved at a handful of values and interpolated; c scales force and
 modulus exactly. What effects change is in `changes`. After a refit the model with the
-effect in it is solved once as it stands, and what the stand-in missed is put right.
+effect in it is solved once as it stands, and what the surrogate missed is put right.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.bench.changes import Book, Changes, logs
-from limbcli.stages.diagnosis.curves.penetration import Sinking
+from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
@@ -29,15 +29,17 @@ _NEAR = 5  # solved values of m that are used
 
 
 class SiteCurves:
-    """One site's data beside one book of curves; `tie`: from the working mesh to the site's own; `sinking`:
-    of the probe into the book's models."""
+    """One site's data beside one book of curves.
+
+    tie : from the working mesh to the site's own; penetration : of the probe into the book's models
+    """
 
     def __init__(
         self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
-        sinking: Sinking | None = None, progress: Progress = SILENT,
+        penetration: Penetration | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
         self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
-        self.sinking = sinking
+        self.penetration = penetration
         self.changes = Changes(book, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._repairs: dict[tuple[Explanation, str], Array] = {}
@@ -89,7 +91,7 @@ class SiteCurves:
     def curves(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Curves:
-        """The stand-in's curves with these values."""
+        """The surrogate's curves with these values."""
         depth, values, plain = self._base(m)
         values = values + self._repairs.get((explanation, label(points)), 0.0)
         for name, point in zip(explanation, points, strict=True):
@@ -104,7 +106,7 @@ class SiteCurves:
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
         log_speed = log_speed + 0.5 * np.log(times)
         found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
-        return found if self.sinking is None else self.sinking.without(found, force)
+        return found if self.penetration is None else self.penetration.without(found, force)
 
     def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
         reading = Reading()
@@ -113,7 +115,7 @@ class SiteCurves:
         return reading
 
     def repair(self, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> None:
-        """Solve the model with these effects as it stands, and let the stand-in give the same there.
+        """Solve the model with these effects as it stands, and let the surrogate give the same there.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Simulated curves of a site for any law and effects: solved once, kept on disk, told by their ingredients.
+"""Simulated curves of a site for any law and effects: solved once, kept on disk by their ingredients.
 
 Stiffnesses are shares of c, so that force and modulus are proportional to c: one
 reference c is solved. A diagnosis works on a mesh coarser than the site's own; where the site's
@@ -207,14 +207,14 @@ class CurveBook:
     def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
         model = softer_jumps(self.model_with(m, ingredients))
-        rubs = any(contact.friction for contact in model.contacts)
-        if rubs:
+        has_friction = any(contact.friction for contact in model.contacts)
+        if has_friction:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         numerical = _is_numerical(ingredients)
         hoped = self._required if numerical else self._hoped
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
-        self.work.begin(candidate=limited, rubs=rubs, fitted=_has_fitted_size(ingredients))
+        self.work.begin(candidate=limited, has_friction=has_friction, fitted=_has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             shared = self._shared()

@@ -27,7 +27,7 @@ _LEAST_STEP = 0.05  # of a step between two depths, after the shift
 
 
 @dataclass(frozen=True, eq=False)
-class Sinking:
+class Penetration:
     """Depth (n,) in mm by which the probe has sunk in at forces (n,) in N, from (0, 0) on; beyond the last
     force in proportion to it. Forces are those at the book's reference stiffness."""
 
@@ -54,7 +54,7 @@ class Sinking:
         return float(1.0 - np.exp(log_force_at(softer, at) - log_force_at(curves, at))[0])
 
 
-def sinking(harder: Curves, softer: Curves) -> Sinking | None:
+def penetration(harder: Curves, softer: Curves) -> Penetration | None:
     """What `harder` still sinks in, by what `softer`, of a quarter of its penalty, sinks in further.
 
     None where the two do not tell (the softer contact gives no less force).
@@ -66,4 +66,4 @@ def sinking(harder: Curves, softer: Curves) -> Sinking | None:
     further = softer.depth[rising] - depth_at(harder, force)
     if further[-1] <= 0:
         return None
-    return Sinking(np.r_[0.0, force], np.r_[0.0, _LEFT * np.maximum(further, 0.0)])
+    return Penetration(np.r_[0.0, force], np.r_[0.0, _LEFT * np.maximum(further, 0.0)])

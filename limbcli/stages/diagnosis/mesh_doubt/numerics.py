@@ -28,7 +28,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Sinking, sinking
+from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.stages.diagnosis.data.data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, IN_MEAN, ModelError, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import START_M, OwnRun, Tie, own_run
@@ -92,7 +92,9 @@ class Numerics:
         self.case, self.site, self.levels, self.book = case, site, levels, book
         self.out, self.size, self.notes, self.progress = out, size, notes, progress
         self.depth = smooth_depth(levels)
-        self.sinking: Sinking | None = None  # of the contact that the curves have; known after interventions
+        self.penetration: Penetration | None = (
+            None  # of the contact that the curves have; known after interventions
+        )
 
     def tie(self, *, solves: bool = True) -> Tie:
         """To the site's own mesh, and a limb that is not cut; `solves`: by simulations."""
@@ -163,12 +165,12 @@ class Numerics:
         changed = self.book.curves(m, ((numerical, numerical.start),))
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
-            self.sinking = sinking(plain_curves, changed)
+            self.penetration = penetration(plain_curves, changed)
         # With the cut free the force is too low, held it is too high: curves are put half-way.
         # What a quarter of the penalty takes from the force is one and a half times to three times what the
         # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
         share = {
-            "crop": _CUT_LEFT, "contact": 1.0 if self.sinking is None else LEFT_ERROR,
+            "crop": _CUT_LEFT, "contact": 1.0 if self.penetration is None else LEFT_ERROR,
             "thickness": _THICKNESS_LEFT,
         }  # fmt: skip
         return replace(judged, left=share.get(numerical.name, 1.0))
@@ -285,9 +287,9 @@ class Numerics:
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
             touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
-        assumed, told = assumed_gain(self.case, self.site, self.out)
-        if told and told not in self.notes.warnings:
-            self.notes.warnings.append(told)
+        assumed, warning = assumed_gain(self.case, self.site, self.out)
+        if warning and warning not in self.notes.warnings:
+            self.notes.warnings.append(warning)
         gain = float(np.hypot(gain, assumed))
         strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
