@@ -163,7 +163,7 @@ class _Diagnosed:
                     prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
                             extras=more, progress=self.progress)
                 )  # fmt: skip
-            bench = SiteBench.joint([each.curves for each in prepared])
+            bench = SiteBench([each.curves for each in prepared])
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
                 bench.turned = lambda: self._turned(prepared[0])
             found = diagnose_bench(

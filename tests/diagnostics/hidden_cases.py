@@ -161,7 +161,7 @@ class Case:
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 
     def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 3):
-        bench = SiteBench.joint(curves or [self.curves(self.levels)])
+        bench = SiteBench(curves or [self.curves(self.levels)])
         if len(bench.sites) == 1:
             bench.turned = self._turned
         return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose, max_effects=max_effects)

@@ -15,15 +15,16 @@ import numpy as np
 
 from limbcli.case import Noise
 from limbcli.effects.base import applied
+from limbcli.effects.curves import Curves
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
-from limbcli.effects.reading import Curves, Reading, read
 from limbcli.effects.reading import Protocol as ReadProtocol
+from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.stages.diagnosis.curves.cells import volumes
-from limbcli.stages.diagnosis.curves.curves import fields
+from limbcli.stages.diagnosis.curves.ingredients import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 
 HEIGHT = 25.0

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.stages.diagnosis.data.holds import STEP_S, held_forces, is_steady, relaxing, stretches
 

@@ -13,11 +13,13 @@ import pytest
 from limbcli.case import Noise
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
+from limbcli.effects.curves import Curves, continued
 from limbcli.effects.places import Places
-from limbcli.effects.reading import Curves, Protocol, continued, read
+from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
@@ -74,7 +76,7 @@ def measured(rng, ingredients=()):
 def bench(levels, layers, names=CANDIDATES) -> SiteBench:
     book = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
     site = site_data("p1", levels, NOISE, windows=book.windows, layers=layers)
-    return SiteBench(site, book, [effect(name) for name in names])
+    return SiteBench([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
@@ -177,7 +179,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
     book = CurveBook(layered_block, depths, c=0.006, threads=1, borders=BorderLines(seen))
     site = site_data("p1", levels, noise, windows=book.windows, layers=seen)
-    the_bench = SiteBench(site, book, [effect("adipose-layer")])
+    the_bench = SiteBench([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
     book.close()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.errors import CaseError
 from limbcli.stages.diagnosis.bench.measurement_menu import items, known
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, continued, log_force_at
+from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.bench.changes import filled
-from limbcli.stages.diagnosis.curves.curves import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
 from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, Numerics, measured_slope, too_doubtful
 
 

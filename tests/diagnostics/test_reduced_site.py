@@ -17,6 +17,7 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
 from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.bench.changes import logs
+from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
@@ -38,7 +39,7 @@ CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-
 def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteBench:
     book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
     site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
-    return SiteBench(site, book, [effect(name) for name in names])
+    return SiteBench([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def true_book():

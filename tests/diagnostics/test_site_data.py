@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.case import Noise
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.data.data import site_data

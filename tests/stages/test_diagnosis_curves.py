@@ -11,7 +11,7 @@ from limbcli.effects import effect
 from limbcli.errors import SolveError
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.work import Work
 from tests.stages import block_case
 

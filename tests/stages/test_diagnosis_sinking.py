@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.effects.reading import Curves, log_force_at
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.effects.curves import Curves, log_force_at
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.penetration import Penetration, penetration
 from tests.stages import block_case
 

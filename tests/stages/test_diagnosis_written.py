@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.stages.diagnosis import written_model as written
 
 CURVES = Curves(np.array([0.0, 6.0, 12.0]), np.array([0.0, 2.0, 8.0]), np.zeros((3, 0)), np.zeros(0))

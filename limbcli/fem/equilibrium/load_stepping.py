@@ -8,6 +8,7 @@ from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.guesses import continued, extrapolate
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
+from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import LimbModel, Step
@@ -144,7 +145,7 @@ class LoadStepping:
         newton.linearised.reuse_cost = np.inf
         try:
             guess = newton.system.prescribed(begin, time)
-            return newton.relax(guess, load_step, tolerance=None if last else _FIRM)
+            return relax(newton, guess, load_step, tolerance=None if last else _FIRM)
         except (NotConverged, SingularMatrix):
             self._restless += 1
             return None

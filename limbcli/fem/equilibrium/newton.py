@@ -22,10 +22,6 @@ _ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
 _FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
 _ROUGH = 0.1  # of the load's change: what a first guess may leave
 _FAR = 0.1  # error from which on contact tractions are not yet what they will be
-_RELAXED = 40  # steps of pseudo-time at most
-# Drag at first, the most, and below which it is nothing: of waves of 6 mm, 0.2 mm and 200 mm.
-_DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
-_BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
 _NEARLY_FLAT = 0.4  # volume ratio of an element that is about to turn inside out
 _SHARE = 0.6  # of what Newton's method leaves by itself
 
@@ -114,8 +110,8 @@ class Newton:
         renew, standing = True, Standing(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
             self.report(load_step, iteration, forces)
-            self._note(standing, state, forces)
-            if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
+            self.note(standing, state, forces)
+            if self.is_reached(forces, target):
                 return replace(state, hints=system.hints(), volumes=()), forces
             if iteration == settings.max_iterations or standing.goes_round:
                 break
@@ -132,76 +128,23 @@ class Newton:
                 break
             renew = forces.error > settings.renew_ratio * before
         if standing.will_do:
-            return self._least(standing)
+            return self.least_of(standing)
         raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
-    def relax(
-        self, guess: State, load_step: LoadStep, *, tolerance: float | None = None
-    ) -> tuple[State, Forces]:
-        """The equilibrium that tissue held back by a drag comes to from a guess; raises NotConverged.
+    def is_reached(self, forces: Forces, target: float) -> bool:
+        """Whether this is equilibrium, to a tolerance or to round-off."""
+        return forces.error <= target or norm(forces.residual) <= _ROUND_OFF * self.system.least_force
 
-        Implicit steps in a pseudo-time, with the drag over the step's length on the tangent's diagonal
-        (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523); the straighter the tissue responds, the
-        longer. They go on where the tangent has lost its definiteness and Newton's method runs astray.
-        """
-        system, linearised = self.system, self.linearised
-        target = self.settings.tolerance if tolerance is None else tolerance
-        system.at(guess.time)
-        state, forces = guess, self.forces(guess)
-        linearised.drag, standing = _DRAG, Standing(self.settings.stalled)
-        try:
-            for iteration in range(_RELAXED + 1):
-                self.report(load_step, iteration, forces)
-                self._note(standing, state, forces)
-                if forces.error <= target or norm(forces.residual) <= _ROUND_OFF * system.least_force:
-                    return replace(state, hints=system.hints(), volumes=()), forces
-                if iteration == _RELAXED or linearised.drag > _MOST_DRAG or standing.goes_round:
-                    break
-                self.counts.iterations += 1
-                step = self.direction(state, forces, True, target)
-                found = self._relaxed(state, step)
-                bent = np.inf if found is None else self._bent(forces, found[1], step)
-                if bent > _BENT:
-                    linearised.drag = max(4.0 * linearised.drag, _LEAST_DRAG)
-                    self.forces(state)
-                    continue
-                assert found is not None
-                state, forces = found
-                linearised.drag *= 0.2 if bent < 0.3 else 0.5 if bent < 0.7 else 1.0 if bent < 1.0 else 2.0
-                if linearised.drag < _LEAST_DRAG:
-                    linearised.drag = 0.0
-        finally:
-            linearised.drag = 0.0
-        if standing.will_do:
-            return self._least(standing)
-        raise self.failure(state, forces, load_step, iteration, "the tissue does not come to rest")
-
-    def _note(self, standing: Standing, state: State, forces: Forces) -> None:
+    def note(self, standing: Standing, state: State, forces: Forces) -> None:
         if standing.stalled > 0:
             standing.note(replace(state, hints=self.system.hints(), volumes=()), forces)
 
-    def _least(self, standing: Standing) -> tuple[State, Forces]:
+    def least_of(self, standing: Standing) -> tuple[State, Forces]:
         """The state that left least, with its contact found anew."""
         assert standing.state is not None
         self.system.recall(standing.state.hints)
         forces = self.forces(standing.state)
         return replace(standing.state, hints=self.system.hints()), forces
-
-    def _relaxed(self, state: State, step: Array) -> tuple[State, Forces] | None:
-        """State and forces after a step; None where a cell is turned inside out."""
-        trial = self.with_volumes(self.system.moved(state, step), state)
-        found = self.forces(trial)
-        sound = found.worst > 0 and np.isfinite(norm(found.mixed))
-        return (trial, found) if sound else None
-
-    def _bent(self, before: Forces, after: Forces, step: Array) -> float:
-        """What a step left beyond what the linearised tissue would leave (the drag), over the residual."""
-        system, linearised = self.system, self.linearised
-        left = after.mixed.copy()
-        held = system.collect(np.repeat(system.drag[:, None], 3, axis=1))
-        left[: system.n_tissue] += linearised.drag * held * step[: system.n_tissue]
-        size = max(min(norm(before.mixed), norm(before.residual)), self.settings.tolerance * after.scale)
-        return norm(left) / size
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""

@@ -29,7 +29,7 @@ from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.curves.curves import FIRST_M, CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
 from limbcli.stages.diagnosis.data.data import SiteData, site_data
 from limbcli.stages.diagnosis.data.holds import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -37,6 +37,7 @@ from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import Extra
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
+from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
 from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
@@ -282,11 +283,12 @@ class _Preparation:
             held, why = self._held()
             if held is None:
                 self.notes.data["holds_not_used"] = why
+        errors = ModelErrors(numerics)
         return site_data(
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
-            model_error=numerics.noise(tie, interventions), held=held, extras=extras,
-            usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share,
-            map_slopes=numerics.map_slopes(), layers=self.layers,
+            model_error=errors.all(tie, interventions), held=held, extras=extras,
+            usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
+            map_slopes=errors.map_slopes(), layers=self.layers,
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
-from limbcli.effects.reading import Curves, true_depth
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import true_depth
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import Array

@@ -18,15 +18,13 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
-from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.bench.changes import Book, only_febio
-from limbcli.stages.diagnosis.bench.fits import M_BOUNDS, Fits, held_points
+from limbcli.stages.diagnosis.bench.changes import only_febio
+from limbcli.stages.diagnosis.bench.fits import Fits
 from limbcli.stages.diagnosis.bench.measurement_menu import menu
+from limbcli.stages.diagnosis.bench.predictions import M_BOUNDS, held_points
 from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.bench.slots import Slot
-from limbcli.stages.diagnosis.curves.curves import FIRST_M
-from limbcli.stages.diagnosis.data.data import SiteData
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
@@ -42,21 +40,10 @@ class SiteBench(Fits):
 
     not_simulated: set[Explanation]
 
-    def __init__(
-        self, site: SiteData, book: Book, effects: Sequence[Effect], *, tie: Tie | None = None,
-        verify: bool = True, progress: Progress = SILENT,
-    ):  # fmt: skip
-        known = {each.name: each for each in effects if each.kind != "numerical"}
-        super().__init__([SiteCurves(site, book, known, tie=tie, progress=progress)])
+    def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
+        """sites : that share one tuple of effects; verify : simulate what was fitted"""
+        super().__init__(sites)
         self.verify, self.not_simulated = verify, set()
-
-    @staticmethod
-    def joint(sites: Sequence[SiteCurves], *, verify: bool = True) -> SiteBench:
-        """Of sites that share one tuple of effects."""
-        bench = SiteBench.__new__(SiteBench)
-        Fits.__init__(bench, sites)
-        bench.verify, bench.not_simulated = verify, set()
-        return bench
 
     # ------------------------------------------------------------ the contract
 

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.curves import FIRST_M, Ingredients, touches_loads
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.ingredients import Ingredients, touches_loads
 from limbcli.stages.diagnosis.data.layers import line_shift
 
 _REMEMBERED = 8  # values of the parameters

@@ -14,35 +14,21 @@ from scipy.optimize import least_squares
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.estimates import Conditional
-from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.effects.base import Effect, Theta
-from limbcli.effects.reading import Curves, Reading
+from limbcli.effects.base import Theta
 from limbcli.errors import FitError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.bench.changes import Book
+from limbcli.stages.diagnosis.bench.predictions import Predictions
 from limbcli.stages.diagnosis.bench.site import SiteCurves, label
 from limbcli.stages.diagnosis.bench.slots import Slot, on_bounds, stuck
-from limbcli.stages.diagnosis.data.data import SiteData
-from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.units import kpa_from_mpa
 
-M_BOUNDS = (1.0, 20.0)
-_DIFFERENCE = 1e-3
 _QUICK, _FULL = 12, 60  # evaluations of a fit
 _BEHIND, _FAR_BEHIND = 0.5, 10.0  # of the least cost, and more: what is not followed further
 _FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
 _ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
 _NONE: Mapping[str, float] = {}
-
-
-def held_points(effect: Effect) -> list[Theta]:
-    """The points of an effect's grid, without what a fit moves; each once."""
-    found: list[Theta] = []
-    for point in effect.grid:
-        if effect.held(point) not in found:
-            found.append(effect.held(point))
-    return found
 
 
 def _deepest(descended: Callable[[Array, int], Any], starts: Sequence[Array]) -> Any:
@@ -63,98 +49,17 @@ def _guess(slot: Slot, start: Mapping[str, float]) -> float:
     return p.null + start.get(slot.name, 0.0) or p.start
 
 
-class Fits:
-    """Sites that share the tissue and one tuple of effects, and what fits them.
+class Fits(Predictions):
+    """What fits sites that share the tissue and one tuple of effects.
 
     turned : the place with the probe turned by 90 degrees, where it can be simulated
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
-        self.sites = tuple(sites)
-        self.effects: dict[str, Effect] = dict(sites[0].effects)
-        self._data = joined([each.site for each in sites])
-        self.whiten = Whitener.of(self._data.noise.covariance)
+        super().__init__(sites)
         self.turned: Callable[[], SiteCurves] | None = None
         self.base_end: tuple[float, float] | None = None  # c (MPa), m of the fit without effects
         self._ends: dict[tuple[Explanation, str], Array] = {}  # where fits ended: ln c, ln m, parameters
-
-    @property
-    def data(self) -> Data:
-        return self._data
-
-    @property
-    def site(self) -> SiteData:
-        """The first site's data."""
-        return self.sites[0].site
-
-    @property
-    def book(self) -> Book:
-        return self.sites[0].book
-
-    def slots(self, explanation: Explanation) -> list[Slot]:
-        """The parameters of an explanation, in order."""
-        found = []
-        for name in explanation:
-            effect = self.effects[name]
-            for p in effect.parameters:
-                if effect.each_time and len(self.sites) > 1:
-                    found += [Slot(f"{p.name}@{s.site.name}", p, k) for k, s in enumerate(self.sites)]
-                else:
-                    found.append(Slot(p.name, p))
-        return found
-
-    def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
-        """Effect parameters by their own names, as one site has them."""
-        return {
-            slot.parameter.name: float(values[slot.name])
-            for slot in self.slots(explanation) if slot.site in (None, site)
-        }  # fmt: skip
-
-    def points(self, fitted: Fitted) -> list[Theta]:
-        """The point of each effect's grid that was chosen."""
-        chosen: list[Theta] = []
-        for effect in (self.effects[name] for name in fitted.explanation):
-            held = held_points(effect)
-            match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
-            chosen.append(match[0] if match else held[0])
-        return chosen
-
-    # ------------------------------------------------------------ predictions
-
-    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """x: ln c, ln m, then the effects' parameters in order."""
-        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
-        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
-        parts = [
-            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
-            for k, each in enumerate(self.sites)
-        ]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-    def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
-        """The fitted curves of a site, and how they are read."""
-        points = self.points(fitted)
-        theta = self.theta(fitted.values, fitted.explanation, site)
-        c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
-        one = self.sites[site]
-        return (
-            one.curves(c, m, fitted.explanation, theta, points),
-            one.reading(fitted.explanation, theta, points),
-        )
-
-    def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        parameters = [slot.parameter for slot in self.slots(explanation)]
-        sizes = [1.0, 1.0, *(p.step for p in parameters)]
-        columns = []
-        for k, size in enumerate(sizes):
-            up, down = x.copy(), x.copy()
-            up[k] += _DIFFERENCE * size
-            down[k] -= _DIFFERENCE * size
-            change = self.predict(up, explanation, points) - self.predict(down, explanation, points)
-            columns.append(change / (2 * _DIFFERENCE * size))
-        return np.stack(columns, axis=1)
-
-    # ------------------------------------------------------------ fits
 
     def best_fit(
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
@@ -281,13 +186,6 @@ class Fits:
         values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
         values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
         return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
-
-    def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
-        parameters = [slot.parameter for slot in self.slots(explanation)]
-        c = self.book.c
-        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
-        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
-        return low, high
 
     def _tissue_starts(self) -> list[tuple[float, float]]:
         """c, m to start from: where the fit without effects ended, and a usual tissue."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
-from limbcli.effects.reading import Curves, Protocol, Reading, read, true_depth
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.bench.fits import Fits

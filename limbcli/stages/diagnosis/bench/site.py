@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects.base import Effect, Theta, point_name
-from limbcli.effects.reading import Curves, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress

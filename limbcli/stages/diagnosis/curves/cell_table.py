@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.effects.curves import Curves
 from limbcli.effects.frozen import Kinematics, frozen_speed
 from limbcli.effects.places import Stiffness
-from limbcli.effects.reading import Curves
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.stages.diagnosis.curves.cells import centers, volumes

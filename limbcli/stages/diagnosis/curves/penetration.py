@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.effects.reading import Curves, depth_at, log_force_at
+from limbcli.effects.curves import Curves, depth_at, log_force_at
 from limbcli.model import Array
 
 # Of the shift between a penalty and a quarter of it, what the harder one still leaves, and one deviation of

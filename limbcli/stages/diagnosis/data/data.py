@@ -13,17 +13,8 @@ from limbcli.case import Noise as StatedNoise
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise
-from limbcli.effects.reading import (
-    Curves,
-    Protocol,
-    Reading,
-    Readout,
-    depth_at,
-    force_at,
-    read,
-    relaxed,
-    true_depth,
-)
+from limbcli.effects.curves import Curves, depth_at, force_at
+from limbcli.effects.reading import Protocol, Reading, Readout, read, relaxed, true_depth
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from limbcli.diagnostics import thresholds
-from limbcli.effects.reading import Curves, Reading, force_at, true_depth
+from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.reading import Reading, true_depth
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
 

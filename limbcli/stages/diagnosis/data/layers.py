@@ -13,8 +13,9 @@ import numpy as np
 
 from limbcli.diagnostics.model.noise import NoisePart, common
 from limbcli.effects.base import Effect, Theta
+from limbcli.effects.curves import Curves
 from limbcli.effects.places import Places
-from limbcli.effects.reading import Curves, Protocol
+from limbcli.effects.reading import Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray

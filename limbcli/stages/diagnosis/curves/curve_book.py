@@ -11,16 +11,14 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Theta, applied
+from limbcli.effects.base import applied
+from limbcli.effects.curves import Curves, continued
 from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
-from limbcli.effects.places import Places, Stiffness
-from limbcli.effects.reading import Curves, continued
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
@@ -28,6 +26,13 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
+from limbcli.stages.diagnosis.curves.ingredients import (
+    Ingredients,
+    fields,
+    has_fitted_size,
+    is_numerical,
+    touches_loads,
+)
 from limbcli.stages.diagnosis.curves.keys import changed_to, fingerprint
 from limbcli.stages.diagnosis.curves.store import Kept
 from limbcli.stages.diagnosis.curves.work import Work
@@ -43,7 +48,6 @@ from limbcli.stages.site_model.indentation_model import (
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved
 
-Ingredients = tuple[tuple[Effect, Theta], ...]
 # m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
 # The stiffer law keeps its stability further, and its levels lead the softer ones through.
 FIRST_M, USUAL_M = (8.0, 4.0), 4.0
@@ -210,11 +214,11 @@ class CurveBook:
         has_friction = any(contact.friction for contact in model.contacts)
         if has_friction:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
-        numerical = _is_numerical(ingredients)
+        numerical = is_numerical(ingredients)
         hoped = self._required if numerical else self._hoped
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
-        self.work.begin(candidate=limited, has_friction=has_friction, fitted=_has_fitted_size(ingredients))
+        self.work.begin(candidate=limited, has_friction=has_friction, fitted=has_fitted_size(ingredients))
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             shared = self._shared()
@@ -343,38 +347,6 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(found.work)
             self._taken_up(key)
-        if not _is_numerical(ingredients):
+        if not is_numerical(ingredients):
             self._tell(m, ingredients, found.n_reached)
         return found.curves
-
-
-def _is_numerical(ingredients: Ingredients) -> bool:
-    """Whether there is something changed, and nothing but mesh, cut or contact."""
-    return bool(ingredients) and all(effect.kind == "numerical" for effect, _ in ingredients)
-
-
-def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
-    """Of effects that are a factor on all stiffnesses; `waves`: as the scanner's window meets them."""
-    return tuple(
-        partial(_stiffness_of, effect, theta) for effect, theta in ingredients
-        if effect.stiffness is not None and not (waves and effect.waves is not None)
-    )  # fmt: skip
-
-
-def _stiffness_of(effect: Effect, theta: Theta, places: Places) -> Array:
-    assert effect.stiffness is not None
-    return effect.stiffness(places, theta)
-
-
-def _has_fitted_size(ingredients: Ingredients) -> bool:
-    """Whether a parameter stands neither at its null value nor where its sensitivity is taken."""
-    return any(
-        theta.get(p.name, p.null) not in (p.null, p.start)
-        for effect, theta in ingredients
-        for p in effect.parameters
-    )
-
-
-def touches_loads(effect: Effect) -> bool:
-    """Contact, supports and bodies are set up with a session; only materials may change in it."""
-    return effect.name in ("friction", "contact", "crop", "support-motion")
