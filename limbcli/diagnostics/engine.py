@@ -1,4 +1,4 @@
-"""Detect, identify, adapt: the whole diagnosis of one set of data on one bench.
+"""Detect, identify, adapt: the whole diagnosis of one set of data on one forward model.
 
 1. Fit the base model; look at what is left (all of it, its parts, along every candidate).
 2. If something is left beyond chance, refit the candidates that could be behind it and
@@ -31,17 +31,17 @@ from limbcli.progress import SILENT, Progress
 
 
 def diagnose(
-    bench: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = thresholds.N_DRAWS,
+    forward_model: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = thresholds.N_DRAWS,
     propose: bool = True, progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnose one bench. Deterministic for a given seed.
+    """Diagnose one forward model. Deterministic for a given seed.
 
     Raises
     ------
     LimbError
         If the base model itself cannot be fitted.
     """
-    baseline = BaselineFit(bench, bench.fit((), {}), seed, n_draws, progress)
+    baseline = BaselineFit(forward_model, forward_model.fit((), {}), seed, n_draws, progress)
     return _Run(baseline, max_effects, propose).all()
 
 
@@ -57,7 +57,7 @@ class _Run:
 
     def all(self) -> Diagnosis:
         baseline = self.baseline
-        self.facts: dict[str, Facts] = {each.name: each for each in baseline.bench.candidates}
+        self.facts: dict[str, Facts] = {each.name: each for each in baseline.forward_model.candidates}
         if baseline.state.nu < 1:
             return self._finish("untestable", "there are no more data than fitted parameters", None)
         for name, each in self.facts.items():
@@ -66,7 +66,12 @@ class _Run:
                     f"it takes many times the usual work: `--effects {name}` looks at it"
                 )
         trials = whitened_trials(
-            baseline.bench, baseline.base, self.facts, baseline.whiten, self.not_evaluated, baseline.progress
+            baseline.forward_model,
+            baseline.base,
+            self.facts,
+            baseline.whiten,
+            self.not_evaluated,
+            baseline.progress,
         )
         self.family = self._tested(trials)
         if self.family.smallest >= thresholds.ALPHA:

@@ -23,12 +23,12 @@ from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.measurement_menu import ROTATE, items
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
 from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.forward_model.measurement_menu import ROTATE, items
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 USUAL = (6.5, 4.0)  # c in kPa, m
 C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own
@@ -161,7 +161,7 @@ class Case:
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 
     def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 3):
-        bench = SiteBench(curves or [self.curves(self.levels)])
+        bench = SiteForwardModel(curves or [self.curves(self.levels)])
         if len(bench.sites) == 1:
             bench.turned = self._turned
         return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose, max_effects=max_effects)

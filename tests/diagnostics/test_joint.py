@@ -13,11 +13,11 @@ import pytest
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.joint import joined, slices
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 
 def _module(name: str):
@@ -72,7 +72,7 @@ def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
 
 
 def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
-    both = SiteBench(
+    both = SiteForwardModel(
         [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]
     )
     assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
@@ -85,7 +85,7 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
 @pytest.mark.slow
 def test_an_offset_in_one_measurement_is_found_there(rng):
     offset = measurement(rng, ALONG, reading=Reading(force_zero=1.2))
-    both = SiteBench([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
+    both = SiteForwardModel([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
     found = diagnose(both, n_draws=1500, propose=False)
     assert ("force-zero",) in found.confidence_set
     fitted = next(r.fitted for r in found.refits if r.explanation == ("force-zero",))
@@ -98,8 +98,8 @@ def test_turning_the_probe_tells_fibres_from_another_time_scale_of_the_waves(rng
     """Across the fibres alone both make the force too high for the speeds; along them they part."""
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.2, "fibre_tension_per_c": 0.4}),)
     first = measurement(rng, ACROSS, fibres)
-    alone = diagnose(SiteBench([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
-    both = SiteBench([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
+    alone = diagnose(SiteForwardModel([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
+    both = SiteForwardModel([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
     together = diagnose(both, n_draws=1500, propose=False)
     assert ("anisotropy",) in together.confidence_set
     assert ("swe-time-scale",) not in together.confidence_set

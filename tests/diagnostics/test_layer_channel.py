@@ -17,11 +17,11 @@ from limbcli.effects.curves import Curves, continued
 from limbcli.effects.places import Places
 from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
 from limbcli.stages.site_model.layer_readings import LayerReadings
 from tests.stages import block_case
@@ -73,10 +73,10 @@ def measured(rng, ingredients=()):
     )
 
 
-def bench(levels, layers, names=CANDIDATES) -> SiteBench:
+def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
     book = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
     site = site_data("p1", levels, NOISE, windows=book.windows, layers=layers)
-    return SiteBench([SiteCurves(site, book, {name: effect(name) for name in names})])
+    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
@@ -179,7 +179,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
     book = CurveBook(layered_block, depths, c=0.006, threads=1, borders=BorderLines(seen))
     site = site_data("p1", levels, noise, windows=book.windows, layers=seen)
-    the_bench = SiteBench([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
+    the_bench = SiteForwardModel([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
     book.close()

@@ -9,9 +9,14 @@ import pytest
 
 from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.bench.changes import filled
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
-from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, Numerics, measured_slope, too_doubtful
+from limbcli.stages.diagnosis.forward_model.changes import filled
+from limbcli.stages.diagnosis.mesh_doubt.interventions import (
+    Intervention,
+    Numerics,
+    measured_slope,
+    too_doubtful,
+)
 
 
 def curve(power: float) -> Curves:

@@ -15,11 +15,11 @@ from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.changes import logs
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
+from limbcli.stages.diagnosis.forward_model.changes import logs
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
 
 
@@ -36,10 +36,10 @@ CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-
               "viscoelasticity", "poroelasticity", "support-motion")  # fmt: skip
 
 
-def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteBench:
+def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteForwardModel:
     book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
     site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
-    return SiteBench([SiteCurves(site, book, {name: effect(name) for name in names})])
+    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def true_book():

@@ -10,9 +10,9 @@ import pytest
 from limbcli.effects import effect
 from limbcli.errors import SolveError
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from tests.stages import block_case
 
 DEPTHS = (1.0, 2.0, 3.0, 4.0)

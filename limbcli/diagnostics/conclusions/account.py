@@ -49,7 +49,7 @@ class Account:
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
         scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
-        estimates = self.baseline.bench.reported(
+        estimates = self.baseline.forward_model.reported(
             fitted, scale=scale, besides=self.baseline.form_error(fitted)
         )
         return Shrink(
@@ -77,7 +77,7 @@ class Account:
             return ()
         fits = [refit.fitted for refit in sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]]
         try:
-            proposals = self.baseline.bench.proposals(fits)
+            proposals = self.baseline.forward_model.proposals(fits)
         except LimbError as error:
             not_evaluated["next measurement"] = error.what
             return ()

@@ -26,7 +26,7 @@ from limbcli.progress import SILENT, Progress
 class BaselineFit:
     """The fit without effects, and what is left by it. `seed` fixes every draw."""
 
-    bench: ForwardModel
+    forward_model: ForwardModel
     base: Fitted
     seed: int
     n_draws: int
@@ -34,7 +34,7 @@ class BaselineFit:
 
     @property
     def data(self) -> Data:
-        return self.bench.data
+        return self.forward_model.data
 
     @cached_property
     def whiten(self) -> Whitener:

@@ -16,7 +16,7 @@ from limbcli.progress import Progress
 
 
 def whitened_trials(
-    bench: ForwardModel, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
+    forward_model: ForwardModel, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
     not_evaluated: dict[str, str], progress: Progress,
 ) -> list[Trial]:  # fmt: skip
     """A trial of each candidate that is not in the fit, and not dear; why not, in `not_evaluated`."""
@@ -25,7 +25,7 @@ def whitened_trials(
         if name in fitted.explanation or facts[name].dear:
             continue
         try:
-            raw = bench.directions(fitted, name)
+            raw = forward_model.directions(fitted, name)
         except LimbError as error:
             not_evaluated[name] = error.what
         else:

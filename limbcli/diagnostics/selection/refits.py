@@ -1,4 +1,4 @@
-"""Refits of explanations: first on the bench's surrogate, then, near the best, simulated as they stand."""
+"""Refits of explanations: first on the forward model's surrogate, then, near the best, simulated."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Refits:
         start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
         start |= found.direction.at
         try:
-            return self.baseline.bench.fit(explanation, start)
+            return self.baseline.forward_model.fit(explanation, start)
         except LimbError as error:
             self.not_evaluated[" + ".join(explanation)] = error.what
             return None
@@ -119,7 +119,7 @@ class Refits:
         refit = self._judged(draft)
         if simulated and refit.left_p >= thresholds.UNFIT:
             try:
-                fitted = self.baseline.bench.verified(draft)
+                fitted = self.baseline.forward_model.verified(draft)
             except LimbError as error:
                 self.not_evaluated[label] = error.what
                 return

@@ -28,7 +28,6 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
 from limbcli.stages.diagnosis.data.data import SiteData, site_data
 from limbcli.stages.diagnosis.data.holds import HeldForces, held_forces
@@ -36,9 +35,10 @@ from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import Extra
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
 from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
-from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, Numerics
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone

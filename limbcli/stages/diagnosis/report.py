@@ -15,15 +15,19 @@ from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
-from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import slices
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.sizes import reported_sizes
 
 
-def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:
+def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
     """Everything, with plain values; units in the keys."""
-    null = {slot.name: slot.parameter.null for name in bench.effects for slot in bench.slots((name,))}
+    null = {
+        slot.name: slot.parameter.null
+        for name in forward_model.effects
+        for slot in forward_model.slots((name,))
+    }
     family = found.family
     where = [
         {"part": t.name.removeprefix(PREFIX), "p": t.p, "p_adjusted": t.p_adjusted,
@@ -67,7 +71,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
             "power_for_its_worst_pair": best[1] if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": reported_sizes(bench.effects, found.sizes, found.estimates.values["c_kpa"]),
+        "sizes_95": reported_sizes(forward_model.effects, found.sizes, found.estimates.values["c_kpa"]),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,

@@ -135,7 +135,7 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Eff
     Below the probe's middle the layers bear nearly the same pressure one after the other, as springs in
     series do: where the tissue is softer by a factor, it gives way more by that factor, and the probe's depth
     is shared out anew. Effects that are no field of stiffness leave the lines. A simulation at one size, and
-    at the fitted one, puts right what this misses (`bench.changes`, `SiteCurves.repair`).
+    at the fitted one, puts right what this misses (`forward_model.changes`, `SiteCurves.repair`).
 
     Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
     18(4):e0284721.

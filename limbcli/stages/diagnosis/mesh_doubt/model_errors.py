@@ -15,9 +15,9 @@ from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
 from limbcli.stages.diagnosis.data.data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, ModelError
+from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, Numerics
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import at_depths
-from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, Numerics
 from limbcli.stages.geometry_gain import assumed_gain
 
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels

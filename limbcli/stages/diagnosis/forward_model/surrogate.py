@@ -20,9 +20,9 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.bench.changes import Book, Changes, logs
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")

@@ -1,4 +1,4 @@
-"""The diagnosis' bench: fits and sensitivities of one site, or of several measurements of one place.
+"""The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
 
 Fits run on each site's surrogate; after a refit the model with the effect in it is solved once as it stands
 and the fit is repeated: reported numbers come from that.
@@ -18,13 +18,13 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.bench.changes import only_febio
-from limbcli.stages.diagnosis.bench.fits import Fits
-from limbcli.stages.diagnosis.bench.measurement_menu import menu
-from limbcli.stages.diagnosis.bench.predictions import M_BOUNDS, held_points
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.bench.slots import Slot
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.forward_model.changes import only_febio
+from limbcli.stages.diagnosis.forward_model.fits import Fits
+from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
+from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_points
+from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
@@ -32,7 +32,7 @@ _MOST_REPAIRS = 4
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
-class SiteBench(Fits):
+class SiteForwardModel(Fits):
     """One site's data against its curves, or several sites' that share the tissue.
 
     not_simulated : explanations whose fit was not simulated as it stands, as the work was spent

@@ -12,9 +12,9 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.bench.fits import Fits
-from limbcli.stages.diagnosis.bench.site import SiteCurves
 from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.forward_model.fits import Fits
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 See = Callable[[Curves, Reading, Protocol], Array]
 _SLOW_S, _FAST_S = 20.0, 0.5
@@ -102,16 +102,16 @@ def known(given: Mapping[str, float]) -> list[Extra]:
 _NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-def menu(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
+def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     """What is not measured yet, as far as it may tell these explanations apart."""
-    has = {channel for each in bench.sites for channel in each.site.channels}
+    has = {channel for each in forward_model.sites for channel in each.site.channels}
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
-    if any(bench.site.protocol.unloading):
+    if any(forward_model.site.protocol.unloading):
         open_items = [item for item in open_items if item.name != "unload"]
-    found = [_proposal(bench, fits, item) for item in open_items]
+    found = [_proposal(forward_model, fits, item) for item in open_items]
     # Beside other effects it takes a simulation of each of them in the turned model.
-    if len(bench.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
-        found += _rotated(bench, fits)
+    if len(forward_model.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
+        found += _rotated(forward_model, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
 
 
@@ -161,24 +161,24 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 # ---------------------------------------------------------------- at one site
 
 
-def _proposal(bench: Fits, fits: Sequence[Fitted], item: Item) -> Proposal:
+def _proposal(forward_model: Fits, fits: Sequence[Fitted], item: Item) -> Proposal:
     predictions, jacobians = {}, {}
     for fitted in fits:
-        value, jacobian = _seen(bench, fitted, bench.sites[0], item.see)
+        value, jacobian = _seen(forward_model, fitted, forward_model.sites[0], item.see)
         predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
     size = len(next(iter(predictions.values())))
-    deviation = item.deviation(bench.site.protocol, size)
+    deviation = item.deviation(forward_model.site.protocol, size)
     return Proposal(item.name, item.sentence, predictions, jacobians, np.diag(deviation**2))
 
 
-def _seen(bench: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
+def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """The proposal's value at a fit, and its derivative in the fit's own columns."""
-    points = bench.points(fitted)
+    points = forward_model.points(fitted)
     x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
     x += [fitted.values[name] for name in fitted.effect_names]
 
     def at(values: Array) -> Array:
-        theta = bench.theta(
+        theta = forward_model.theta(
             dict(zip(fitted.effect_names, values[2:].tolist(), strict=True)), fitted.explanation, 0
         )
         c, m = float(np.exp(values[0])), float(np.exp(values[1]))
@@ -199,21 +199,21 @@ def _seen(bench: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Arr
 # ---------------------------------------------------------------- another orientation
 
 
-def _rotated(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
+def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     """The same place with the probe turned by 90 degrees: a whole measurement more."""
-    if bench.turned is None:
+    if forward_model.turned is None:
         return []
     try:
-        turned = bench.turned()
+        turned = forward_model.turned()
     except LimbError:
         return []
     predictions, jacobians = {}, {}
     unknown = np.zeros((len(turned.site.data),) * 2)
     for fitted in fits:
-        value, jacobian = _turned(bench, fitted, turned)
+        value, jacobian = _turned(forward_model, fitted, turned)
         first = jacobian.shape[1] - len(fitted.effect_names)
-        for k, slot in enumerate(bench.slots(fitted.explanation)):
-            effect = next(e for e in bench.effects.values() if slot.parameter in e.parameters)
+        for k, slot in enumerate(forward_model.slots(fitted.explanation)):
+            effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
             if effect.each_time:  # its size next time is not known
                 size = slot.parameter.typical - slot.parameter.null
                 unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
@@ -224,12 +224,12 @@ def _rotated(bench: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     return [Proposal(ROTATE, sentence, predictions, jacobians, covariance)]
 
 
-def _turned(bench: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
+def _turned(forward_model: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
     """The turned measurement as a fit predicts it; what changes each time is absent from it."""
     values = dict(fitted.values)
-    for slot in bench.slots(fitted.explanation):
-        effect = next(e for e in bench.effects.values() if slot.parameter in e.parameters)
+    for slot in forward_model.slots(fitted.explanation):
+        effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
         if effect.each_time:
             values[slot.name] = slot.parameter.null
     absent = replace(fitted, values=values)
-    return _seen(bench, absent, turned, lambda c, r, p: turned.site.predict(c, r))
+    return _seen(forward_model, absent, turned, lambda c, r, p: turned.site.predict(c, r))

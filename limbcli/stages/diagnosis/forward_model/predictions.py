@@ -15,11 +15,11 @@ from limbcli.effects.base import Effect, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.model import Array
-from limbcli.stages.diagnosis.bench.changes import Book
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.bench.slots import Slot
 from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import joined
+from limbcli.stages.diagnosis.forward_model.changes import Book
+from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3

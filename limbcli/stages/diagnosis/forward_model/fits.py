@@ -19,9 +19,9 @@ from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.bench.predictions import Predictions
-from limbcli.stages.diagnosis.bench.site import SiteCurves, label
-from limbcli.stages.diagnosis.bench.slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions
+from limbcli.stages.diagnosis.forward_model.slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 from limbcli.units import kpa_from_mpa
 
 _QUICK, _FULL = 12, 60  # evaluations of a fit
