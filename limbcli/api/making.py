@@ -201,10 +201,10 @@ def _plan(
     )  # fmt: skip
     one_of(function, ELEMENTS, element=element)
     from limbcli.stages.simulated_subjects.indent import KnownTissue
-    from limbcli.stages.synth import Protocol, SynthOptions
+    from limbcli.stages.synth import LoadingProtocol, SynthOptions
 
     return SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m), seed=seed, noise=noise, element=element,
         size=size_mm, far_size=far_size_mm, margin=margin_mm, same_mesh=same_mesh,
-        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
+        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
     )  # fmt: skip

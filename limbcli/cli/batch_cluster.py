@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from limbcli.cli.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
-from limbcli.stages.batching.cluster import Standing, WorkerRefused, connected, lost_workers, threads_of
+from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def together(
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
         call = Call(
-            client=Standing.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            client=WorkerStanding.own(), asked=asked(sys.argv, [case for case, _ in cases]),
             threads=threads_of(jobs) if scheduler is None else 1, topic=f"limbcli-{uuid.uuid4().hex}",
             tell_s=max(_TELL_S, n_workers / 2), wait=wait, options=options,
         )  # fmt: skip

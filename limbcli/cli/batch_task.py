@@ -12,7 +12,7 @@ from typing import Any
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
-from limbcli.stages.batching.cluster import Standing, as_called, refuse_other
+from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 from limbcli.stages.batching.steps import SITE_STAGES
 
@@ -31,7 +31,7 @@ class Call:
     topic : of Dask's events, for progress, of which one comes every `tell_s` at least
     """
 
-    client: Standing
+    client: WorkerStanding
     asked: tuple[str, ...]
     threads: int
     topic: str

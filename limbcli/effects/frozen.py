@@ -71,7 +71,7 @@ class Seen:
 
 
 @dataclass(eq=False)
-class Kinematics:
+class SolvedDeformation:
     """A solved indentation, cell by cell of the tissue's block.
 
     depth (n,) mm from 0; gradient (n, n_cells, 3, 3); volume (n_cells,) mm^3; seen : at every depth
@@ -121,7 +121,9 @@ class Kinematics:
         return self._speeds[id(model)]
 
 
-def frozen_force(model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = ()) -> Array:
+def frozen_force(
+    model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = ()
+) -> Array:
     """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the law
     leaves the range of numbers.
 
@@ -139,7 +141,11 @@ def frozen_force(model: LimbModel, kinematics: Kinematics, stiffness: Sequence[S
 
 
 def frozen_speed(
-    model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = (), *, density_kg_per_m3: float
+    model: LimbModel,
+    kinematics: SolvedDeformation,
+    stiffness: Sequence[Stiffness] = (),
+    *,
+    density_kg_per_m3: float,
 ) -> Array:
     """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation."""
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)

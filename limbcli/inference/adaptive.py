@@ -14,7 +14,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import THRESHOLD_95, Profile, best_of, profile_likelihood
 from limbcli.inference.residual import Objective
 from limbcli.model import Array
@@ -25,14 +25,14 @@ _NEAR = 0.05  # a point counts as solved within this distance in ln theta
 _END_NEAR = 0.3  # an interval's end is trusted within this distance
 
 
-class Problem(Protocol):
+class EstimationProblem(Protocol):
     """What is to be estimated, on surrogates.
 
     parameters : on the log scale, the whole vector theta; `profiled`: indices
     n_freedom : data minus parameters
     """
 
-    parameters: list[Parameter]
+    parameters: list[FitParameter]
     profiled: tuple[int, ...]
     n_freedom: int
 
@@ -82,7 +82,7 @@ class Intervals:
 
 
 def adaptive_profiles(
-    problem: Problem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
+    problem: EstimationProblem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
 ) -> Intervals:
     """Profiles with as few simulations as the accuracy of the intervals allows.
 
@@ -103,7 +103,7 @@ def adaptive_profiles(
 
 
 class _Work:
-    def __init__(self, problem: Problem, estimate: Array | None):
+    def __init__(self, problem: EstimationProblem, estimate: Array | None):
         self.problem, self.estimate = problem, estimate
         self.unsolved: list[Array] = []
         self.refused: list[Array] = []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.model import Array
 
@@ -90,7 +90,7 @@ class Verdict:
 
 
 def verdict(
-    parameter: Parameter,
+    parameter: FitParameter,
     value: float,
     profile: Profile | None,
     *,
@@ -142,7 +142,7 @@ def _without_profile(name: str, value: float, log_deviation: float, why: str) ->
     return Verdict(flag, f"{name} = {value:.4g}, standard error {share:.2g} %; {why}.")
 
 
-def _excluded(parameter: Parameter, profile: Profile | None) -> str:
+def _excluded(parameter: FitParameter, profile: Profile | None) -> str:
     """What the data do exclude, in words."""
     if profile is None:
         return "no interval was computed"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.parameter import Parameter, natural, normalised, slopes
+from limbcli.inference.parameter import FitParameter, natural, normalised, slopes
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -39,7 +39,7 @@ class Fit:
     there; cost = sum of squares; `reason` says which test ended it.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FitParameter, ...]
     theta: Array
     residual: Array
     jacobian: Array
@@ -55,7 +55,7 @@ class Fit:
 
 def levenberg_marquardt(
     objective: Objective,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[FitParameter],
     *,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
@@ -109,7 +109,11 @@ class _Search:
     """State of one search: the current point, its linearisation, trust radius and scaling."""
 
     def __init__(
-        self, objective: Objective, parameters: tuple[Parameter, ...], progress: Progress, guide: Guide | None
+        self,
+        objective: Objective,
+        parameters: tuple[FitParameter, ...],
+        progress: Progress,
+        guide: Guide | None,
     ):
         self.objective, self.parameters, self.progress = objective, parameters, progress
         self.guide = guide

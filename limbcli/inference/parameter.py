@@ -17,7 +17,7 @@ _ON_BOUND = 1e-3
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FitParameter:
     """A positive parameter, its start value and bounds.
 
     The search runs on the normalised coordinate x: theta / start (scale "ratio",
@@ -64,20 +64,20 @@ class Parameter:
             return "low"
         return "high" if theta >= self.high * (1.0 - _ON_BOUND) else None
 
-    def started_at(self, theta: float) -> Parameter:
+    def started_at(self, theta: float) -> FitParameter:
         return replace(self, start=min(max(theta, self.low), self.high))
 
-    def in_logs(self) -> Parameter:
+    def in_logs(self) -> FitParameter:
         return replace(self, scale="log")
 
 
-def normalised(parameters: Sequence[Parameter], theta: Array) -> Array:
+def normalised(parameters: Sequence[FitParameter], theta: Array) -> Array:
     return np.array([p.normalised(float(t)) for p, t in zip(parameters, theta, strict=True)])
 
 
-def natural(parameters: Sequence[Parameter], x: Array) -> Array:
+def natural(parameters: Sequence[FitParameter], x: Array) -> Array:
     return np.array([p.natural(float(v)) for p, v in zip(parameters, x, strict=True)])
 
 
-def slopes(parameters: Sequence[Parameter], theta: Array) -> Array:
+def slopes(parameters: Sequence[FitParameter], theta: Array) -> Array:
     return np.array([p.slope(float(t)) for p, t in zip(parameters, theta, strict=True)])

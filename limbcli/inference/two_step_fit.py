@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.levenberg_marquardt import Fit, Guide, levenberg_marquardt
-from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
-from limbcli.inference.prediction import Memory, Prediction, sampled
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
+from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
 from limbcli.inference.residual import force_residual
 from limbcli.inference.statistics import coefficient_of_determination, root_mean_square
 from limbcli.model import Array
@@ -61,16 +61,16 @@ class FittedStep:
 
 def search_parameters(
     start_f_kappa: float = START_F_KAPPA, start_m: float = M_MOONEY_RIVLIN
-) -> tuple[Parameter, Parameter]:
+) -> tuple[FitParameter, FitParameter]:
     """f_kappa and m with the paper's bounds."""
     return (
-        Parameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
-        Parameter("m", start_m, *M_BOUNDS, step_factor=M_STEP_FACTOR),
+        FitParameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
+        FitParameter("m", start_m, *M_BOUNDS, step_factor=M_STEP_FACTOR),
     )
 
 
 def two_step(
-    curve: Memory,
+    curve: SolvedPoints,
     knots: Array,
     data: ForceDepth,
     *,
@@ -112,7 +112,7 @@ def two_step(
 
 
 def _step(
-    name: str, free: tuple[int, ...], start: Array, curve: Memory, knots: Array, data: ForceDepth,
+    name: str, free: tuple[int, ...], start: Array, curve: SolvedPoints, knots: Array, data: ForceDepth,
     tolerance: float, max_iterations: int, guided: bool, progress: Progress,
 ) -> FittedStep:  # fmt: skip
     parameters = [search_parameters(*start)[k] for k in free]
@@ -134,8 +134,8 @@ def _step(
 
 
 def _guide(
-    parameters: Sequence[Parameter], free: tuple[int, ...], start: Array, curve: Memory, knots: Array,
-    data: ForceDepth,
+    parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, curve: SolvedPoints,
+    knots: Array, data: ForceDepth,
 ) -> Guide:  # fmt: skip
     """The minimum of the same objective on a surrogate made of everything solved so far."""
 
@@ -148,7 +148,7 @@ def _guide(
     return guess
 
 
-def sensitivities(curve: Memory, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
+def sensitivities(curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
     """Force at the loaded levels and its derivative with respect to ln f_kappa and ln m."""
     depths = data.depth[data.loaded]
     predict = sampled(curve, knots, depths, free=(F_KAPPA, M), fixed=theta)

@@ -19,7 +19,7 @@ from limbcli.files import sha256
 from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
-from limbcli.stages.batching.fits_on_demand import Extra, extras, made_by_hand, shown_only
+from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
 from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
 from limbcli.stages.batching.steps import SITE_STAGES, parts_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
@@ -177,7 +177,7 @@ class CaseRun:
         elif stage in SITE_STAGES:
             self._skip(SITE_STAGES[SITE_STAGES.index(stage) + 1 :], site, because=stage)
 
-    def _extra(self, extra: Extra, keys: Sequence[str]) -> str:
+    def _extra(self, extra: FitOnDemand, keys: Sequence[str]) -> str:
         """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
         folder = stage_folder(self.out, extra.stage, extra.site)
         by_site = zip(self.case.sites, keys, strict=False)

@@ -118,7 +118,7 @@ def _package(wanted: Requirement) -> Finding:
     return Finding("packages", wanted.name, "good", version)
 
 
-def _library(trial: libraries.Trial) -> Finding:
+def _library(trial: libraries.LibraryTrial) -> Finding:
     purpose = libraries.PURPOSES[trial.package]
     if trial.works:
         return Finding("tried", trial.package, "good", f"{purpose}: works")

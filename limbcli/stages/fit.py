@@ -19,7 +19,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.shape_doubt import no_narrower
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, doubts_about_levels
@@ -152,7 +152,7 @@ def _fit_site(
 
 
 def _intervals(
-    curve: Memory, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
+    curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
     limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
     """Of both steps; `modes`: with the doubt of the geometry."""
@@ -228,16 +228,16 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 
 def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
-) -> tuple[Memory, Array, float]:
+) -> tuple[SolvedPoints, Array, float]:
     """The curve, the depths of its levels, and the seconds of the first (cold) solve."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
-        curve = Memory(exact)
+        curve = SolvedPoints(exact)
         curve(START, (0, 1))
         return curve, exact.depths, time.perf_counter() - clock
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
-    curve = Memory(files.differentiable())
+    curve = SolvedPoints(files.differentiable())
     curve(START)
     return curve, files.depths, time.perf_counter() - clock
 

@@ -18,8 +18,8 @@ from scipy.linalg import block_diag
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
-from limbcli.inference.prediction import Memory
+from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
@@ -154,7 +154,7 @@ def _identify(
             each.model, law, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
             lines=each.lines, progress=progress,
         )  # fmt: skip
-        memory = Memory(curve)
+        memory = SolvedPoints(curve)
         for shape in _first_shapes(law):
             memory(shape, tuple(range(len(shape))))
         curves.append(memory)
@@ -205,7 +205,7 @@ def _first_shapes(law: FitLaw) -> list[Array]:
     return shapes
 
 
-def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteData:
+def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:
     """The loading levels of a site with their stated noise."""
     levels, noise = measured.levels, measured.site.noise
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
@@ -213,7 +213,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
     pixels = np.where(np.isfinite(levels.swe_pixels), levels.swe_pixels, np.inf)[seen]
     deviation = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
-    return SiteData(
+    return SiteMeasurement(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
         np.maximum(deviation, 1e-4), gain_deviation(measured.model, given), _layer_data(measured),

@@ -16,7 +16,7 @@ from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.places import MOVED_MM, place_problems
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.quality import Quality
+from limbcli.meshing.quality import MeshQuality
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
@@ -183,7 +183,7 @@ def _mesh_site(
 
 
 def _tell_layers(
-    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: Quality
+    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: MeshQuality
 ) -> None:
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
     writer.data["layer_sources"] = sources

@@ -24,7 +24,7 @@ from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.noise import Readings, measure
-from limbcli.phantom.protocol import Protocol, TrueLevels
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.scratch import scratch_folder
@@ -63,7 +63,7 @@ class SynthOptions:
     margin: float | None = None
     same_mesh: bool = False
     contact_penalty: float | None = None
-    protocol: Protocol = field(default_factory=Protocol)
+    protocol: LoadingProtocol = field(default_factory=LoadingProtocol)
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()

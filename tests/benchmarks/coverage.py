@@ -22,7 +22,7 @@ import numpy as np
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model_io import load_model
@@ -60,7 +60,7 @@ def one_seed(seed, model, truth, forces, depths, gain):
     start = indentation_model(model, schedule(list(simulated)), c=c, f_kappa=100.0, m=2.0)
     clock, work = time.perf_counter(), time.process_time()
     curve = ReferenceCurve(start, c=c, threads=1)
-    memory = Memory(curve)
+    memory = SolvedPoints(curve)
     memory(START, (0, 1))
     cold, cold_work = time.perf_counter() - clock, time.process_time() - work
     steps = two_step(memory, curve.depths, data)

@@ -23,7 +23,7 @@ from limbcli.case import Case
 from limbcli.effects import effect
 from limbcli.errors import LimbError
 from limbcli.phantom.measured_files import write_readings
-from limbcli.phantom.protocol import Protocol
+from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.run import run
@@ -42,7 +42,7 @@ def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list
     source = Case.open(options.truth or options.case)
     hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
     how = SynthOptions(
-        tissue=TISSUE, hidden=hidden, protocol=Protocol(max_force=options.max_force_n), margin=50.0,
+        tissue=TISSUE, hidden=hidden, protocol=LoadingProtocol(max_force=options.max_force_n), margin=50.0,
         size=options.size_mm, far_size=3 * options.size_mm, contact_penalty=options.contact_penalty,
     )  # fmt: skip
     chosen = source.selected(options.site)

@@ -21,7 +21,7 @@ from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.joint import JointTask, SiteData, joint_fit
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.model_io import load_model
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import LAWS
@@ -92,7 +92,7 @@ def main():
     print(f"{len(forces)} levels to {forces[-1]:g} N at {depths[-1]:.2f} mm", file=sys.stderr)
     model = load_model(given.model)
     curve = law_curve(model, truth["c"], np.linspace(0.08, 1.1, 9) * depths[-1])
-    memory = Memory(curve)
+    memory = SolvedPoints(curve)
     for shape in ((100.0, 2.0), (10.0, 2.0), (100.0, 4.0)):
         memory(np.array(shape), (0, 1))
     rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []

@@ -25,7 +25,7 @@ from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
 from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
-from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
@@ -185,7 +185,7 @@ class Case:
         curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
         y = item.see(curves, reading, protocol)
         deviation = item.deviation(protocol, len(y))
-        extra = Extra(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
+        extra = ExtraMeasurement(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
         return name, self.diagnose(self.curves(self.levels, extras=[extra]), propose=False)
 
 

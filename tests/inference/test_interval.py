@@ -6,8 +6,8 @@ import pytest
 from limbcli.errors import SolveError
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.levenberg_marquardt import levenberg_marquardt
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.residual import Residual
 from limbcli.inference.two_step_fit import ForceDepth, two_step
@@ -28,7 +28,7 @@ def noisy(stand_in, truth, kind, seed):
 def intervals(stand_in, truth, kind, seed, **options):
     data, c = noisy(stand_in, truth, kind, seed)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, kind))
+    memory = SolvedPoints(stand_in.curve(knots, c, kind))
     _, second = two_step(memory, knots, data)
     return force_intervals(memory, knots, data, Stiffness(c, 0.1), second.theta, **options), second
 
@@ -40,7 +40,7 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
     def objective(theta, derivative=True):
         return Residual(data - design @ theta, -design)
 
-    parameters = [Parameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
+    parameters = [FitParameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
     best = levenberg_marquardt(objective, parameters, tolerance=1e-8)
     deviation = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     found = profile_likelihood(objective, parameters, best, 1)
@@ -72,7 +72,7 @@ def test_the_interval_agrees_with_one_on_the_true_model(stand_in):
     assert few.n_solves > 0 == many.n_solves
     data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    memory = SolvedPoints(stand_in.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     for f_kappa in np.geomspace(30, 500, 7):
         for m in np.geomspace(1.5, 6, 5):
@@ -97,7 +97,7 @@ def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(stand_in
 def test_an_uncertain_stiffness_widens_the_interval(stand_in):
     data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    memory = SolvedPoints(stand_in.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     known = force_intervals(memory, knots, data, Stiffness(c, 0.0), theta).profiles["f_kappa"]
     guessed = force_intervals(memory, knots, data, Stiffness(c, 0.2), theta).profiles["f_kappa"]
@@ -108,7 +108,7 @@ def test_a_simulation_that_fails_is_reported_and_stops_the_interval(stand_in):
     data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
     exact = stand_in.curve(knots, c, "tet4")
-    walk = Memory(exact)
+    walk = SolvedPoints(exact)
     theta = two_step(walk, knots, data)[1].theta
 
     def fragile(at, wrt=()):
@@ -116,7 +116,7 @@ def test_a_simulation_that_fails_is_reported_and_stops_the_interval(stand_in):
             raise SolveError("stopped", where="here", fix="none")
         return exact(at, wrt)
 
-    memory = Memory(fragile)
+    memory = SolvedPoints(fragile)
     for at, _ in walk.solved:
         if at[0] <= 1.1 * theta[0]:
             memory(at, (0, 1))

@@ -13,16 +13,16 @@ from limbcli.inference.joint import (
     joint_fit,
     predict_site,
 )
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory, Prediction
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Prediction, SolvedPoints
 
 C0 = 0.008
 KNOTS = np.linspace(1.0, 11.0, 11)
 DEPTH = np.linspace(0.8, 9.6, 11)
 LOG_SPEED_0 = float(np.log(np.sqrt(C0 / 2 / 1e-9) / 1e3))
 SHAPE = (
-    Parameter("f_kappa", 100.0, 0.01, 1000.0, "log"),
-    Parameter("m", 2.0, 1.0, 100.0, "log", step_factor=2.5),
+    FitParameter("f_kappa", 100.0, 0.01, 1000.0, "log"),
+    FitParameter("m", 2.0, 1.0, 100.0, "log", step_factor=2.5),
 )
 
 
@@ -62,7 +62,7 @@ def measurement(stand_in, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=
 
 
 def task(stand_in, data, shape=SHAPE, **options):
-    curves = [Memory(curve(stand_in, **options)) for _ in data]
+    curves = [SolvedPoints(curve(stand_in, **options)) for _ in data]
     for each in curves:
         for theta in ((100.0, 2.0), (100.0, 3.5), (20.0, 2.5)):
             each(np.array(theta[: len(shape)]), tuple(range(len(shape))))
@@ -161,7 +161,7 @@ def test_held_out_levels_prefer_the_law_that_made_the_data(stand_in):
         found = whole(np.array([theta[0], 2.0]), (0, 1))
         return Prediction(found.values, found.jacobian[:, :1])
 
-    memory = Memory(only_f_kappa)
+    memory = SolvedPoints(only_f_kappa)
     for value in (100.0, 20.0, 4.0):
         memory(np.array([value]), (0,))
     stiff = JointTask([memory], [data], SHAPE[:1], C0, [LOG_SPEED_0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.inference.prediction import Differences, Memory, sampled, slopes_at
+from limbcli.inference.prediction import Differences, SolvedPoints, sampled, slopes_at
 
 KNOTS = np.linspace(1.0, 10.0, 10)
 
@@ -62,7 +62,7 @@ def test_a_shift_without_answer_is_made_the_other_way(stand_in):
 
 
 def test_memory_never_solves_the_same_twice(stand_in):
-    memory = Memory(stand_in.curve(KNOTS, 0.008))
+    memory = SolvedPoints(stand_in.curve(KNOTS, 0.008))
     for theta in ((20.0, 3.0), (30.0, 3.0), (20.0, 3.0)):
         memory(np.array(theta), (0, 1))
     assert memory.n_solves == 2
@@ -71,7 +71,7 @@ def test_memory_never_solves_the_same_twice(stand_in):
 
 def test_sampled_derivative_follows_the_chain_rule(stand_in, rng):
     depths = np.r_[-0.2, 0.0, rng.uniform(0.1, 10.0, 8)]
-    memory = Memory(stand_in.curve(KNOTS, 0.008))
+    memory = SolvedPoints(stand_in.curve(KNOTS, 0.008))
     predict = sampled(memory, KNOTS, depths, free=(1,), fixed=np.array([20.0, 2.0]))
     step = 1e-5
     up, down = (predict(np.array([3.0 + s * step]), derivative=False).values for s in (1, -1))
@@ -81,7 +81,7 @@ def test_sampled_derivative_follows_the_chain_rule(stand_in, rng):
 
 
 def test_slopes_are_those_of_the_curve(stand_in):
-    memory = Memory(stand_in.curve(KNOTS, 0.008))
+    memory = SolvedPoints(stand_in.curve(KNOTS, 0.008))
     depth, step = np.array([4.0, 7.0]), 1e-4
     rise = stand_in.force(depth + step, 0.008, 20.0, 3.0) - stand_in.force(depth - step, 0.008, 20.0, 3.0)
     np.testing.assert_allclose(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.inference.joint import JointProblem, JointTask, predict_site
-from limbcli.inference.prediction import Memory, Prediction
+from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from tests.inference.test_joint import C0, KNOTS, LOG_SPEED_0, SHAPE, STARTS, curve, measurement
 
@@ -76,7 +76,7 @@ def test_derivatives_of_layers_are_those_of_differences(stand_in, speeds):
 
 def test_residuals_of_the_joint_objective_have_the_derivatives_of_differences(stand_in):
     data = with_layers(measurement(stand_in, c=C0, f_kappa=50.0, m=4.0), 4.0, np.random.default_rng(7))
-    memory = Memory(layered(stand_in))
+    memory = SolvedPoints(layered(stand_in))
     for theta in ((100.0, 2.0), (100.0, 3.5), (20.0, 2.5)):
         memory(np.array(theta), (0, 1))
     problem = JointProblem(JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0]), STARTS)

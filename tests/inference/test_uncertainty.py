@@ -3,10 +3,10 @@
 import numpy as np
 
 from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 
-F_KAPPA = Parameter("f_kappa", 100.0, 0.01, 1000.0)
+F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
 
 
 def profile(low, high, open_low=False, open_high=False):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli import units
-from limbcli.effects.frozen import Kinematics, frozen_force
+from limbcli.effects.frozen import SolvedDeformation, frozen_force
 from limbcli.materials import LAWS, compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.materials.ogden import ogden_type
@@ -152,7 +152,7 @@ def test_frozen_force_of_a_uniform_squeeze_is_exact():
     stretch = 1 - depth / 10
     F = np.array([np.diag([s**-0.5, s**-0.5, s]) for s in stretch])[:, None]
     volume = np.array([1000.0])
-    found = frozen_force(_model(law, 1), Kinematics(depth, F, volume))
+    found = frozen_force(_model(law, 1), SolvedDeformation(depth, F, volume))
     # W = c/8 (sum l^2 + l^-2 - 6), dW/ds = c/8 (2 s - 2 s^-2 - 2 s^-3 + 2), ds/ddepth = -1/10
     s = stretch
     exact = -100.0 * 0.006 / 8 * (2 * s - 2 * s**-2 - 2 * s**-3 + 2)

@@ -14,7 +14,7 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import tube
-from limbcli.phantom.protocol import Protocol
+from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
@@ -207,7 +207,7 @@ def wide_over(doubt: dict, name: str) -> float:
 def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     """Simulated on the same numbers: m within its interval, which the varied shapes widen."""
     truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
-    plan = SynthOptions(tissue=truth, same_mesh=True, protocol=Protocol(step=0.75, max_force=4.0))
+    plan = SynthOptions(tissue=truth, same_mesh=True, protocol=LoadingProtocol(step=0.75, max_force=4.0))
     _, meshed = chain
     made, out = tmp_path / "made", tmp_path / "out"
     synth(chain[0], out=meshed, out_case=made, options=plan)

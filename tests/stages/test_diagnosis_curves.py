@@ -132,7 +132,7 @@ def iterate(work: Work, n: int, *, factors: int = 0) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"rubs": True}, 600)]
+    ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"has_friction": True}, 600)]
 )
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])

@@ -14,7 +14,7 @@ from scipy.io import loadmat
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import Progress
 from limbcli.results import StageResult
 from limbcli.solvers.febio import FebioSolver
@@ -202,7 +202,7 @@ def test_a_solver_on_files_gives_the_same_curve_and_derivative(case, tmp_path):
     model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
     exact = ReferenceCurve(model, c=TRUTH["c"])
     files = FileCurve(ReferenceSolver(threads=1), model, c=TRUTH["c"])
-    one, other = exact(START), Memory(files.differentiable(relative_step=1e-3))(START, (0, 1))
+    one, other = exact(START), SolvedPoints(files.differentiable(relative_step=1e-3))(START, (0, 1))
     exact.close()
     np.testing.assert_allclose(other.values, one.values, rtol=1e-5)
     np.testing.assert_allclose(files.depths, exact.depths, rtol=1e-9)

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.numbers import DASH, number, significant
-from limbcli.reporting.reportlet import Cell, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, head
 
 _NAMES = {"f_kappa": "f_κ", "m": "m"}
 
 
-def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[Table, ...]:
+def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Both parts of the 95 % intervals, and every variation; nothing where the geometry was imaged.
 
     data : of fit.json
@@ -22,7 +22,7 @@ def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[Table, ...]:
     return _parts(site, doubt), _variations(site, doubt)
 
 
-def _parts(site: str, doubt: Mapping[str, Any]) -> Table:
+def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
     rows = []
     for name, symbol in _NAMES.items():
         cells = [
@@ -34,10 +34,12 @@ def _parts(site: str, doubt: Mapping[str, Any]) -> Table:
     names = head(
         "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
     )
-    return Table(f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows))
+    return PageTable(
+        f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows)
+    )
 
 
-def _variations(site: str, doubt: Mapping[str, Any]) -> Table:
+def _variations(site: str, doubt: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in doubt.get("variations") or ():
         changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
@@ -47,7 +49,7 @@ def _variations(site: str, doubt: Mapping[str, Any]) -> Table:
         rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
     caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
-    return Table(caption, (names,), tuple(rows))
+    return PageTable(caption, (names,), tuple(rows))
 
 
 def _interval(found: Sequence[float | None] | None) -> str:

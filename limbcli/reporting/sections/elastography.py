@@ -8,7 +8,7 @@ from limbcli.reporting.curves import read_predicted_speeds
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_words, wave_speed
 from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 from limbcli.results import StageResult
 
 TITLE = "Does the tissue stiffen with load, as shear waves see it?"
@@ -43,7 +43,7 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     lines = (("force", "N", site.against_force), ("depth", "mm", site.against_depth))
     rows = tuple(_row(name, unit, line, site.why_no_line) for name, unit, line in lines)
     names = head("speed against", "slope", "standard error", "speed at zero [m/s]", "R² [–]", "levels")
-    table = Table(f"Straight lines through the speeds at site {site.name}", (names,), rows)
+    table = PageTable(f"Straight lines through the speeds at site {site.name}", (names,), rows)
     return Reportlet(
         key,
         TITLE,

@@ -45,7 +45,7 @@ class WorkerRefused(ToolError):
 
 
 @dataclass(frozen=True)
-class Standing:
+class WorkerStanding:
     """What a worker is: its limbcli, the hash of its sources, and how many parts it takes at a time."""
 
     version: str
@@ -53,10 +53,10 @@ class Standing:
     n_threads: int
 
     @staticmethod
-    def own(n_threads: int = 1) -> Standing:
-        return Standing(__version__, code_hash(), n_threads)
+    def own(n_threads: int = 1) -> WorkerStanding:
+        return WorkerStanding(__version__, code_hash(), n_threads)
 
-    def why_not(self, client: Standing) -> str:
+    def why_not(self, client: WorkerStanding) -> str:
         """Why a client of that code may not use this worker; empty where it may.
 
         >>> ours = Standing("1.0", "abcdef0123", 1)
@@ -184,17 +184,17 @@ def refuse_unlike(client: Client) -> None:
         )
 
 
-def _standing(dask_worker: Any) -> Standing:
-    return Standing.own(dask_worker.state.nthreads)
+def _standing(dask_worker: Any) -> WorkerStanding:
+    return WorkerStanding.own(dask_worker.state.nthreads)
 
 
-def _why_not(found: Standing | BaseException) -> str:
-    if isinstance(found, Standing):
-        return found.why_not(Standing.own())
+def _why_not(found: WorkerStanding | BaseException) -> str:
+    if isinstance(found, WorkerStanding):
+        return found.why_not(WorkerStanding.own())
     return f"it has no limbcli of this kind ({found})"
 
 
-def refuse_other(client: Standing) -> None:
+def refuse_other(client: WorkerStanding) -> None:
     """On a worker, before it begins: those that came after all were asked must be asked too.
 
     Raises
@@ -205,7 +205,7 @@ def refuse_other(client: Standing) -> None:
     from distributed import get_worker
 
     worker = get_worker()
-    why = Standing.own(worker.state.nthreads).why_not(client)
+    why = WorkerStanding.own(worker.state.nthreads).why_not(client)
     if why:
         raise WorkerRefused(
             f"a worker refused the work: {why}",

@@ -25,7 +25,7 @@ SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a
 
 
 @dataclass(frozen=True, eq=False)
-class Extra:
+class FitOnDemand:
     """A result that is there: of which sites, whether its inputs are today's, and how to make it again."""
 
     stage: str
@@ -35,7 +35,7 @@ class Extra:
     redo: Callable[[], object]
 
 
-def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[Extra]:
+def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[FitOnDemand]:
     """Those that lie in `out`; one that cannot be read is left alone (its page says so)."""
     names = tuple(site.name for site in case.sites)
     joint = _there(out, "fit-joint", None)
@@ -43,13 +43,15 @@ def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[Ex
         sites = tuple(each for each in joint.data.get("sites", ()) if each in names)
         if sites:
             redo = _remade_joint(case, out, joint, sites, progress)
-            yield Extra("fit-joint", None, sites, _is_current(case, out, joint, sites, labelled=True), redo)
+            yield FitOnDemand(
+                "fit-joint", None, sites, _is_current(case, out, joint, sites, labelled=True), redo
+            )
     for name in names:
         compared = _there(out, "fit-elements", name)
         if compared is not None:
             redo = _remade_elements(case, out, compared, name, progress)
             current = _is_current(case, out, compared, (name,), labelled=False)
-            yield Extra("fit-elements", name, (name,), current, redo)
+            yield FitOnDemand("fit-elements", name, (name,), current, redo)
 
 
 def shown_only(case: Case, out: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from limbcli.inference.cohort_model import (
 from limbcli.inference.layered_family import LayeredFamily
 from limbcli.inference.population import Population, Rows, estimate_population
 from limbcli.measurement.cohort_table import CohortTable
-from limbcli.measurement.edge_noise import LayerNoise, layer_noise
+from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT, Progress
 
@@ -39,7 +39,7 @@ class SiteEstimate:
 class CohortNoise:
     """What the table's own noise is: of layers' shortening (mm), and of the ln of stiffness."""
 
-    layers: LayerNoise
+    layers: EdgeNoise
     slope: float
     slope_from_data: bool
 

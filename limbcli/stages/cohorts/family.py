@@ -27,7 +27,7 @@ from limbcli.feb.settings import Schedule, robust_contact, robust_step, schedule
 from limbcli.inference.layered_solves import SKIN_RATIO
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.slab import LAYERS, QUARTER, Counts, Slab, slab_model
+from limbcli.meshing.slab import LAYERS, QUARTER, CellCounts, Slab, slab_model
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession, SessionResult
@@ -87,7 +87,7 @@ class Answer:
 def solve_member(
     member: Member,
     *,
-    counts: Counts = Counts(),
+    counts: CellCounts = CellCounts(),
     strains: Sequence[float] = STRAINS,
     tolerance: float = 1e-3,
     gradients: bool = True,
@@ -114,7 +114,7 @@ def solve_member(
     return _answer(member, slab, plan, found, gradients)
 
 
-def _loaded(member: Member, slab: Slab, plan: Schedule, counts: Counts) -> LimbModel:
+def _loaded(member: Member, slab: Slab, plan: Schedule, counts: CellCounts) -> LimbModel:
     c = {"skin": SKIN_RATIO * _C, "fat": member.ratio * _C, "tissue": _C}
     laws = {name: ogden_type(c=c[name], f_kappa=F_KAPPA, m=member.m) for name in LAYERS}
     model = slab_model(slab, laws, counts=counts, start=plan.start)

@@ -33,7 +33,7 @@ from limbcli.stages.diagnosis.data.data import SiteData, site_data
 from limbcli.stages.diagnosis.data.holds import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
-from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics
@@ -94,7 +94,7 @@ class Prepared:
 
 def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
-    extras: Sequence[Extra] = (), progress: Progress,
+    extras: Sequence[ExtraMeasurement] = (), progress: Progress,
 ) -> Prepared:  # fmt: skip
     """Mesh, solve without effects, try the numerical ones, and stack the data.
 
@@ -175,7 +175,7 @@ class _Preparation:
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
-    def all(self, effects: Mapping[str, Effect], extras: Sequence[Extra]) -> Prepared:
+    def all(self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement]) -> Prepared:
         book = self.book()
         try:
             for m in FIRST_M:
@@ -273,7 +273,11 @@ class _Preparation:
         return load_model(kept)  # as it will be when the diagnosis is taken up again
 
     def _data(
-        self, numerics: Numerics, tie: Tie, interventions: Sequence[Intervention], extras: Sequence[Extra]
+        self,
+        numerics: Numerics,
+        tie: Tie,
+        interventions: Sequence[Intervention],
+        extras: Sequence[ExtraMeasurement],
     ) -> SiteData:
         if self.site.swe_maps is not None:
             self.notes.inputs["swe maps"] = self.site.swe_maps

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, SiteData, SitePrediction
+from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
@@ -49,7 +49,7 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
     _draw_profiles(found, writer)
 
 
-def _layers(axes: Axes, data: SiteData, seen: SitePrediction) -> None:
+def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
     """Thickness of every layer that is counted, over force."""
     for j, colour in zip(np.unique(data.layers.layer), (INK, BLUE, GREEN), strict=False):
         here = np.flatnonzero(data.layers.layer == j)

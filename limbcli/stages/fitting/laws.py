@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import CaseError
-from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.two_step_fit import M_STEP_FACTOR
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material
@@ -27,7 +27,7 @@ class FitLaw:
 
     name: str
     words: str
-    shape: tuple[Parameter, ...]
+    shape: tuple[FitParameter, ...]
     build: Callable[[float, Array], Material]
 
     def material(self, c: float, shape: Array | Sequence[float]) -> Material:
@@ -62,8 +62,8 @@ def _holmes_mow(c: float, shape: Array) -> Material:
     return Material("holmes_mow", {"mu": c / 2, "lambda": float(shape[0]) * c, "beta": float(shape[1])})
 
 
-_F_KAPPA = Parameter("f_kappa", 100.0, *F_KAPPA_BOUNDS, "log")
-_M = Parameter("m", 2.0, *M_BOUNDS, "log", step_factor=M_STEP_FACTOR)
+_F_KAPPA = FitParameter("f_kappa", 100.0, *F_KAPPA_BOUNDS, "log")
+_M = FitParameter("m", 2.0, *M_BOUNDS, "log", step_factor=M_STEP_FACTOR)
 
 LAWS: Mapping[str, FitLaw] = {
     law.name: law
@@ -84,8 +84,8 @@ LAWS: Mapping[str, FitLaw] = {
             "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m that carries a share of c",
             (
                 _F_KAPPA,
-                Parameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),
-                Parameter("m", 8.0, 2.5, 60.0, "log", step_factor=M_STEP_FACTOR),
+                FitParameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),
+                FitParameter("m", 8.0, 2.5, 60.0, "log", step_factor=M_STEP_FACTOR),
             ),
             _two_terms,
         ),
@@ -93,8 +93,8 @@ LAWS: Mapping[str, FitLaw] = {
             "holmes-mow", "Holmes-Mow: exponential, lambda = f_kappa c",
             # Its exponent grows with lambda: nearly incompressible it cannot be solved far.
             (
-                Parameter("f_kappa", 2.0, 0.01, 50.0, "log"),
-                Parameter("beta", 0.3, 0.01, 50.0, "log", step_factor=M_STEP_FACTOR),
+                FitParameter("f_kappa", 2.0, 0.01, 50.0, "log"),
+                FitParameter("beta", 0.3, 0.01, 50.0, "log", step_factor=M_STEP_FACTOR),
             ),
             _holmes_mow,
         ),

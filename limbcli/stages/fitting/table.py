@@ -20,7 +20,7 @@ from limbcli.inference.identifiability import (
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.misfit import Misfit, misfit
-from limbcli.inference.prediction import Memory, slopes_at
+from limbcli.inference.prediction import SolvedPoints, slopes_at
 from limbcli.inference.shape_doubt import at_depths, shifts
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
@@ -35,7 +35,7 @@ NAMES = ("f_kappa", "m")
 class Identified:
     """Everything the two steps found, before it is written down."""
 
-    curve: Memory
+    curve: SolvedPoints
     knots: Array
     data: ForceDepth
     stiffness: Stiffness

@@ -88,7 +88,7 @@ PURPOSES = {
 
 
 @dataclass(frozen=True)
-class Trial:
+class LibraryTrial:
     """Whether a package does its work here; else why not, and the libraries that are missing."""
 
     package: str
@@ -105,20 +105,20 @@ def start(package: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def end(package: str, process: subprocess.Popen[str]) -> Trial:
+def end(package: str, process: subprocess.Popen[str]) -> LibraryTrial:
     """The trial's outcome; one that does not end is stopped."""
     try:
         said, _ = process.communicate(timeout=_TIME_LIMIT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
-        return Trial(package, False, f"it did not answer within {_TIME_LIMIT_S:g} s")
+        return LibraryTrial(package, False, f"it did not answer within {_TIME_LIMIT_S:g} s")
     if process.returncode == 0:
-        return Trial(package, True)
+        return LibraryTrial(package, True)
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
     why = last or f"it ended with status {process.returncode} and said nothing"
     named = _LIBRARY.findall(why) if "cannot open shared object" in why else []
-    return Trial(package, False, why, tuple(dict.fromkeys([*named, *missing_libraries(package)])))
+    return LibraryTrial(package, False, why, tuple(dict.fromkeys([*named, *missing_libraries(package)])))
 
 
 def missing_libraries(package: str) -> tuple[str, ...]:

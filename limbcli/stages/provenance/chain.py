@@ -18,7 +18,7 @@ from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
 from limbcli.stages.provenance.chain_inputs import SITES, case_value, in_words, input_path, note_case
-from limbcli.stages.provenance.commands import Step, commands
+from limbcli.stages.provenance.commands import CommandStep, commands
 from limbcli.version import __version__
 
 
@@ -31,7 +31,7 @@ class Broken:
 
     what: str
     where: str
-    steps: tuple[Step, ...]
+    steps: tuple[CommandStep, ...]
     before: str = ""
 
     def fix(self, case: Case, out: Path) -> str:
@@ -84,7 +84,7 @@ class Chain:
 
         about : as in `result`; None: every site of the case
         """
-        own = Step.of(found)
+        own = CommandStep.of(found)
         made = _links(found)
         for label, link in made["results"].items():
             earlier = self._broken_at(label, link)
@@ -110,7 +110,7 @@ class Chain:
         try:
             return read_result(self.out, stage, site=site)
         except CaseError as error:
-            return Broken(error.what, error.where, (Step(stage, site),))
+            return Broken(error.what, error.where, (CommandStep(stage, site),))
 
     def _changes(
         self, found: StageResult, made: Mapping[str, Any], about: Collection[str] | None

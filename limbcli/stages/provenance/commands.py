@@ -19,7 +19,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class Step:
+class CommandStep:
     """A stage to be run again, for one site or the whole case, and how it was asked for."""
 
     stage: str
@@ -28,13 +28,13 @@ class Step:
     sites: tuple[str, ...] = field(default=(), compare=False)
 
     @staticmethod
-    def of(result: StageResult) -> Step:
+    def of(result: StageResult) -> CommandStep:
         """As it was made; a joint fit with the same law and of the same sites."""
         asked = dict(result.data.get("asked") or {})
         if result.stage != "fit-joint":
-            return Step(result.stage, result.site, asked)
+            return CommandStep(result.stage, result.site, asked)
         law = {"law": result.data["law"]} if "law" in result.data else {}
-        return Step(result.stage, None, {**law, **asked}, tuple(result.data.get("sites") or ()))
+        return CommandStep(result.stage, None, {**law, **asked}, tuple(result.data.get("sites") or ()))
 
     def command(self, case: Path, out: Path) -> str:
         """
@@ -50,6 +50,6 @@ class Step:
         return f"{said} {asked}" if asked else said
 
 
-def commands(steps: Iterable[Step], case: Path, out: Path) -> str:
+def commands(steps: Iterable[CommandStep], case: Path, out: Path) -> str:
     """All of them in turn, each once; one that fails stops the rest."""
     return " && ".join(each.command(case, out) for each in dict.fromkeys(steps))

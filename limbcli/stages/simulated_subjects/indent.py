@@ -18,7 +18,7 @@ from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
-from limbcli.phantom.protocol import Protocol, TrueLevels
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.phantom.simulated import Indentation, Speed, true_levels
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import ElementStates
@@ -50,7 +50,7 @@ def indent(
     model: LimbModel,
     tissue: KnownTissue,
     *,
-    protocol: Protocol,
+    protocol: LoadingProtocol,
     window: Window = Window(),
     density_kg_per_m3: float = 1000.0,
     spacing: float = 1.0,

@@ -18,7 +18,7 @@ import numpy as np
 
 from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves, continued
-from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
+from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
@@ -34,7 +34,7 @@ from limbcli.stages.diagnosis.curves.ingredients import (
     touches_loads,
 )
 from limbcli.stages.diagnosis.curves.keys import changed_to, fingerprint
-from limbcli.stages.diagnosis.curves.store import Kept
+from limbcli.stages.diagnosis.curves.store import CurveStore
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.windows import Windows
@@ -105,7 +105,7 @@ class CurveBook:
         self.borders = borders
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
         self.work, self.beside, self.enough_force = Work(n_cells=len(cells)), beside, enough_force
-        self.kept, self.progress = Kept(keep), progress
+        self.kept, self.progress = CurveStore(keep), progress
         self.tolerance, self.threads = tolerance, threads
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
@@ -120,7 +120,7 @@ class CurveBook:
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
         self._changed: dict[str, str] = {}
-        self._kinematics: dict[str, Kinematics] = {}
+        self._kinematics: dict[str, SolvedDeformation] = {}
         self._plain: dict[float, _Plain] = {}
         rest = None if borders is None else borders.rest
         self._fingerprint = fingerprint(
@@ -180,7 +180,7 @@ class CurveBook:
             )  # fmt: skip
         return self._plain[m]
 
-    def kinematics(self, m: float) -> Kinematics:
+    def kinematics(self, m: float) -> SolvedDeformation:
         """The deformation of every tissue cell in the model without effects."""
         key = self._key(m, ())
         if key not in self._kinematics:

@@ -31,7 +31,7 @@ class KeptCurves:
 
 
 @dataclass(frozen=True)
-class Kept:
+class CurveStore:
     """folder : None where nothing is kept."""
 
     folder: Path | None

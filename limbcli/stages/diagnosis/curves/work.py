@@ -43,7 +43,7 @@ class Work:
     _counted: tuple[int, int] = (0, 0)
 
     def begin(self, *, candidate: bool, has_friction: bool = False, fitted: bool = False) -> None:
-        """candidate : it has an effect in it; rubs : it has friction; fitted : its size is that of a fit"""
+        """candidate : it has an effect in it; fitted : its size is that of a fit"""
         self.done, self._counted = 0, (0, 0)
         times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))

@@ -30,7 +30,7 @@ from limbcli.stages.diagnosis.data.noise import (
     readings,
 )
 from limbcli.stages.diagnosis.data.rows import (
-    Extra,
+    ExtraMeasurement,
     Row,
     extra_rows,
     force_rows,
@@ -57,7 +57,7 @@ class SiteData:
     channels: tuple[str, ...] = ()
     missing: tuple[str, ...] = field(default=())
     held: HeldForces | None = None
-    extras: tuple[Extra, ...] = ()
+    extras: tuple[ExtraMeasurement, ...] = ()
     slope: Array = field(default_factory=lambda: np.zeros(0))
     depth_error: float = 0.0
 
@@ -137,8 +137,8 @@ class SiteData:
 
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
-    model_error: Sequence[ModelError] = (), held: HeldForces | None = None, extras: Sequence[Extra] = (),
-    usable: NDArray[np.bool_] | None = None, thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
+    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
+    extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None, thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
     map_slopes: Array | None = None, layers: LayerReadings | None = None,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.

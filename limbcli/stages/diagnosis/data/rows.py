@@ -32,7 +32,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Extra:
+class ExtraMeasurement:
     """A further measurement: its name, what a model says of it, what was measured and one deviation (n,)."""
 
     name: str
@@ -105,7 +105,7 @@ def hold_rows(held: HeldForces | None) -> Stacked:
     return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
 
 
-def extra_rows(extras: Sequence[Extra]) -> Stacked:
+def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
     rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
     y = [float(value) for each in extras for value in each.y]
     return rows, y, [float(value) for each in extras for value in each.deviation]

@@ -12,7 +12,7 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
@@ -77,7 +77,7 @@ def items() -> tuple[Item, ...]:
     )  # fmt: skip
 
 
-def known(given: Mapping[str, float]) -> list[Extra]:
+def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
     """Numbers that were measured besides, as data.
 
     Raises
@@ -95,7 +95,7 @@ def known(given: Mapping[str, float]) -> list[Extra]:
         if not np.isfinite(value) or (key == "rate_ratio" and value <= 0):
             raise CaseError(f"{key}={value:g} cannot be", where="--measured", fix=item.meaning)
         y = np.array([np.log(value) if key == "rate_ratio" else value])
-        found.append(Extra(item.name, item.see, y, item.deviation(_NOTHING, 1)))
+        found.append(ExtraMeasurement(item.name, item.see, y, item.deviation(_NOTHING, 1)))
     return found
 
 
