@@ -21,8 +21,8 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
 from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross, whitened_trials
-from limbcli.diagnostics.selection.closing import Closing
 from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family

@@ -8,8 +8,8 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.progress import SILENT, Progress
-from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview

@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from limbcli.errors import LimbError
-from limbcli.fem.linear_solvers import linear
+from limbcli.fem.linear_solvers import direct as linear
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.solvers.reference import prepare

@@ -23,9 +23,9 @@ from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves

@@ -13,9 +13,9 @@ import pytest
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.joint import joined, slices
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 

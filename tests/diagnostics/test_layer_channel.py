@@ -18,8 +18,8 @@ from limbcli.effects.places import Places
 from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
+from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture

@@ -6,8 +6,8 @@ import numpy as np
 from small_models import punch
 
 from limbcli.fem.contacts.contact_reach import near_nodes
-from limbcli.fem.equilibrium.counts import Counts, Settings
 from limbcli.fem.equilibrium.linearised import Linearised
+from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.motion.state import State, norm
 from limbcli.fem.system import System
 

@@ -14,7 +14,7 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.fem.warm import Solved, WarmStart, even_step
+from limbcli.fem.warm_start import Solved, WarmStart, even_step
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel, Support
 

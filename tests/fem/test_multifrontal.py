@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sparse
 
-from limbcli.fem.linear_solvers import linear
-from limbcli.fem.linear_solvers.linear import check_supported
+from limbcli.fem.linear_solvers import direct as linear
+from limbcli.fem.linear_solvers.direct import check_supported
 from limbcli.fem.linear_solvers.multifrontal import Multifrontal
 from limbcli.fem.linear_solvers.multifrontal.ordering import compress, minimum_degree, order
 from limbcli.fem.linear_solvers.singular import SingularMatrix

@@ -11,7 +11,7 @@ from small_models import punch
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.load_stepping import BRIEF_CUTS
-from limbcli.fem.equilibrium.standing import Standing
+from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State
 from limbcli.materials import ogden_type
 from limbcli.model import Array, LimbModel
@@ -118,13 +118,13 @@ def test_what_iterations_no_longer_lessen_will_do_where_it_may_and_else_fails(mo
 
 
 def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
-    def noted(*errors: float) -> Standing:
-        standing = Standing(5e-3)
+    def noted(*errors: float) -> Stagnation:
+        stagnation = Stagnation(5e-3)
         for k, error in enumerate(errors):
             state = State(float(k), np.zeros((1, 3)), ())
             residual = np.array([error])
-            standing.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
-        return standing
+            stagnation.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
+        return stagnation
 
     turns = noted(0.1, 2.7e-3, 1.95e-3, 2.71e-3, 1.951e-3)
     assert turns.goes_round

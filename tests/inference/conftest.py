@@ -8,7 +8,7 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def stand_in() -> ModuleType:
+def surrogate() -> ModuleType:
     path = Path(__file__).with_name("stand_in.py")
     spec = importlib.util.spec_from_file_location("limbcli_test_stand_in", path)
     assert spec is not None

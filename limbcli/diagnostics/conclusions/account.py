@@ -13,8 +13,8 @@ from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
-from limbcli.diagnostics.selection.closing import Closing
 from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.heldout import held_out_error
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.fem.equilibrium.counts import Counts, Settings
 from limbcli.fem.equilibrium.free_motion import check_held
+from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.equilibrium.tangent import Inverse, Tangent, assemble
-from limbcli.fem.linear_solvers import linear as linear_solvers
+from limbcli.fem.linear_solvers import direct as linear_solvers
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.fem.motion.state import State, norm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.equilibrium.guesses import continued, extrapolate
+from limbcli.fem.equilibrium.first_guesses import continued, extrapolate
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax

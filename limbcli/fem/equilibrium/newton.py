@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.equilibrium.counts import Counts, LoadStep, Settings
 from limbcli.fem.equilibrium.linearised import Linearised
-from limbcli.fem.equilibrium.standing import Standing
+from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings
+from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.fem.system import System
 from limbcli.model import Array
@@ -107,17 +107,17 @@ class Newton:
         if forces.worst <= 0:
             raise self.failure(state, forces, load_step, 0, "a cell was turned inside out by the first guess")
         sizes: list[float] = []
-        renew, standing = True, Standing(settings.stalled)
+        renew, stagnation = True, Stagnation(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
             self.report(load_step, iteration, forces)
-            self.note(standing, state, forces)
+            self.note(stagnation, state, forces)
             if self.is_reached(forces, target):
                 return replace(state, hints=system.hints(), volumes=()), forces
-            if iteration == settings.max_iterations or standing.goes_round:
+            if iteration == settings.max_iterations or stagnation.goes_round:
                 break
             sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
             if not patient and _too_long(sizes):
-                if standing.will_do:
+                if stagnation.will_do:
                     break
                 raise self.failure(state, forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
@@ -127,24 +127,24 @@ class Newton:
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
-        if standing.will_do:
-            return self.least_of(standing)
+        if stagnation.will_do:
+            return self.least_of(stagnation)
         raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
     def is_reached(self, forces: Forces, target: float) -> bool:
         """Whether this is equilibrium, to a tolerance or to round-off."""
         return forces.error <= target or norm(forces.residual) <= _ROUND_OFF * self.system.least_force
 
-    def note(self, standing: Standing, state: State, forces: Forces) -> None:
-        if standing.stalled > 0:
-            standing.note(replace(state, hints=self.system.hints(), volumes=()), forces)
+    def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
+        if stagnation.stalled > 0:
+            stagnation.note(replace(state, hints=self.system.hints(), volumes=()), forces)
 
-    def least_of(self, standing: Standing) -> tuple[State, Forces]:
+    def least_of(self, stagnation: Stagnation) -> tuple[State, Forces]:
         """The state that left least, with its contact found anew."""
-        assert standing.state is not None
-        self.system.recall(standing.state.hints)
-        forces = self.forces(standing.state)
-        return replace(standing.state, hints=self.system.hints()), forces
+        assert stagnation.state is not None
+        self.system.recall(stagnation.state.hints)
+        forces = self.forces(stagnation.state)
+        return replace(stagnation.state, hints=self.system.hints()), forces
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
         """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
@@ -282,5 +282,5 @@ def _too_long(sizes: list[float]) -> bool:
     """Whether a step whose residuals these are is better given up and halved."""
     now, first = sizes[-1], sizes[0]
     running_away = len(sizes) > 3 and now > max(0.5 * first, 0.15)
-    standing = len(sizes) > 6 and now > 0.5 * sizes[-6]
-    return running_away or standing or (len(sizes) > 10 and now > 1e-2)
+    stagnation = len(sizes) > 6 and now > 0.5 * sizes[-6]
+    return running_away or stagnation or (len(sizes) > 10 and now > 1e-2)

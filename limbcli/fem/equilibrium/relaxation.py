@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.fem.equilibrium.counts import LoadStep
 from limbcli.fem.equilibrium.newton import Newton
-from limbcli.fem.equilibrium.standing import Standing
+from limbcli.fem.equilibrium.settings import LoadStep
+from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import Array
 
@@ -31,14 +31,14 @@ def relax(
     target = newton.settings.tolerance if tolerance is None else tolerance
     system.at(guess.time)
     state, forces = guess, newton.forces(guess)
-    linearised.drag, standing = _DRAG, Standing(newton.settings.stalled)
+    linearised.drag, stagnation = _DRAG, Stagnation(newton.settings.stalled)
     try:
         for iteration in range(_RELAXED + 1):
             newton.report(load_step, iteration, forces)
-            newton.note(standing, state, forces)
+            newton.note(stagnation, state, forces)
             if newton.is_reached(forces, target):
                 return replace(state, hints=system.hints(), volumes=()), forces
-            if iteration == _RELAXED or linearised.drag > _MOST_DRAG or standing.goes_round:
+            if iteration == _RELAXED or linearised.drag > _MOST_DRAG or stagnation.goes_round:
                 break
             newton.counts.iterations += 1
             step = newton.direction(state, forces, True, target)
@@ -55,8 +55,8 @@ def relax(
                 linearised.drag = 0.0
     finally:
         linearised.drag = 0.0
-    if standing.will_do:
-        return newton.least_of(standing)
+    if stagnation.will_do:
+        return newton.least_of(stagnation)
     raise newton.failure(state, forces, load_step, iteration, "the tissue does not come to rest")
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
 from limbcli.fem.elements.assembly import total
-from limbcli.fem.equilibrium.jumps import Jumps, find_jumps
-from limbcli.fem.linear_solvers.linear import LinearSolver
+from limbcli.fem.equilibrium.stress_jumps import Jumps, find_jumps
+from limbcli.fem.linear_solvers.direct import LinearSolver
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array

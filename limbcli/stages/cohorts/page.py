@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.files import atomic_file, atomic_folder
-from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.cohort_view import cohort_reportlets
+from limbcli.reporting.page import embed, render, save_pictures
 
 PICTURES = "pictures"
 TEMPLATE = "cohort.html.j2"

@@ -29,11 +29,11 @@ from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
-from limbcli.stages.diagnosis.data.data import SiteData, site_data
-from limbcli.stages.diagnosis.data.holds import HeldForces, held_forces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics

@@ -15,8 +15,8 @@ from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
-from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import slices
+from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.sizes import reported_sizes
 

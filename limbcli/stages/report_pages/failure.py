@@ -7,8 +7,8 @@ from pathlib import Path
 
 from limbcli.errors import LimbError
 from limbcli.pasting import pasted
-from limbcli.reporting.assemble import render
 from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.page import render
 from limbcli.results import StageResult, open_stage, provenance
 
 PAGE_FILE = "report.html"

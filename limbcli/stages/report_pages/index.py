@@ -13,12 +13,12 @@ from limbcli.drawing import data_file, write_data
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
 from limbcli.progress import SILENT, Progress
-from limbcli.reporting.assemble import data_uri, render
 from limbcli.reporting.figures.study import study_figure
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
 from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.page import data_uri, render
 from limbcli.results import StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"

@@ -10,8 +10,8 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.settings import schedule
-from limbcli.meshing.convergence import Extrapolation, extrapolate
 from limbcli.meshing.mending import Limb
+from limbcli.meshing.mesh_extrapolation import Extrapolation, extrapolate
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model

@@ -14,8 +14,8 @@ from scipy.linalg import block_diag
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise, NoisePart
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.site_data import SiteData
 
 
 def joined(sites: Sequence[SiteData]) -> Data:

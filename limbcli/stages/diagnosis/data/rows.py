@@ -14,7 +14,7 @@ from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.windows import Windows
 
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale

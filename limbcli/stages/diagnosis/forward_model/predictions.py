@@ -15,8 +15,8 @@ from limbcli.effects.base import Effect, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import joined
+from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Book
 from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves

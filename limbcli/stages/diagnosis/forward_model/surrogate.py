@@ -21,7 +21,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.penetration import Penetration
-from limbcli.stages.diagnosis.data.data import SiteData
+from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 

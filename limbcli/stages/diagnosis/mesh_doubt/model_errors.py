@@ -13,12 +13,12 @@ from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
-from limbcli.stages.diagnosis.data.data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, ModelError
+from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
+from limbcli.stages.diagnosis.mesh_doubt.geometry_gain import assumed_gain
 from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, Numerics
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import at_depths
-from limbcli.stages.geometry_gain import assumed_gain
 
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.

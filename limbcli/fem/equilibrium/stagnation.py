@@ -14,7 +14,7 @@ _SAME = 0.01  # relative difference of residuals that are the same
 
 
 @dataclass
-class Standing:
+class Stagnation:
     """The least residual so far, and whether it will do.
 
     stalled : error that will do where iterations stand

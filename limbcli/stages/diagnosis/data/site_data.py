@@ -19,7 +19,7 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.layers import CHANNEL, layer_noise, layer_rows, layer_slopes
 from limbcli.stages.diagnosis.data.noise import (
     MapNoise,
@@ -138,7 +138,8 @@ class SiteData:
 def site_data(
     name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
     model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
-    extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None, thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
+    extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None,
+    thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
     map_slopes: Array | None = None, layers: LayerReadings | None = None,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
