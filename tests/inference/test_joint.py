@@ -7,7 +7,7 @@ from limbcli.errors import FitError
 from limbcli.inference.joint import (
     JointProblem,
     JointTask,
-    SiteData,
+    SiteMeasurement,
     held_out_error,
     invert,
     joint_fit,
@@ -56,7 +56,7 @@ def measurement(surrogate, *, c, f_kappa, m, rng=None, name="p1", gain_deviation
         depth = depth + 0.3 * rng.standard_normal(len(depth))
         speeds = speeds + 0.05 * rng.standard_normal(len(speeds))
         forces = np.r_[0.0, force]
-    return SiteData(
+    return SiteMeasurement(
         name, KNOTS, force, depth, 0.1, 0.3, forces, speeds, np.full(len(speeds), 0.05), gain_deviation
     )
 
@@ -119,7 +119,7 @@ def test_speeds_and_a_second_site_narrow_the_interval(surrogate):
     one = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
     two = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p2")
     nothing = np.zeros(0)
-    silent = SiteData("p1", KNOTS, one.force, one.depth, 0.1, 0.3, nothing, nothing, nothing)
+    silent = SiteMeasurement("p1", KNOTS, one.force, one.depth, 0.1, 0.3, nothing, nothing, nothing)
 
     def width(data, **options):
         made = task(surrogate, data)
@@ -143,7 +143,7 @@ def test_what_cannot_be_seen_stays_open(surrogate):
 def test_an_uncertain_gain_widens_what_the_force_says(surrogate):
     rng = np.random.default_rng(7)
     sure = measurement(surrogate, c=C0, f_kappa=4.0, m=4.0, rng=rng)
-    unsure = SiteData(**{**vars(sure), "gain_deviation": 0.2})
+    unsure = SiteMeasurement(**{**vars(sure), "gain_deviation": 0.2})
     lows = []
     for data in (sure, unsure):
         _, found = joint_fit(task(surrogate, [data]), STARTS, max_solves=4)
