@@ -20,7 +20,7 @@ import numpy as np
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.joint import JointTask, SiteData, joint_fit
+from limbcli.inference.joint import JointTask, SiteMeasurement, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.model_io import load_model
 from limbcli.stages.fitting.force_curves import LawCurve
@@ -56,7 +56,7 @@ def one_seed(seed, memory, knots, truth, forces, depths, speeds, gain):
     depth = depths + DEPTH_SD * rng.standard_normal(len(forces)) * (forces > 0)
     speed = speeds + SPEED_SD * rng.standard_normal(len(forces))
     loaded = (depth > 0) & (force > 0)
-    data = SiteData(
+    data = SiteMeasurement(
         "site", knots, force[loaded], depth[loaded], FORCE_SD, DEPTH_SD, np.maximum(force, 0.0), speed,
         np.full(len(speed), SPEED_SD), gain,
     )  # fmt: skip
