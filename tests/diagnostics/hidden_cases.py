@@ -6,12 +6,9 @@ library has a simpler form, another form of the effect.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -29,6 +26,7 @@ from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from tests.diagnostics import reduced
 
 USUAL = (6.5, 4.0)  # c in kPa, m
 C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own
@@ -38,17 +36,6 @@ LARGEST = 2.0  # times the plausible size: skin is not steel
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 ALONG = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 Truth = Mapping[str, Mapping[str, float]]
-
-
-def _reduced():
-    if "reduced" not in sys.modules:
-        spec = importlib.util.spec_from_file_location("reduced", Path(__file__).with_name("reduced.py"))
-        sys.modules["reduced"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["reduced"])
-    return sys.modules["reduced"]
-
-
-reduced = _reduced()
 
 
 class Otherwise:

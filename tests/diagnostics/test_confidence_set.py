@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,17 +16,7 @@ from limbcli.diagnostics.selection import candidates
 from limbcli.diagnostics.selection.confidence_set import Refit, compare
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Overall
 from limbcli.diagnostics.statistical_tests.score import Trial
-
-
-def _toy():
-    if "toy" not in sys.modules:
-        spec = importlib.util.spec_from_file_location("toy", Path(__file__).with_name("toy.py"))
-        sys.modules["toy"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["toy"])
-    return sys.modules["toy"]
-
-
-toy = _toy()
+from tests.diagnostics import toy
 
 
 def test_rivals_are_compared_round_their_own_fits(rng):

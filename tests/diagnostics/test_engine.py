@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections import Counter
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,17 +11,7 @@ import pytest
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
-
-
-def _module(name: str):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-toy = _module("toy")
+from tests.diagnostics import toy
 
 
 def run(case, seed: int = 7, **more):

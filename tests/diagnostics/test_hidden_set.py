@@ -5,23 +5,10 @@ Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): 
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
+from tests.diagnostics import hidden_cases as cases
 
-def _cases():
-    if "hidden_cases" not in sys.modules:
-        path = Path(__file__).with_name("hidden_cases.py")
-        spec = importlib.util.spec_from_file_location("hidden_cases", path)
-        sys.modules["hidden_cases"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["hidden_cases"])
-    return sys.modules["hidden_cases"]
-
-
-cases = _cases()
 ONCE = {
     "force-zero": {"force_zero_n": 0.9},
     "depth-zero": {"depth_zero_mm": 1.8},

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,17 +15,8 @@ from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from tests.diagnostics import reduced
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 CANDIDATES = ("force-zero", "force-gain", "anisotropy", "swe-time-scale", "skin-layer")
 # Patient from model: the limb's axis is the model's y, or (the probe along the limb) its x.
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])

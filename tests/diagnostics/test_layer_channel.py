@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,18 +22,9 @@ from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwar
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
 from limbcli.stages.site_model.layer_readings import LayerReadings
+from tests.diagnostics import reduced
 from tests.stages import block_case
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 REST = np.array([1.5, 8.0])
 NOISE = replace(reduced.NOISE, layer=0.1)
 CANDIDATES = ("force-zero", "depth-zero", "adipose-layer", "thickness", "skin-layer", "swe-guided-wave")

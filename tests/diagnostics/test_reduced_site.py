@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,17 +17,8 @@ from limbcli.stages.diagnosis.forward_model.changes import logs
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
+from tests.diagnostics import reduced
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-scale", "swe-guided-wave",
               "viscoelasticity", "poroelasticity", "support-motion")  # fmt: skip
 

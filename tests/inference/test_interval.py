@@ -16,19 +16,19 @@ DEPTH = np.linspace(0.0, 10.0, 12)
 C = 0.008
 
 
-def noisy(surrogate, truth, kind, seed):
+def noisy(simulated, truth, kind, seed):
     rng = np.random.default_rng(seed)
-    force = surrogate.force(DEPTH, C, *truth, kind) + 0.1 * rng.standard_normal(12)
+    force = simulated.force(DEPTH, C, *truth, kind) + 0.1 * rng.standard_normal(12)
     depth = DEPTH + 0.3 * rng.standard_normal(12)
     depth[0] = 0.0
     c = C * (1 + 0.05 * rng.standard_normal()) ** 2
     return ForceDepth(force, depth, 0.1, 0.3), c
 
 
-def intervals(surrogate, truth, kind, seed, **options):
-    data, c = noisy(surrogate, truth, kind, seed)
+def intervals(simulated, truth, kind, seed, **options):
+    data, c = noisy(simulated, truth, kind, seed)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = SolvedPoints(surrogate.curve(knots, c, kind))
+    memory = SolvedPoints(simulated.curve(knots, c, kind))
     _, second = two_step(memory, knots, data)
     return force_intervals(memory, knots, data, Stiffness(c, 0.1), second.theta, **options), second
 
@@ -53,11 +53,11 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "truth", "n"), [("tet4", (150.0, 3.0), 12), ("tet10", (100.0, 3.0), 6)])
-def test_truth_is_covered_at_the_stated_rate(surrogate, kind, truth, n):
+def test_truth_is_covered_at_the_stated_rate(simulated, kind, truth, n):
     """95 % each: 2 misses among 12 (6) have a chance of 12 (3) %; more would be a fault."""
     inside = np.zeros(2)
     for seed in range(n):
-        found, _ = intervals(surrogate, truth, kind, seed)
+        found, _ = intervals(simulated, truth, kind, seed)
         inside += [
             found.profiles[k].low <= t <= found.profiles[k].high
             for k, t in zip(("f_kappa", "m"), truth, strict=True)
@@ -65,14 +65,14 @@ def test_truth_is_covered_at_the_stated_rate(surrogate, kind, truth, n):
     assert np.all(inside >= n - 2), inside
 
 
-def test_the_interval_agrees_with_one_on_the_true_model(surrogate):
-    """Twin: the surrogate of the surrogate against profiles with as many simulations as it likes."""
-    few, _ = intervals(surrogate, (150.0, 3.0), "tet4", 0)
-    many, _ = intervals(surrogate, (150.0, 3.0), "tet4", 0, max_solves=0)
+def test_the_interval_agrees_with_one_on_the_true_model(simulated):
+    """Twin: the simulated of the simulated against profiles with as many simulations as it likes."""
+    few, _ = intervals(simulated, (150.0, 3.0), "tet4", 0)
+    many, _ = intervals(simulated, (150.0, 3.0), "tet4", 0, max_solves=0)
     assert few.n_solves > 0 == many.n_solves
-    data, c = noisy(surrogate, (150.0, 3.0), "tet4", 0)
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = SolvedPoints(surrogate.curve(knots, c, "tet4"))
+    memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     for f_kappa in np.geomspace(30, 500, 7):
         for m in np.geomspace(1.5, 6, 5):
@@ -85,8 +85,8 @@ def test_the_interval_agrees_with_one_on_the_true_model(surrogate):
         )  # fmt: skip
 
 
-def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(surrogate):
-    found, second = intervals(surrogate, (300.0, 3.0), "tet10", 1)
+def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(simulated):
+    found, second = intervals(simulated, (300.0, 3.0), "tet10", 1)
     profile = found.profiles["f_kappa"]
     assert profile.open_high
     assert profile.high == pytest.approx(1000.0)
@@ -94,20 +94,20 @@ def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(surrogat
         assert found.profiles[name].low <= second.theta[k] <= found.profiles[name].high
 
 
-def test_an_uncertain_stiffness_widens_the_interval(surrogate):
-    data, c = noisy(surrogate, (150.0, 3.0), "tet4", 0)
+def test_an_uncertain_stiffness_widens_the_interval(simulated):
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = SolvedPoints(surrogate.curve(knots, c, "tet4"))
+    memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     known = force_intervals(memory, knots, data, Stiffness(c, 0.0), theta).profiles["f_kappa"]
     guessed = force_intervals(memory, knots, data, Stiffness(c, 0.2), theta).profiles["f_kappa"]
     assert np.log(guessed.high / guessed.low) > 1.3 * np.log(known.high / known.low)
 
 
-def test_a_simulation_that_fails_is_reported_and_stops_the_interval(surrogate):
-    data, c = noisy(surrogate, (150.0, 3.0), "tet4", 0)
+def test_a_simulation_that_fails_is_reported_and_stops_the_interval(simulated):
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    exact = surrogate.curve(knots, c, "tet4")
+    exact = simulated.curve(knots, c, "tet4")
     walk = SolvedPoints(exact)
     theta = two_step(walk, knots, data)[1].theta
 

@@ -32,8 +32,8 @@ def log_speed(depth, m):
     return 0.5 * np.log(1 + strain + (m**2 / 6) * strain**2)
 
 
-def curve(surrogate, *, graded_speed=False):
-    forces = surrogate.curve(KNOTS, C0)
+def curve(simulated, *, graded_speed=False):
+    forces = simulated.curve(KNOTS, C0)
 
     def answer(theta, wrt=()):
         found = forces(theta, wrt)
@@ -47,8 +47,8 @@ def curve(surrogate, *, graded_speed=False):
     return answer
 
 
-def measurement(surrogate, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=0.0, depths=DEPTH):
-    force = surrogate.force(depths, c, f_kappa, m)
+def measurement(simulated, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=0.0, depths=DEPTH):
+    force = simulated.force(depths, c, f_kappa, m)
     depth, speeds = depths.copy(), np.r_[0.0, log_speed(depths, m)] + LOG_SPEED_0 + 0.5 * np.log(c / C0)
     forces = np.r_[0.0, force]
     if rng is not None:
@@ -61,8 +61,8 @@ def measurement(surrogate, *, c, f_kappa, m, rng=None, name="p1", gain_deviation
     )
 
 
-def task(surrogate, data, shape=SHAPE, **options):
-    curves = [SolvedPoints(curve(surrogate, **options)) for _ in data]
+def task(simulated, data, shape=SHAPE, **options):
+    curves = [SolvedPoints(curve(simulated, **options)) for _ in data]
     for each in curves:
         for theta in ((100.0, 2.0), (100.0, 3.5), (20.0, 2.5)):
             each(np.array(theta[: len(shape)]), tuple(range(len(shape))))
@@ -72,9 +72,9 @@ def task(surrogate, data, shape=SHAPE, **options):
 STARTS = [np.array([C0, 100.0, 2.0]), np.array([C0, 20.0, 4.0])]
 
 
-def test_inversion_undoes_the_curve(surrogate):
+def test_inversion_undoes_the_curve(simulated):
     knots = np.r_[0.0, KNOTS]
-    force = np.r_[0.0, surrogate.force(KNOTS, C0, 50.0, 4.0)]
+    force = np.r_[0.0, simulated.force(KNOTS, C0, 50.0, 4.0)]
     from limbcli.inference.interpolation import pchip_sample
 
     places = np.linspace(0.3, 10.9, 17)
@@ -83,9 +83,9 @@ def test_inversion_undoes_the_curve(surrogate):
     )
 
 
-def test_derivatives_of_depth_and_speed_are_those_of_differences(surrogate):
-    data = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0)
-    exact, shape = curve(surrogate, graded_speed=True), np.array([30.0, 3.0])
+def test_derivatives_of_depth_and_speed_are_those_of_differences(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
+    exact, shape = curve(simulated, graded_speed=True), np.array([30.0, 3.0])
 
     def at(c_ratio=1.1, gain=0.97, shape=shape):
         return predict_site(exact, data, shape, c_ratio=c_ratio, gain=gain, log_speed_0=LOG_SPEED_0)
@@ -105,24 +105,24 @@ def test_derivatives_of_depth_and_speed_are_those_of_differences(surrogate):
 
 
 @pytest.mark.slow
-def test_truth_is_recovered_from_exact_data(surrogate):
-    data = measurement(surrogate, c=0.0095, f_kappa=8.0, m=5.0)
-    _, found = joint_fit(task(surrogate, [data]), STARTS, max_solves=12)
+def test_truth_is_recovered_from_exact_data(simulated):
+    data = measurement(simulated, c=0.0095, f_kappa=8.0, m=5.0)
+    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=12)
     assert found.best[0] == pytest.approx(0.0095, rel=0.01)
     assert found.best[2] == pytest.approx(5.0, rel=0.02)
     assert found.chi_square < 0.05
 
 
 @pytest.mark.slow
-def test_speeds_and_a_second_site_narrow_the_interval(surrogate):
+def test_speeds_and_a_second_site_narrow_the_interval(simulated):
     rng = np.random.default_rng(7)
-    one = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
-    two = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p2")
+    one = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
+    two = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p2")
     nothing = np.zeros(0)
     silent = SiteMeasurement("p1", KNOTS, one.force, one.depth, 0.1, 0.3, nothing, nothing, nothing)
 
     def width(data, **options):
-        made = task(surrogate, data)
+        made = task(simulated, data)
         made = JointTask(made.curves, data, SHAPE, C0, made.log_speed_0, **options)
         _, found = joint_fit(made, STARTS, max_solves=2)
         return np.log(found.profiles["m"].high / found.profiles["m"].low)
@@ -132,30 +132,30 @@ def test_speeds_and_a_second_site_narrow_the_interval(surrogate):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_seen_stays_open(surrogate):
-    data = measurement(surrogate, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
-    _, found = joint_fit(task(surrogate, [data]), STARTS, max_solves=6)
+def test_what_cannot_be_seen_stays_open(simulated):
+    data = measurement(simulated, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
+    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
     assert found.profiles["f_kappa"].open_high
     assert not found.profiles["m"].open_high
 
 
 @pytest.mark.slow
-def test_an_uncertain_gain_widens_what_the_force_says(surrogate):
+def test_an_uncertain_gain_widens_what_the_force_says(simulated):
     rng = np.random.default_rng(7)
-    sure = measurement(surrogate, c=C0, f_kappa=4.0, m=4.0, rng=rng)
+    sure = measurement(simulated, c=C0, f_kappa=4.0, m=4.0, rng=rng)
     unsure = SiteMeasurement(**{**vars(sure), "gain_deviation": 0.2})
     lows = []
     for data in (sure, unsure):
-        _, found = joint_fit(task(surrogate, [data]), STARTS, max_solves=4)
+        _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=4)
         lows.append(found.profiles["f_kappa"].low)
     assert lows[1] < 0.8 * lows[0]
 
 
 @pytest.mark.slow
-def test_held_out_levels_prefer_the_law_that_made_the_data(surrogate):
-    data = measurement(surrogate, c=C0, f_kappa=50.0, m=7.0, rng=np.random.default_rng(7))
-    full, best = joint_fit(task(surrogate, [data]), STARTS, max_solves=6)
-    whole = curve(surrogate)
+def test_held_out_levels_prefer_the_law_that_made_the_data(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=7.0, rng=np.random.default_rng(7))
+    full, best = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
+    whole = curve(simulated)
 
     def only_f_kappa(theta, wrt=()):
         found = whole(np.array([theta[0], 2.0]), (0, 1))
@@ -169,26 +169,26 @@ def test_held_out_levels_prefer_the_law_that_made_the_data(surrogate):
     assert held_out_error(full, best)[0] < 0.8 * held_out_error(poor, poor_best)[0]
 
 
-def test_too_few_levels_are_an_error(surrogate):
-    data = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0, depths=np.array([2.0, 4.0]))
+def test_too_few_levels_are_an_error(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, depths=np.array([2.0, 4.0]))
     with pytest.raises(FitError, match="2 loaded levels for 3 parameters"):
-        joint_fit(task(surrogate, [data]), STARTS)
+        joint_fit(task(simulated, [data]), STARTS)
 
 
 @pytest.mark.slow
-def test_truth_is_covered_at_the_stated_rate(surrogate):
+def test_truth_is_covered_at_the_stated_rate(simulated):
     """95 % each: 3 misses of 10 have a chance of 1 %."""
     truth = {"c": C0, "f_kappa": 50.0, "m": 4.0}
     inside = dict.fromkeys(truth, 0)
     for seed in range(10):
-        data = measurement(surrogate, **truth, rng=np.random.default_rng(seed))
-        _, found = joint_fit(task(surrogate, [data]), STARTS, max_solves=6)
+        data = measurement(simulated, **truth, rng=np.random.default_rng(seed))
+        _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
         for name, value in truth.items():
             inside[name] += found.profiles[name].low <= value <= found.profiles[name].high
     assert min(inside.values()) >= 8, inside
 
 
-def test_problem_counts_its_freedom(surrogate):
-    data = measurement(surrogate, c=C0, f_kappa=50.0, m=4.0)
-    problem = JointProblem(task(surrogate, [data]), STARTS)
+def test_problem_counts_its_freedom(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
+    problem = JointProblem(task(simulated, [data]), STARTS)
     assert problem.n_freedom == 11 + 12 - 3
