@@ -96,7 +96,7 @@ def spread(f3, nodes, N, out):
 def add_symmetric(blocks, touched, pairs, slots, values):
     """The symmetric part of the touched facets' blocks (n_facets, n, 3, n, 3), added to the upper triangle.
 
-    pairs, slots : see `fem.kernels.tangent`
+    pairs, slots : see `fem.elements.simd_kernels.tangent`
     """
     for f in range(blocks.shape[0]):
         if not touched[f]:

@@ -1,6 +1,6 @@
 """Fits of explanations to one site's data, or to those of several measurements of one place.
 
-They run on each site's surrogate (`site`): c, m and the effects' parameters by least squares, at
+They run on each site's `surrogate`: c, m and the effects' parameters by least squares, at
 given points of the effects' grids.
 """
 

@@ -1,6 +1,6 @@
 """What explanations predict of one site's data, or of those of several measurements of one place.
 
-On each site's surrogate (`site`), by c, m and the effects' parameters, at given points of the effects' grids.
+On each site's `surrogate`, by c, m and the effects' parameters, at given points of the effects' grids.
 """
 
 from __future__ import annotations
