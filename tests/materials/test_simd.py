@@ -46,7 +46,7 @@ def evaluated(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """J (16,), S (16, 6), CC (16, 6, 6) of the vectors."""
     program = compile_material(material, "m").program(LANES, lambda name: 1.0)
-    w, place, six, square = lane_rows.room()
+    w, place, six, square = lane_rows.simd_workspace()
     rows = w.reshape(-1, LANES)
     rows[lane_rows.F : lane_rows.F + 9] = F.reshape(LANES, 9).T
     if shift is not None:
