@@ -2,7 +2,7 @@
 
 `Case.open(folder)` reads `case.toml`, checks it and that the files it names are
 there, and raises one error with every problem. What is inside the files is
-checked by the room that reads them; `limbcli check` runs all of these at once.
+checked by the package that reads them; `limbcli check` runs all of these at once.
 """
 
 from __future__ import annotations

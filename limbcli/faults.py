@@ -63,7 +63,7 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
 
 
 @contextlib.contextmanager
-def told(place: Path) -> Iterator[None]:
+def file_system_errors(place: Path) -> Iterator[None]:
     """Faults of the file system inside the block become errors with a way out.
 
     Raises

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.faults import PARTIAL, told
+from limbcli.faults import PARTIAL, file_system_errors
 
 _OLD = "-old-"
 _NAME_LENGTH = 60  # of a computer's name within a file's
@@ -43,7 +43,7 @@ def atomic_file(target: Path) -> Iterator[Path]:
     >>> (folder / "a.txt").read_text(), len(list(folder.iterdir()))
     ('whole', 1)
     """
-    with told(target):
+    with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
             prefix=f"{PARTIAL}{_maker()}-", suffix=target.suffix, dir=target.parent
@@ -64,7 +64,7 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
     What an interrupted earlier run left behind is cleared first.
     """
-    with told(target):
+    with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
         partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{_maker()}-", dir=target.parent))

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.faults import told
+from limbcli.faults import file_system_errors
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"
@@ -60,7 +60,7 @@ def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progres
 @contextlib.contextmanager
 def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool = True) -> Iterator[None]:
     is_new = not folder.exists()
-    with told(folder):
+    with file_system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         stream = _locked(folder, name, wait=wait, progress=progress, alone=alone)
     try:

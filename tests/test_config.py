@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from limbcli.config import THREADS, at_most
-from limbcli.stages.fit_curves import available_cores
+from limbcli.stages.fitting.force_curves import available_cores
 
 
 def test_threads_are_at_most_those_that_the_environment_allows(monkeypatch: pytest.MonkeyPatch):

@@ -7,8 +7,8 @@ import pickle
 import pytest
 
 from limbcli.errors import CaseError, SolveError
-from limbcli.fem.newton import NotConverged
-from limbcli.stages.cluster import WorkerRefused
+from limbcli.fem.equilibrium.newton import NotConverged
+from limbcli.stages.batching.cluster import WorkerRefused
 
 
 @pytest.mark.parametrize("family", [CaseError, SolveError, NotConverged, WorkerRefused])

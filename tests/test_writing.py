@@ -43,14 +43,14 @@ def holder(folder: Path, seconds: float = 60.0) -> subprocess.Popen[str]:
 
 def test_a_second_writer_waits_and_says_for_whom(tmp_path: Path):
     process = holder(tmp_path, seconds=1.5)
-    told: list[str] = []
-    progress = Progress(lambda kind, facts: told.append(facts["text"]))
+    reported: list[str] = []
+    progress = Progress(lambda kind, facts: reported.append(facts["text"]))
     start = time.monotonic()
     with one_writer(tmp_path, progress=progress):
         waited = time.monotonic() - start
     process.wait(timeout=30)
     assert waited > 0.5
-    (words,) = told
+    (words,) = reported
     assert f"`limbcli mesh limb` (process {process.pid} on " in words
     assert str(tmp_path) in words
 

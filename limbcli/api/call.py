@@ -25,7 +25,7 @@ _Taken = ParamSpec("_Taken")
 _Given = TypeVar("_Given")
 
 
-def told(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]:
+def records_call(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]:
     """A public function whose results say how it was called, as a command's say the command."""
 
     @functools.wraps(function)

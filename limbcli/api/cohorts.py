@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result
-from limbcli.api.call import CaseLike, Heard, PathLike, folder_of, foreseen, listening, maybe_path, told
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    folder_of,
+    foreseen,
+    listening,
+    maybe_path,
+    records_call,
+)
 from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
 from limbcli.api.tables import Row, Tabular, plain_rows, read_columns
@@ -148,7 +157,7 @@ class CohortResult(Result):
         return [dict(plain(row)) for row in plain_rows(read_columns(self.files["rows"]))]
 
 
-@told
+@records_call
 def batch(
     cases: CaseLike | Iterable[CaseLike],
     *,
@@ -196,7 +205,7 @@ def batch(
     one_of("batch", ("tet10", "tet4"), element=element)
     within("batch", jobs=jobs)
     from limbcli.stages.batch_cases import expectations, n_processes, one_case, output_folders
-    from limbcli.stages.batch_outcome import BatchOptions
+    from limbcli.stages.batching.outcome import BatchOptions
     from limbcli.stages.report_index import report_index
 
     several = (
@@ -246,7 +255,7 @@ def batch(
     return BatchResult(tuple(found), index)
 
 
-@told
+@records_call
 def cohort(
     table: PathLike,
     *,

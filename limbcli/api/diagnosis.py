@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, told
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
 from limbcli.api.limits import within
 from limbcli.results import StageResult
 
@@ -87,7 +87,7 @@ class ReportResult(Result):
         ]
 
 
-@told
+@records_call
 def diagnose(
     case: CaseLike,
     *,
@@ -151,7 +151,7 @@ def diagnose(
     return by_site(DiagnosisResult, found)
 
 
-@told
+@records_call
 def report(
     case: CaseLike,
     *,

@@ -6,16 +6,16 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from limbcli.api.base import SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, told
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult
 from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
 
 if TYPE_CHECKING:
-    from limbcli.stages.fit_options import FitOptions
+    from limbcli.stages.fitting.options import FitOptions
 
 
-@told
+@records_call
 def fit(
     case: CaseLike,
     *,
@@ -81,7 +81,7 @@ def fit(
     return by_site(FitResult, found)
 
 
-@told
+@records_call
 def fit_joint(
     case: CaseLike,
     *,
@@ -126,7 +126,7 @@ def fit_joint(
     return JointFitResult.of(found)
 
 
-@told
+@records_call
 def compare_elements(
     case: CaseLike,
     *,
@@ -175,7 +175,7 @@ def _options(
         max_iterations=max_iterations, time_limit_s=time_limit_s,
         gain_deviation_fraction=others.get("gain_deviation"),
     )  # fmt: skip
-    from limbcli.stages.fit_options import FitOptions, check_numbers
+    from limbcli.stages.fitting.options import FitOptions, check_numbers
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, told
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, records_call
 from limbcli.api.limits import one_of, within
 from limbcli.errors import CaseError
 from limbcli.results import StageResult
@@ -124,7 +124,7 @@ class MeshResult(Result):
         return load_model(self.files["model"])
 
 
-@told
+@records_call
 def segment(
     case: CaseLike,
     *,
@@ -173,7 +173,7 @@ def segment(
     return SegmentResult.of(found)
 
 
-@told
+@records_call
 def mesh(
     case: CaseLike,
     *,
@@ -241,7 +241,7 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
 
 def _thickness(name: str, value: float | str | None) -> Any:
     """As the stage takes it."""
-    from limbcli.stages.site_layers import thickness_of
+    from limbcli.stages.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
         return thickness_of(value, name)

@@ -18,7 +18,7 @@ from limbcli.api.call import (
     foreseen,
     listening,
     names_of,
-    told,
+    records_call,
 )
 from limbcli.api.limits import one_of, within
 from limbcli.case import Case
@@ -58,7 +58,7 @@ class MadeCase(Result):
         ]
 
 
-@told
+@records_call
 def synth(
     case: CaseLike,
     out_case: PathLike,
@@ -109,7 +109,7 @@ def synth(
     """
     within("synth", contact_penalty=contact_penalty)
     from limbcli.stages import synth as stage
-    from limbcli.stages.hidden import hide
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
 
     hidden = tuple(hide(each) for each in names_of(effects) or ())
     plan = _plan(
@@ -126,7 +126,7 @@ def synth(
     return MadeCase.of(found)
 
 
-@told
+@records_call
 def make_phantom(
     folder: PathLike,
     *,
@@ -170,7 +170,7 @@ def make_phantom(
         If a site cannot be meshed or simulated.
     """
     from limbcli.stages import phantom as stage
-    from limbcli.stages.hidden import hide
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
 
     hidden = tuple(hide(each) for each in names_of(effects) or ())
     plan = _plan(
@@ -200,11 +200,11 @@ def _plan(
         margin_mm=margin_mm,
     )  # fmt: skip
     one_of(function, ELEMENTS, element=element)
-    from limbcli.stages.indent import KnownTissue
-    from limbcli.stages.synth import Protocol, SynthOptions
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
+    from limbcli.stages.synth import LoadingProtocol, SynthOptions
 
     return SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m), seed=seed, noise=noise, element=element,
         size=size_mm, far_size=far_size_mm, margin=margin_mm, same_mesh=same_mesh,
-        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
+        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
     )  # fmt: skip

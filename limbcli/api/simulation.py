@@ -18,7 +18,7 @@ from limbcli.api.call import (
     listening,
     maybe_path,
     names_of,
-    told,
+    records_call,
 )
 from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
@@ -112,7 +112,7 @@ class RunResult(Result):
         return [self._named(row) for row in plain_rows(self.curve())]
 
 
-@told
+@records_call
 def build_feb(
     case: CaseLike,
     *,
@@ -164,7 +164,7 @@ def build_feb(
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """The laws, held against the rules of case.toml."""
-    from limbcli.stages.site_layers import parse_law
+    from limbcli.stages.site_model.site_layers import parse_law
 
     texts = (
         f"{name}:" + ",".join(f"{key}={value}" for key, value in table.items())
@@ -173,7 +173,7 @@ def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return dict(map(parse_law, texts))
 
 
-@told
+@records_call
 def run(
     case: CaseLike,
     *,
@@ -218,7 +218,7 @@ def run(
     return by_site(RunResult, found)
 
 
-@told
+@records_call
 def run_feb(
     feb: PathLike,
     *,

@@ -17,7 +17,7 @@ from limbcli.api.call import (
     foreseen,
     listening,
     names_of,
-    told,
+    records_call,
 )
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.problems import Problem
@@ -87,7 +87,7 @@ def check(case: PathLike, *, progress: Heard = None) -> CheckResult:
     return CheckResult(found.case, found.looked_at, found.problems)
 
 
-@told
+@records_call
 def measure(
     case: CaseLike,
     *,

@@ -24,7 +24,7 @@ from limbcli.errors import LimbError
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
-    from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
+    from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
 ElementOpt = Annotated[
@@ -84,7 +84,7 @@ def command(
     """
     from limbcli.config import default_out
     from limbcli.stages.batch_cases import n_processes, output_folders
-    from limbcli.stages.batch_outcome import BatchOptions
+    from limbcli.stages.batching.outcome import BatchOptions
 
     options = BatchOptions.of(
         element=element, solver=solver, febio=febio, templates=templates, force=force, defaults=defaults,
@@ -113,7 +113,7 @@ def command(
 def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
     """The page that lists all; where no case left anything to list, that is said and is no failure more."""
     from limbcli.cli.app import report_error
-    from limbcli.stages.report_index import report_index
+    from limbcli.stages.report_pages.index import report_index
 
     try:
         index = report_index(folder, progress=progress)
@@ -148,7 +148,7 @@ def _lines(failure: Failure) -> list[str]:
 
 
 class _Way:
-    """How cases are run, and what is told of each."""
+    """How cases are run, and what is reported of each."""
 
     def __init__(self, options: BatchOptions, progress: Progress, *, wait: bool, expect: bool, as_json: bool):
         self.options, self.progress = options, progress

@@ -58,7 +58,7 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.build_feb import TissueOptions, build_feb
-    from limbcli.stages.site_layers import parse_law
+    from limbcli.stages.site_model.site_layers import parse_law
 
     opened, target = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)

@@ -35,13 +35,13 @@ def _caught(error: Exception) -> int:
     from limbcli.cli.last_net import output_folder
     from limbcli.unforeseen import unforeseen
 
-    told = unforeseen(error, output_folder(sys.argv[1:]))
-    print(f"{type(told).__name__}: {told}", file=sys.stderr)
+    shown = unforeseen(error, output_folder(sys.argv[1:]))
+    print(f"{type(shown).__name__}: {shown}", file=sys.stderr)
     if "--json" in sys.argv:
         from limbcli.cli.app import report_json
 
-        report_json(told)
-    return told.exit_code
+        report_json(shown)
+    return shown.exit_code
 
 
 def _answer_with(handler: object) -> None:

@@ -15,19 +15,19 @@ _OTHERS = re.compile(r"(limbcli|pip|apt-get|fslroi) [^`;,\n]*")
 
 
 def for_command_line(error: AnyError, arguments: Sequence[str], options: Options) -> AnyError:
-    """The error with what can be pasted; an option that the command lacks is told with one that has it.
+    """The error with what can be pasted; an option that the command lacks is reported with one that has it.
 
     options : of every command, in the order in which newcomers meet them
     """
     case = case_of(arguments)
-    told = pasted(error, case, out_of(arguments))
+    shown = pasted(error, case, out_of(arguments))
     name = arguments[0] if arguments else ""
-    strangers = list(dict.fromkeys(_strangers(told.fix, options.get(name, set()), options)))
+    strangers = list(dict.fromkeys(_strangers(shown.fix, options.get(name, set()), options)))
     if not strangers:
-        return told
+        return shown
     place = shlex.quote(str(case)) if case else "CASE"
     said = [f"{each} is an option of `limbcli {owner_of(each, options)} {place}`" for each in strangers]
-    return type(told)(told.what, where=told.where, fix=f"{told.fix} ({'; '.join(said)})", **told.facts)
+    return type(shown)(shown.what, where=shown.where, fix=f"{shown.fix} ({'; '.join(said)})", **shown.facts)
 
 
 def case_of(arguments: Sequence[str]) -> Path | None:

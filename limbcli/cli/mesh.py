@@ -87,7 +87,7 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.mesh import mesh
-    from limbcli.stages.site_layers import thickness_of
+    from limbcli.stages.site_model.site_layers import thickness_of
 
     opened, target = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)

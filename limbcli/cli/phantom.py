@@ -68,10 +68,10 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
-    from limbcli.stages.hidden import hide
-    from limbcli.stages.indent import KnownTissue
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
-    from limbcli.stages.synth import Protocol, SynthOptions
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
+    from limbcli.stages.synth import LoadingProtocol, SynthOptions
 
     plan = SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
@@ -83,7 +83,7 @@ def command(
         margin=margin_mm,
         same_mesh=same_mesh,
         hidden=tuple(hide(each) for each in effect or ()),
-        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
+        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
     options = PhantomOptions(
         seed=seed,

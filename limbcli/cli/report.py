@@ -67,7 +67,7 @@ def _report(
 
 
 def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> Path:
-    from limbcli.stages.report_index import report_index
+    from limbcli.stages.report_pages.index import report_index
 
     result = report_index(folder, templates=templates, progress=progress)
     if as_json:

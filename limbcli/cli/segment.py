@@ -68,7 +68,7 @@ def command(
     from limbcli.errors import CaseError
     from limbcli.problems import raise_errors
     from limbcli.stages.segment import segment
-    from limbcli.stages.segment_places import site_errors
+    from limbcli.stages.segmenting.places import site_errors
 
     opened, target = Case.open_images(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)

@@ -63,9 +63,9 @@ def command(
     """Measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
     from limbcli.config import default_out
-    from limbcli.stages.hidden import hide
-    from limbcli.stages.indent import KnownTissue
-    from limbcli.stages.synth import Protocol, SynthOptions, synth
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
+    from limbcli.stages.synth import LoadingProtocol, SynthOptions, synth
 
     options = SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
@@ -78,7 +78,7 @@ def command(
         same_mesh=same_mesh,
         contact_penalty=contact_penalty,
         hidden=tuple(hide(each) for each in effect or ()),
-        protocol=Protocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
+        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
     opened, target = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)

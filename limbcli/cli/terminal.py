@@ -52,7 +52,7 @@ class _Lines:
                 self._line(text)
 
     def silent_s(self) -> float:
-        """Seconds since anything was told; none before the first event."""
+        """Seconds since anything was reported; none before the first event."""
         return time.monotonic() - self._last if self._doing else 0.0
 
     def alive(self) -> None:

@@ -1,4 +1,4 @@
-"""How long a piece of work will still take, from how far it is; and a sign of life where nothing is told."""
+"""How long a piece of work will still take, from how far it is; and signs of life in between."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def seconds(value: float) -> str:
 
 
 class Quiet(Protocol):
-    """What a heartbeat asks: how long nothing was told, and to tell that the work goes on."""
+    """What a heartbeat asks: how long nothing was reported, and to tell that the work goes on."""
 
     def silent_s(self) -> float: ...
 

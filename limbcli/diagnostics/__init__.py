@@ -1,4 +1,4 @@
-"""Where model and measurement disagree, what could explain it, and what cannot be told.
+"""Where model and measurement disagree, what could explain it, and what cannot be determined.
 
 Detection, identification and adaptation on plain arrays: nothing here knows a
 solver, a case or an effect's physics. `engine.diagnose` works on a `forward_model.ForwardModel`,

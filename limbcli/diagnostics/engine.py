@@ -1,4 +1,4 @@
-"""Detect, identify, adapt: the whole diagnosis of one set of data on one bench.
+"""Detect, identify, adapt: the whole diagnosis of one set of data on one forward model.
 
 1. Fit the base model; look at what is left (all of it, its parts, along every candidate).
 2. If something is left beyond chance, refit the candidates that could be behind it and
@@ -14,54 +14,51 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from limbcli.diagnostics.account import Account
-from limbcli.diagnostics.baseline_fit import ALPHA, BaselineFit
-from limbcli.diagnostics.candidates import REFIT_BELOW, Candidates, closes_gross, whitened_trials
-from limbcli.diagnostics.closing import Closing
-from limbcli.diagnostics.confidence_set import ADEQUATE, Refit
-from limbcli.diagnostics.forward_model import Facts, ForwardModel
-from limbcli.diagnostics.localisation_tests import PREFIX
-from limbcli.diagnostics.multiple_testing import N_DRAWS, Family
-from limbcli.diagnostics.refits import Refits
-from limbcli.diagnostics.score import Trial
-from limbcli.diagnostics.sizes import sizes_95
-from limbcli.diagnostics.verdict import Diagnosis, Word
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.conclusions.account import Account
+from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
+from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
+from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.candidates import Candidates, closes_gross, whitened_trials
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.gap_closure import Closing
+from limbcli.diagnostics.selection.refits import Refits
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.progress import SILENT, Progress
-
-LEFT = ALPHA  # a name leaves nothing that would be detected
-SECOND = 0.15  # adjusted p of what is left, below which one effect more is tried beside a member of the set
-_EXCHANGED, _LOOK_ALIKES = 3, 8  # explanations whose look-alikes are tried; how many of them
 
 
 def diagnose(
-    bench: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = N_DRAWS, propose: bool = True,
-    progress: Progress = SILENT,
+    forward_model: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = thresholds.N_DRAWS,
+    propose: bool = True, progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnose one bench. Deterministic for a given seed.
+    """Diagnose one forward model. Deterministic for a given seed.
 
     Raises
     ------
     LimbError
         If the base model itself cannot be fitted.
     """
-    ground = BaselineFit(bench, bench.fit((), {}), seed, n_draws, progress)
-    return _Run(ground, max_effects, propose).all()
+    baseline = BaselineFit(forward_model, forward_model.fit((), {}), seed, n_draws, progress)
+    return _Run(baseline, max_effects, propose).all()
 
 
 @dataclass(eq=False)
 class _Run:
-    ground: BaselineFit
+    baseline: BaselineFit
     max_effects: int
     propose: bool
     not_evaluated: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
-    family: Family = field(default_factory=lambda: Family((), None, ALPHA))
+    family: Family = field(default_factory=lambda: Family((), None, thresholds.ALPHA))
     refits: Refits | None = None
 
     def all(self) -> Diagnosis:
-        ground = self.ground
-        self.facts: dict[str, Facts] = {each.name: each for each in ground.bench.candidates}
-        if ground.state.nu < 1:
+        baseline = self.baseline
+        self.facts: dict[str, Facts] = {each.name: each for each in baseline.forward_model.candidates}
+        if baseline.state.nu < 1:
             return self._finish("untestable", "there are no more data than fitted parameters", None)
         for name, each in self.facts.items():
             if each.dear:
@@ -69,22 +66,27 @@ class _Run:
                     f"it takes many times the usual work: `--effects {name}` looks at it"
                 )
         trials = whitened_trials(
-            ground.bench, ground.base, self.facts, ground.whiten, self.not_evaluated, ground.progress
+            baseline.forward_model,
+            baseline.base,
+            self.facts,
+            baseline.whiten,
+            self.not_evaluated,
+            baseline.progress,
         )
         self.family = self._tested(trials)
-        if self.family.smallest >= ALPHA:
+        if self.family.smallest >= thresholds.ALPHA:
             return self._nothing_found()
         by_name = {trial.name: trial for trial in trials}
-        self.refits = Refits(ground, by_name, self.not_evaluated, self.left_out)
-        candidates = Candidates(ground.state, by_name, self.family)
+        self.refits = Refits(baseline, by_name, self.not_evaluated, self.left_out)
+        candidates = Candidates(baseline.state, by_name, self.family)
         promising = candidates.promising(self.left_out)
         kept = self._explanations(candidates, promising, self.refits)
         return self._conclude(kept, promising)
 
     def _tested(self, trials: list[Trial]) -> Family:
-        ground = self.ground
-        parts = ground.parts(ground.whiten)
-        return ground.family(ground.state, [*parts, *trials], relative=ground.relative)
+        baseline = self.baseline
+        parts = baseline.parts(baseline.whiten)
+        return baseline.family(baseline.state, [*parts, *trials], relative=baseline.relative)
 
     def _explanations(self, candidates: Candidates, names: list[str], refits: Refits) -> list[Refit]:
         """The confidence set of the smallest size that is not empty, and what it may still lack."""
@@ -106,18 +108,20 @@ class _Run:
         """
         several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
         usable = sorted(several, key=lambda r: r.state.chi2)
-        new = [each for each in candidates.exchanged(usable[:_EXCHANGED]) if not refits.tried(each)]
+        new = [
+            each for each in candidates.exchanged(usable[: thresholds.EXCHANGED]) if not refits.tried(each)
+        ]
         if not new:
             return compared
-        return refits.compared([*(refit.explanation for refit in compared), *new[:_LOOK_ALIKES]])
+        return refits.compared([*(refit.explanation for refit in compared), *new[: thresholds.LOOK_ALIKES]])
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
         """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.
 
         Of two effects the second is weak evidence once the first has moved c and m. So a
-        member stays beside its own extension: both are told.
+        member stays beside its own extension: both are reported.
         """
-        found = [each for refit in kept for each in candidates.extended(refit, below=SECOND)]
+        found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
         larger = list({frozenset(each): each for each in found}.values())
         if not larger:
             return kept
@@ -126,15 +130,16 @@ class _Run:
         first = {refit.explanation for refit in kept}
         return [
             each for each in compared
-            if each.explanation in first or (each.in_set and self._each_is_needed(each, refits, SECOND))
+            if each.explanation in first
+            or (each.in_set and self._each_is_needed(each, refits, thresholds.SECOND))
         ]  # fmt: skip
 
-    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = ADEQUATE) -> bool:
+    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
         """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
-            seen = found is not None and found.p_adjusted < REFIT_BELOW
-            return seen or refit.gap == 0.0 or closes_gross(self.ground.state, refit.state)
+            seen = found is not None and found.p_adjusted < thresholds.REFIT_BELOW
+            return seen or refit.gap == 0.0 or closes_gross(self.baseline.state, refit.state)
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:
@@ -146,9 +151,9 @@ class _Run:
     # -------------------------------------------------------------- verdicts
 
     def _nothing_found(self) -> Diagnosis:
-        if not self.ground.relative:
+        if not self.baseline.relative:
             return self._finish("adequate", "nothing is left beyond the stated noise", None)
-        if self.ground.data.noise.is_assumed:
+        if self.baseline.data.noise.is_assumed:
             why = "the noise is assumed: the fit cannot be judged in absolute terms, and no shape stands out"
         else:
             why = "the data scatter more than their stated noise; no shape stands out of the scatter"
@@ -165,10 +170,10 @@ class _Run:
         if not self._speaks_for_itself(best):
             why = "the one explanation that fits is not significant by itself; what is, does not fit"
             return self._finish("unexplained", why, None, tuple(kept))
-        if not Closing(self.ground, self._n_candidates).is_closed(best):
+        if not Closing(self.baseline, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return self._finish("unexplained", why, None, tuple(kept))
-        if best.left_p < LEFT:
+        if best.left_p < thresholds.LEFT:
             why = "one explanation fits, but it leaves something; it may not be all"
             return self._finish("ambiguous", why, best, (best,))
         failed = [name for name in promising if name in self.not_evaluated]
@@ -198,17 +203,19 @@ class _Run:
         Where the fit without effects is grossly wrong, that little of it is left is evidence enough; and so
         is how much better the refit is, where the first order at no effect shows less of it.
         """
-        if len(refit.explanation) > 1 or closes_gross(self.ground.state, refit.state):
+        if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
             return True
         found = self.family.of(refit.explanation[0])
-        return (found is not None and found.p_adjusted < ALPHA) or self._gain_p(refit) < ALPHA
+        return (found is not None and found.p_adjusted < thresholds.ALPHA) or self._gain_p(
+            refit
+        ) < thresholds.ALPHA
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.
 
         Likelihood ratio, in units of the scatter that stays, of as many tests as there are grid points.
         """
-        before, after = self.ground.state, refit.state
+        before, after = self.baseline.state, refit.state
         gain = (before.chi2 - after.chi2) / max(after.chi2 / max(after.nu, 1), 1.0)
         trials = self.refits.trials.values() if self.refits else ()
         n_tests = max(sum(len(trial.directions) for trial in trials), 1)
@@ -220,23 +227,23 @@ class _Run:
         return len(self.refits.trials) if self.refits else 0
 
     def _finish(self, word: Word, reason: str, best: Refit | None, kept: tuple[Refit, ...] = ()) -> Diagnosis:
-        ground, account = self.ground, Account(self.ground)
+        baseline, account = self.baseline, Account(self.baseline)
         shown = best or (kept[0] if kept else self.refits.best() if self.refits else None)
         flagged = tuple(
             t.name.removeprefix(PREFIX)
             for t in self.family.tests
-            if t.name.startswith(PREFIX) and t.p_adjusted < ALPHA
+            if t.name.startswith(PREFIX) and t.p_adjusted < thresholds.ALPHA
         )
         shrink = account.shrink(shown, self.refits)
-        relative = ground.relative if best is None else ground.is_relative(best.state)
+        relative = baseline.relative if best is None else baseline.is_relative(best.state)
         return Diagnosis(
-            verdict=word, reason=reason, relative=relative, base=ground.base, family=self.family,
+            verdict=word, reason=reason, relative=relative, base=baseline.base, family=self.family,
             flagged=flagged, refits=tuple(self.refits.known.values()) if self.refits else (),
             confidence_set=tuple(r.explanation for r in kept), chosen=best.explanation if best else (),
             closed=word == "named", shrink=shrink,
             blind_spots=account.blind_spots(self.family, self.facts),
             next_steps=account.next_steps(kept, self.not_evaluated) if self.propose else (),
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
-            roughness=ground.rough, facts=self.facts, seed=ground.seed, held_out_z=account.held_out_z(),
-            sizes=sizes_95(ground.state, self.family, self.facts),
+            roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
+            sizes=sizes_95(baseline.state, self.family, self.facts),
         )  # fmt: skip

@@ -42,7 +42,7 @@ class Parameter:
 
     @property
     def step(self) -> float:
-        """By how much it moves when its influence is looked at: to a fit's start, or a part of its room."""
+        """By how much it moves when its influence is looked at: to a fit's start, or a part of its range."""
         if self.shape:
             return 0.1 * (self.high - self.low)
         return max(abs(self.start - self.null), 1e-6)

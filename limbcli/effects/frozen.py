@@ -24,10 +24,10 @@ from scipy.interpolate import CubicSpline
 
 from limbcli.effects.places import Places, Stiffness, cell_means
 from limbcli.effects.tissue import TISSUE
-from limbcli.effects.waves import log_speed
 from limbcli.materials import compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.shear_waves.speed import block_speeds
 
 
 class Averages(Protocol):
@@ -71,7 +71,7 @@ class Seen:
 
 
 @dataclass(eq=False)
-class Kinematics:
+class SolvedDeformation:
     """A solved indentation, cell by cell of the tissue's block.
 
     depth (n,) mm from 0; gradient (n, n_cells, 3, 3); volume (n_cells,) mm^3; seen : at every depth
@@ -112,15 +112,18 @@ class Kinematics:
             for F, seen in zip(self.gradient, self.seen, strict=True):
                 needed = np.unique(seen.averages.index)
                 speed = np.full(len(self.volume), np.nan)
-                found = log_speed(model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3)
-                speed[needed] = np.exp(found)
+                speed[needed] = block_speeds(
+                    model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3
+                )
                 rows.append(seen.averages(speed))
             self._speeds[id(model)] = np.array(rows)
             self._models.append(model)
         return self._speeds[id(model)]
 
 
-def frozen_force(model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = ()) -> Array:
+def frozen_force(
+    model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = ()
+) -> Array:
     """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the law
     leaves the range of numbers.
 
@@ -138,7 +141,11 @@ def frozen_force(model: LimbModel, kinematics: Kinematics, stiffness: Sequence[S
 
 
 def frozen_speed(
-    model: LimbModel, kinematics: Kinematics, stiffness: Sequence[Stiffness] = (), *, density_kg_per_m3: float
+    model: LimbModel,
+    kinematics: SolvedDeformation,
+    stiffness: Sequence[Stiffness] = (),
+    *,
+    density_kg_per_m3: float,
 ) -> Array:
     """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation."""
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)

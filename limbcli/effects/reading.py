@@ -7,59 +7,13 @@ effects are pure changes of the `Reading`, as tissue effects are of the `LimbMod
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.model import Array, IntArray
-from limbcli.monotone import Monotone
-
-_FAR = 10.0  # of ln depth beyond a curve's ends
-
-
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """A simulated indentation over the probe's depth.
-
-    depth (n,) mm from 0; force (n,) N; log_speed (n, n_windows) ln of m/s, NaN where no
-    wave runs, or (n, 0); window_depth (n_windows,) mm below the face; thickness: skin to bone
-    along the beam, mm, NaN where the beam meets no bone
-    log_line (n, n_lines) ln of mm below the skin of the borders of layers on the beam; None: not followed
-    """
-
-    depth: Array
-    force: Array
-    log_speed: Array
-    window_depth: Array
-    thickness: float = float("nan")
-    log_line: Array | None = None
-
-    @property
-    def columns(self) -> Array:
-        """(n, n_windows + n_lines): ln speeds, then ln depths of lines."""
-        lines = [] if self.log_line is None else [self.log_line]
-        return np.column_stack([self.log_speed, *lines])
-
-    def with_columns(self, table: Array) -> dict[str, Array | None]:
-        """What of these curves such a table replaces."""
-        n = self.log_speed.shape[1]
-        return {"log_speed": table[:, :n], "log_line": None if self.log_line is None else table[:, n:]}
-
-    @cached_property
-    def force_curve(self) -> Monotone:
-        return Monotone.through(self.depth, self.force)
-
-    @cached_property
-    def depth_curve(self) -> Monotone:
-        """ln depth over ln force, at depths > 0 whose force is larger than all before."""
-        rising = np.flatnonzero(np.diff(np.maximum.accumulate(self.force), prepend=0.0) > 0)
-        x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))
-        if len(rising) < 2:  # too few to tell: force as depth to the power of 1.5, through what there is
-            x0, y0 = (x[0], y[0]) if len(rising) else (0.0, 0.0)
-            x, y = np.array([x0, x0 + 1.5]), np.array([y0, y0 + 1.0])
-        return Monotone.through(x, y)
+from limbcli.effects.curves import Curves, column_at, columns_at, depth_of_force, force_at
+from limbcli.model import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,95 +118,10 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     return depth
 
 
-def force_at(curves: Curves, depth: Array) -> Array:
-    """N at any depth: 0 before touch, PCHIP within the simulation, its last slope beyond."""
-    curve = curves.force_curve
-    end = curves.depth[-1]
-    inside = curve(np.clip(depth, 0.0, end))
-    return np.asarray(inside + np.maximum(depth - end, 0.0) * curve.slope(end))
-
-
-def log_force_at(curves: Curves, depth: Array) -> Array:
-    """ln N at depths > 0: a curve through ln force over ln depth, a power of depth below and beyond."""
-    x, y = np.log(curves.depth[1:]), np.log(np.maximum(curves.force[1:], 1e-9))
-    at = np.log(np.maximum(depth, 1e-6))
-    if len(x) < 2:
-        return np.asarray(y[0] + 1.5 * (at - x[0]))
-    curve = Monotone.through(x, y)
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    inside = curve(np.clip(at, x[0], x[-1]))
-    return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
-
-
-def depth_at(curves: Curves, force: Array) -> Array:
-    """mm at forces > 0: a curve through ln depth over ln force, a power of force below and beyond."""
-    curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
-    x, y = curve.knots, curve.values
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    inside = curve(np.clip(at, x[0], x[-1]))
-    beyond = first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0)
-    return np.exp(inside + np.clip(beyond, -_FAR, _FAR))
-
-
-def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:
-    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line.
-
-    like : curves that reach further; then their course, and the difference to it as its last line
-    """
-    further, last = np.asarray(depths, dtype=float), curves.depth[-2:]
-    if like is None:
-        columns = curves.columns
-        rise = (columns[-1] - columns[-2]) / (last[1] - last[0])
-        table = columns[-1] + np.multiply.outer(further - last[1], rise)
-        log_force = log_force_at(curves, further)
-    else:
-        known = np.column_stack([np.log(np.maximum(curves.force[-2:], 1e-9)), curves.columns[-2:]])
-        apart = known - _logs_at(like, last)[:, : known.shape[1]]
-        rise = (apart[1] - apart[0]) / (last[1] - last[0])
-        found = _logs_at(like, further)[:, : known.shape[1]] + apart[1]
-        found = found + np.multiply.outer(further - last[1], rise)
-        log_force, table = found[:, 0], found[:, 1:]
-    return replace(
-        curves,
-        depth=np.concatenate([curves.depth, further]),
-        force=np.concatenate([curves.force, np.exp(log_force)]),
-        **curves.with_columns(np.vstack([curves.columns, table])),  # type: ignore[arg-type]
-    )
-
-
-def _logs_at(curves: Curves, depth: Array) -> Array:
-    """ln force, ln speeds and ln lines (n, 1 + n_parts + n_lines) at depths > 0."""
-    speeds = [np.interp(depth, curves.depth, column) for column in curves.columns.T]
-    return np.column_stack([log_force_at(curves, depth), *speeds])
-
-
-def depth_of_force(curves: Curves, force: float) -> float:
-    """mm at which the simulated curve reaches a force.
-
-    >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
-    >>> round(depth_of_force(c, 4.0), 6)
-    2.0
-    """
-    curve, end = curves.force_curve, float(curves.depth[-1])
-    if force >= curves.force[-1]:
-        return min(end + (force - float(curves.force[-1])) / max(float(curve.slope(end)), 1e-9), 2.0 * end)
-    k = int(np.argmax(curves.force > force)) if force > 0 else 1
-    low, high = float(curves.depth[k - 1]), float(curves.depth[k])
-    if force <= 0:
-        return low
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if float(curve(middle)) < force:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
     if not curves.log_speed.shape[1]:
         return np.zeros((len(depth), 0))
-    speed = _at_depths(curves, depth) + reading.log_speed_shift
+    speed = columns_at(curves, depth) + reading.log_speed_shift
     if reading.prony:
         speed = speed + 0.5 * np.log1p(sum(share for share, _ in reading.prony))
     if reading.guided:
@@ -267,42 +136,7 @@ def _layers_at(curves: Curves, depth: Array) -> Array:
     """mm (n_levels, n_lines) at depths."""
     if curves.log_line is None:
         return np.zeros((len(depth), 0))
-    return np.diff(np.exp(_one_curve(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
-
-
-def _at_depths(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths; windows that are known at the same depths all at once."""
-    out = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
-    known = np.isfinite(curves.log_speed)
-    if known.all():
-        return _one_curve(curves.depth, curves.log_speed, depth)
-    for columns in _equal_columns(known.tobytes(), known.shape[1]):
-        at = known[:, columns[0]]
-        if at.sum() > 1:
-            out[:, columns] = _one_curve(curves.depth[at], curves.log_speed[at][:, columns], depth)
-    return out
-
-
-@lru_cache(maxsize=64)
-def _equal_columns(truths: bytes, n_columns: int) -> list[IntArray]:
-    """Numbers of the columns of a table of truths that are the same, together.
-
-    >>> table = np.array([[True, False, True], [True, True, True]])
-    >>> [each.tolist() for each in _equal_columns(table.tobytes(), 3)]
-    [[1], [0, 2]]
-    """
-    table = np.frombuffer(truths, dtype=np.bool_).reshape(-1, n_columns)
-    _, which = np.unique(np.packbits(table, axis=0), axis=1, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
-
-
-def _one_curve(knots: Array, values: Array, depth: Array) -> Array:
-    """PCHIP within the knots, level before them, the last slope beyond."""
-    curve = Monotone.through(knots, values)
-    inside = np.clip(depth, knots[0], knots[-1])
-    beyond = np.maximum(depth - knots[-1], 0.0)
-    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve.slope(knots[-1])))
+    return np.diff(np.exp(column_at(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
 
 
 def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:

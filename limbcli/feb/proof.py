@@ -111,17 +111,17 @@ def _compare(echo: Echo, outline: Outline, log: Path) -> None:
     if echo.n_nodes != n_nodes:
         _refuse(log, f"the log tells of {echo.n_nodes} nodes, the model file has {n_nodes}")
     for number, parameters in outline.materials.items():
-        told = echo.materials.get(number)
-        if told is None:
+        other = echo.materials.get(number)
+        if other is None:
             _refuse(log, f"the log does not tell of material {number} of the model file")
-        if found := _first_difference(parameters, told):
+        if found := _first_difference(parameters, other):
             name, ours = found
-            _refuse(log, f"the log tells of another material: {name} is {told[name]:g}, not {ours:g}")
+            _refuse(log, f"the log tells of another material: {name} is {other[name]:g}, not {ours:g}")
 
 
-def _first_difference(ours: Mapping[str, float], told: Mapping[str, float]) -> tuple[str, float] | None:
+def _first_difference(ours: Mapping[str, float], other: Mapping[str, float]) -> tuple[str, float] | None:
     for name, value in ours.items():
-        if name in told and abs(told[name] - value) > _DIGITS * max(abs(value), 1e-12):
+        if name in other and abs(other[name] - value) > _DIGITS * max(abs(value), 1e-12):
             return name, value
     return None
 

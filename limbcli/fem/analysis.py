@@ -1,10 +1,10 @@
-"""The load, level by level: steps and must-points.
+"""The load, load step by load step: steps of the model and must-points.
 
 Without history (elastic law, no friction) the response depends on the load reached
-and not on the way, so the levels are the must-points alone (or the steps, where a
+and not on the way, so the load steps are the must-points alone (or the steps, where a
 step has none), and a step is cut (see `load_stepping`) only where Newton's method needs it.
-Friction is measured over the steps of the model: these are all solved for, and strides
-within one are first guesses. With a viscoelastic law every stride is a step of its history.
+Friction is measured over the steps of the model: these are all solved for, and increments
+within one are first guesses. With a viscoelastic law every increment is a step of its history.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from limbcli.errors import SolveError
-from limbcli.fem import curves
-from limbcli.fem.history import Histories
-from limbcli.fem.levels import step_times
-from limbcli.fem.load_stepping import LoadStepping, is_timed, rubs
-from limbcli.fem.newton import Counts, Level, Newton, Settings
-from limbcli.fem.state import Forces, State
+from limbcli.fem.equilibrium.history import Histories
+from limbcli.fem.equilibrium.load_stepping import LoadStepping, has_friction, is_timed
+from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
+from limbcli.fem.equilibrium.solve_times import step_times
+from limbcli.fem.motion import curves
+from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.model import Curve, LimbModel, Step
 from limbcli.progress import SILENT, Progress
@@ -54,7 +54,7 @@ class Analysis:
     @property
     def remembers(self) -> bool:
         """Whether the response depends on the way the load went (viscoelastic materials, friction)."""
-        return is_timed(self.model) or rubs(self.model)
+        return is_timed(self.model) or has_friction(self.model)
 
     @property
     def newton(self) -> Newton:
@@ -73,12 +73,12 @@ class Analysis:
         """All steps from rest to the end; `visit` is called at every converged time.
 
         guesses : first guess at a time, from earlier runs of the same load, or None
-        required : how many levels must be reached; where a later one fails the run ends with those before
+        required : how many load steps must be reached; where a later one fails the run ends with those before
             it. None: all
         hoped : how many are worth the full effort, later ones are tried briefly. None: those required
         last : how many are tried at all; None: all
         patient : where Newton's method fails, let the tissue come to rest by a drag, which takes long
-        ends : asked after `visit` at every level, whether those so far are enough
+        ends : asked after `visit` at every load step, whether those so far are enough
         """
         self._stepping.patient = patient
         snapshots: list[Snapshot] = []
@@ -87,7 +87,7 @@ class Analysis:
         begin, n_must = 0.0, 0
         hoped = required if hoped is None else hoped
         times = self.times()
-        n_levels = sum(map(len, times))
+        n_steps = sum(map(len, times))
         number = 0
         for step, targets in zip(self.model.steps, times, strict=True):
             newton = self._prepare(step, state)
@@ -100,12 +100,12 @@ class Analysis:
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
-                level = Level(number, n_levels, newton.depth_at(begin + target))
+                load_step = LoadStep(number, n_steps, newton.depth_at(begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
                 newton.system.remember(state)
                 brief = hoped is not None and n_must >= hoped
                 try:
-                    state, forces = self._stepping.advance_to(begin + target, level, known, brief=brief)
+                    state, forces = self._stepping.advance_to(begin + target, load_step, known, brief=brief)
                 except SolveError:
                     if required is not None and n_must >= required:
                         return snapshots
@@ -122,7 +122,7 @@ class Analysis:
         return snapshots
 
     def forget(self) -> None:
-        """What earlier runs left that may change the next one's last digits: factor and strides."""
+        """What earlier runs left that may change the next one's last digits: factor and increments."""
         self._stepping = LoadStepping()
         if self._newton is not None:
             self._collect()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from limbcli import ahead
 from limbcli.errors import SolveError
-from limbcli.fem.fields import check_record
+from limbcli.fem.derivatives.fields import check_record
 from limbcli.materials import compile_material
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
@@ -49,9 +49,14 @@ def warm_up(progress: Progress) -> None:
 
 def are_there() -> bool:
     """Whether kernels were compiled on this machine before (or in this process)."""
-    from limbcli.fem import simd_kernels as wide_kernels
+    from limbcli.fem.elements import simd_kernels
 
-    kernel = wide_kernels.internal_force
-    return bool(kernel.signatures) or any(
-        Path(kernel.stats.cache_path).glob("wide_kernels.internal_force*.nbi")
-    )
+    return bool(simd_kernels.internal_force.signatures) or bool(on_disk())
+
+
+def on_disk() -> list[Path]:
+    """numba's index files of the kernel that every simulation needs."""
+    from limbcli.fem.elements import simd_kernels
+
+    kernel, module = simd_kernels.internal_force, simd_kernels.__name__.rsplit(".", 1)[-1]
+    return list(Path(kernel.stats.cache_path).glob(f"{module}.{kernel.__name__}*.nbi"))

@@ -16,15 +16,15 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from limbcli.bodies import Drive
-from limbcli.fem.assembly import Pattern, Threads, make_pattern
-from limbcli.fem.contact import make_pairs
-from limbcli.fem.contact_points import FACET, TRACTION, add_symmetric
-from limbcli.fem.contact_reach import near_nodes
-from limbcli.fem.element_loops import ElementLoops
-from limbcli.fem.groups import make_groups
-from limbcli.fem.halves import halve
-from limbcli.fem.rigid_loads import RigidLoads
-from limbcli.fem.state import Forces, State
+from limbcli.fem.contacts.contact import make_pairs
+from limbcli.fem.contacts.contact_points import FACET, TRACTION, add_symmetric
+from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.elements.assembly import Pattern, Threads, make_pattern
+from limbcli.fem.elements.element_loops import ElementLoops
+from limbcli.fem.elements.groups import make_groups
+from limbcli.fem.elements.halves import halve
+from limbcli.fem.motion.rigid_loads import RigidLoads
+from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Support
 
 _NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
@@ -73,7 +73,7 @@ class System(RigidLoads, ElementLoops):
         return any(each.jumps for each in self.operands)
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether a contact has friction."""
         return any(pair.contact.friction for pair in self.pairs)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.fields import box_around, closed, evened, opened
-from limbcli.imaging.intensity import Levels
+from limbcli.imaging.intensity import TissueIntensities
 from limbcli.model import Array
 
 _THICKEST = 14.0  # mm, the tibial crest
@@ -21,7 +21,7 @@ _WALL = 0.75  # of muscle: where nothing is darker there is no wall
 
 
 def with_cortex(
-    marrow: NDArray[np.bool_], levels: Levels, limb: NDArray[np.bool_], spacing: Array
+    marrow: NDArray[np.bool_], intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array
 ) -> NDArray[np.bool_]:
     """A whole bone: marrow, the dark cortex round it, and the caps at its ends.
 
@@ -29,7 +29,7 @@ def with_cortex(
     lines that run off (fascia, interosseous membrane, tendons) are cut by an opening.
     """
     in_plane = spacing[:2]
-    values = ndimage.gaussian_filter(levels.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
+    values = ndimage.gaussian_filter(intensities.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
     dark, dip = _dark(values, limb, spacing)
     bone = np.zeros_like(marrow)
     slices = np.flatnonzero(marrow.any(axis=(0, 1)))
@@ -37,7 +37,7 @@ def with_cortex(
         here = marrow[:, :, k]
         window = box_around(here, np.ceil((_THICKEST + 2.0) / in_plane))
         walls = dark[:, :, k][window], dip[:, :, k][window]
-        bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, levels, in_plane)
+        bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, intensities, in_plane)
     _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
     return evened(bone, spacing)
 
@@ -62,7 +62,7 @@ def _shell(
     marrow: NDArray[np.bool_],
     values: NDArray[np.float32],
     walls: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    levels: Levels,
+    intensities: TissueIntensities,
     spacing: Array,
 ) -> NDArray[np.bool_]:
     """Marrow and cortex in one slice."""
@@ -70,7 +70,7 @@ def _shell(
     outside = ndimage.distance_transform_edt(~marrow, sampling=spacing)
     dark, dip = walls
     wall = (dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip & (outside < _THIN))
-    rim = (outside < 0.6) & (values < levels.between)
+    rim = (outside < 0.6) & (values < intensities.between)
     whole = opened(ndimage.binary_fill_holes(marrow | wall | rim), _LINE, spacing) | marrow
     parts, _ = ndimage.label(whole)
     kept = np.bincount(parts[marrow], minlength=2)

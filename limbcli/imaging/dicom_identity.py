@@ -23,8 +23,8 @@ def public_name(path: Path, dataset: Dataset, number: int) -> str:
     """The file's name for messages, unless it tells who the patient is."""
     private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
     words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
-    told = any(each in path.name.lower() for each in words)
-    return f"file {number} in order of name" if told else path.name
+    reported = any(each in path.name.lower() for each in words)
+    return f"file {number} in order of name" if reported else path.name
 
 
 def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:

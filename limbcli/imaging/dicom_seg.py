@@ -65,9 +65,9 @@ def _masks(dataset: Dataset) -> NamedMasks:
     normal = np.cross(cosines[:3], cosines[3:])
     positions = np.array([each.PlanePositionSequence[0].ImagePositionPatient for each in frames], float)
     heights = np.round(positions @ normal, 3)
-    levels = np.unique(heights)
-    step = float(np.min(np.diff(levels))) if len(levels) > 1 else float(measures.SliceThickness)
-    index = np.round((heights - levels[0]) / step).astype(int)
+    intensities = np.unique(heights)
+    step = float(np.min(np.diff(intensities))) if len(intensities) > 1 else float(measures.SliceThickness)
+    index = np.round((heights - intensities[0]) / step).astype(int)
     names = {int(each.SegmentNumber): str(each.SegmentLabel) for each in dataset.SegmentSequence}
     shape = (int(dataset.Columns), int(dataset.Rows), int(index.max()) + 1)
     masks = {number: np.zeros(shape, bool) for number in names}

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.intensity import Levels
+from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.volume import Volume
 
 _LEAST_CONTRAST = 1.5  # fat over muscle
@@ -16,22 +16,22 @@ _LEAST_PART = 100.0  # mm^3: smaller specks of fat belong to the muscle
 
 
 def fat_of(
-    levels: Levels, limb: NDArray[np.bool_], bone: NDArray[np.bool_], volume: Volume
+    intensities: TissueIntensities, limb: NDArray[np.bool_], bone: NDArray[np.bool_], volume: Volume
 ) -> NDArray[np.bool_] | None:
     """Voxels of fat: nearer to fat's level than to muscle's, outside bone.
 
     None where fat and muscle cannot be told apart (contrast below 1.5, or within noise).
     """
-    if levels.fat < _LEAST_CONTRAST or levels.fat - 1.0 < 4.0 * levels.noise:
+    if intensities.fat < _LEAST_CONTRAST or intensities.fat - 1.0 < 4.0 * intensities.noise:
         return None
     within_slices = [volume.spacing[0], volume.spacing[1], 1e6]
     deep = ndimage.distance_transform_edt(limb, sampling=within_slices) > _DEEP
-    core = levels.values[deep & ~bone]
+    core = intensities.values[deep & ~bone]
     if not len(core) or abs(float(np.median(core)) - 1.0) > _DEEP_IS_MUSCLE:
         return None
     sigma = [0.5 / volume.spacing[0], 0.5 / volume.spacing[1], 0.0]
-    smooth = ndimage.gaussian_filter(levels.values, sigma)
-    fat = (smooth > levels.between) & limb & ~bone
+    smooth = ndimage.gaussian_filter(intensities.values, sigma)
+    fat = (smooth > intensities.between) & limb & ~bone
     parts, n_parts = ndimage.label(fat)
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1) * volume.voxel_volume
     sizes[0] = 0.0

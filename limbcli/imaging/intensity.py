@@ -18,7 +18,7 @@ _DEEP = 12.0  # mm
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class TissueIntensities:
     """Normalised image: muscle is 1 everywhere, fat is `fat`, air and cortex near 0.
 
     values : float32 array, the image over the local level of muscle
@@ -57,7 +57,7 @@ def otsu(values: Array, n_bins: int = 256) -> float:
     return float(centres[best].mean())
 
 
-def normalise(volume: Volume, limb: NDArray[np.bool_]) -> Levels:
+def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     """Divide the image by its bias field and by the level of muscle.
 
     Two tissue classes (muscle, fat) times one smooth field explain the bright
@@ -85,20 +85,20 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> Levels:
     field = _slope(log_signal, use & _deep(inside, volume.spacing * step))
     split = otsu((log_signal - field)[use])
     low, high = use & (log_signal - field < split), use & (log_signal - field >= split)
-    levels = np.array([np.median((log_signal - field)[each]) for each in (low, high)])
+    intensities = np.array([np.median((log_signal - field)[each]) for each in (low, high)])
     for _ in range(_ROUNDS):
         flat = log_signal - field
-        fat = np.abs(flat - levels[1]) < np.abs(flat - levels[0])
-        residual = log_signal - np.where(fat, levels[1], levels[0])
+        fat = np.abs(flat - intensities[1]) < np.abs(flat - intensities[0])
+        residual = log_signal - np.where(fat, intensities[1], intensities[0])
         near = use & (np.abs(residual - field) < 0.5)
         field = _smooth(residual, near, sigma)
         flat = log_signal - field
-        levels = np.array([np.median(flat[near & ~fat]), np.median(flat[near & fat])])
+        intensities = np.array([np.median(flat[near & ~fat]), np.median(flat[near & fat])])
     shading = _refine(np.exp(field), step, volume.shape)
-    muscle = float(np.exp(levels[0]))
+    muscle = float(np.exp(intensities[0]))
     values = (volume.values / (shading * muscle)).astype(np.float32)
-    fat_ratio = float(np.exp(levels[1] - levels[0]))
-    return Levels(values=values, muscle_signal=muscle, fat=fat_ratio, noise=_noise(values, limb))
+    fat_ratio = float(np.exp(intensities[1] - intensities[0]))
+    return TissueIntensities(values=values, muscle_signal=muscle, fat=fat_ratio, noise=_noise(values, limb))
 
 
 def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.fields import box_around
-from limbcli.imaging.intensity import Levels
+from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -41,7 +41,7 @@ class FoundMarkers:
     around: NDArray[np.bool_]
 
 
-def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> FoundMarkers:
+def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[np.bool_]) -> FoundMarkers:
     """Bright, compact things that stand on the skin, numbered.
 
     From distal to proximal; those at the same height (within 5 mm) by their angle about the
@@ -50,7 +50,7 @@ def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> Fou
     Parameters
     ----------
     volume : image with k along the limb towards proximal
-    levels : its normalised values
+    intensities : its normalised values
     limb : everything that stands out from the air, markers included or not
 
     Returns
@@ -60,7 +60,7 @@ def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> Fou
     spacing = volume.spacing
     body = _body(limb, spacing)
     height = ndimage.distance_transform_edt(~body, sampling=spacing)
-    bright = (levels.values > 0.5 * levels.fat) & (height > 0) & (height < _AWAY)
+    bright = (intensities.values > 0.5 * intensities.fat) & (height > 0) & (height < _AWAY)
     parts, n_parts = ndimage.label(bright, np.ones((3, 3, 3), bool))
     kept = np.zeros(limb.shape, bool)
     centres, sizes = [], []
@@ -75,7 +75,7 @@ def find_markers(volume: Volume, levels: Levels, limb: NDArray[np.bool_]) -> Fou
                 continue
             here = parts == number
             kept |= here
-            weight = levels.values * here
+            weight = intensities.values * here
             centres.append(ndimage.center_of_mass(weight))
             sizes.append(float(volumes[number]))
     positions = volume.to_patient(np.array(centres).reshape(-1, 3))

@@ -13,7 +13,7 @@ from skimage.morphology import disk
 from skimage.segmentation import watershed
 
 from limbcli.imaging.fields import box_around, closed, opened
-from limbcli.imaging.intensity import Levels
+from limbcli.imaging.intensity import TissueIntensities
 from limbcli.model import Array
 
 _DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker
@@ -40,7 +40,7 @@ class Candidate:
 
 
 def find_marrow(
-    levels: Levels, limb: NDArray[np.bool_], spacing: Array, *, seeds: Array | None = None
+    intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array, *, seeds: Array | None = None
 ) -> list[NDArray[np.bool_]]:
     """One mask of marrow per bone, largest first.
 
@@ -59,32 +59,32 @@ def find_marrow(
     -------
     list of bool arrays
     """
-    smooth = ndimage.gaussian_filter(levels.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
+    smooth = ndimage.gaussian_filter(intensities.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
     parts = np.zeros(limb.shape, np.int32)
     scores = [(0.0, 0.0)]
-    for candidate in _candidates(smooth, levels, limb, spacing):
+    for candidate in _candidates(smooth, intensities, limb, spacing):
         scores.append((candidate.enclosed, candidate.solidity))
         region = parts[*candidate.box, candidate.k]
         region[candidate.mask] = len(scores) - 1
     tracks = _tracks(parts, np.array(scores), spacing)
     for seed in () if seeds is None else np.round(seeds).astype(int):
         if not any(track[tuple(seed)] for track in tracks):
-            tracks.append(_planted(smooth, levels, tuple(seed), spacing))
-    grown = [follow(track, smooth, levels, spacing) for track in tracks]
+            tracks.append(_planted(smooth, intensities, tuple(seed), spacing))
+    grown = [follow(track, smooth, intensities, spacing) for track in tracks]
     return sorted(_apart(grown), key=lambda each: -int(each.sum()))
 
 
 def _candidates(
-    smooth: NDArray[np.float32], levels: Levels, limb: NDArray[np.bool_], spacing: Array
+    smooth: NDArray[np.float32], intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array
 ) -> Iterator[Candidate]:
     """Bright regions whose surroundings, within a few mm, are dark for most of the way round."""
     in_plane = spacing[:2]
     pixel = float(np.prod(in_plane))
     pad = int(np.ceil(_RING / in_plane.min())) + 2
-    bright_level = 0.9 * levels.between
+    bright_level = 0.9 * intensities.between
     for k in range(limb.shape[2]):
         under_skin = ndimage.distance_transform_edt(limb[:, :, k], sampling=in_plane) > 1.5
-        ring_values = np.where(under_skin, smooth[:, :, k], levels.fat)
+        ring_values = np.where(under_skin, smooth[:, :, k], intensities.fat)
         parts, n_parts = ndimage.label((smooth[:, :, k] > bright_level) & limb[:, :, k])
         sizes = np.bincount(parts.ravel(), minlength=n_parts + 1) * pixel
         for number, box in enumerate(ndimage.find_objects(parts), 1):
@@ -134,21 +134,21 @@ def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDA
 
 
 def _planted(
-    smooth: NDArray[np.float32], levels: Levels, seed: tuple[int, ...], spacing: Array
+    smooth: NDArray[np.float32], intensities: TissueIntensities, seed: tuple[int, ...], spacing: Array
 ) -> NDArray[np.bool_]:
     """A small disc round a seed the user gave, to follow from."""
     track = np.zeros(smooth.shape, bool)
     i, j = np.indices(smooth.shape[:2])
     near = np.hypot((i - seed[0]) * spacing[0], (j - seed[1]) * spacing[1]) <= 2.0
     track[:, :, seed[2]] = near
-    track[:, :, seed[2]] = _next_slice(near, smooth[:, :, seed[2]], levels, spacing, flare=6.0)
+    track[:, :, seed[2]] = _next_slice(near, smooth[:, :, seed[2]], intensities, spacing, flare=6.0)
     if not track.any():
         track[:, :, seed[2]] = near
     return track
 
 
 def follow(
-    track: NDArray[np.bool_], smooth: NDArray[np.float32], levels: Levels, spacing: Array
+    track: NDArray[np.bool_], smooth: NDArray[np.float32], intensities: TissueIntensities, spacing: Array
 ) -> NDArray[np.bool_]:
     """Marrow in the slices between and beyond those of a track."""
     marrow = track.copy()
@@ -162,12 +162,17 @@ def follow(
             before = marrow[:, :, k - direction]
             if not before.any():
                 break
-            marrow[:, :, k] = _next_slice(before, smooth[:, :, k], levels, spacing, flare=flare)
+            marrow[:, :, k] = _next_slice(before, smooth[:, :, k], intensities, spacing, flare=flare)
     return marrow
 
 
 def _next_slice(
-    before: NDArray[np.bool_], values: NDArray[np.float32], levels: Levels, spacing: Array, *, flare: float
+    before: NDArray[np.bool_],
+    values: NDArray[np.float32],
+    intensities: TissueIntensities,
+    spacing: Array,
+    *,
+    flare: float,
 ) -> NDArray[np.bool_]:
     """Marrow of one slice from its neighbour's: a watershed whose ridge is the line of cortex.
 
@@ -184,14 +189,14 @@ def _next_slice(
     line = ndimage.grey_closing(here, footprint=disk(max(1, round(1.5 * pixels)))) - here
     markers = np.zeros(here.shape, np.int32)
     calm = ndimage.gaussian_filter(here, 0.73 * pixels)
-    markers[(inside > min(1.5, 0.5 * inside.max())) & (here > levels.between)] = 1
+    markers[(inside > min(1.5, 0.5 * inside.max())) & (here > intensities.between)] = 1
     markers[outside > flare] = 2
     markers[(here < _MUSCLE) & (calm < _MUSCLE) & (outside > 1.0)] = 2
     found = np.zeros(before.shape, bool)
     if not (markers == 1).any():
         return found
     basin = watershed(line - here, markers) == 1
-    bright = opened(basin & (here > 0.9 * levels.between), 0.9, in_plane)
+    bright = opened(basin & (here > 0.9 * intensities.between), 0.9, in_plane)
     parts, n_parts = ndimage.label(bright)
     if n_parts == 0:
         return found

@@ -118,9 +118,9 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
         raise CaseError(f"the {noun}'s unit of length is {unit}, not mm", where=str(path), fix=fix)
     affine = np.asarray(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
     sides = np.linalg.norm(affine[:3, :3], axis=0)
-    told = np.array(header.get_zooms()[:3], dtype=np.float64)
-    if np.abs(told / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
-        what = f"the {noun} tells two voxel sizes: {told.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
+    zooms = np.array(header.get_zooms()[:3], dtype=np.float64)
+    if np.abs(zooms / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
+        what = f"the {noun} tells two voxel sizes: {zooms.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
         raise CaseError(what, where=str(path), fix=fix)
     try:
         qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]

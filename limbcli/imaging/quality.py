@@ -29,7 +29,7 @@ _EVERY = 5.0  # mm along the limb over which a jump is measured
 
 
 @dataclass(frozen=True)
-class Quality:
+class ImageQuality:
     """verdict "good" | "check" | "poor"; figures with units in their names; findings in words."""
 
     verdict: str
@@ -37,7 +37,7 @@ class Quality:
     findings: tuple[str, ...] = ()
 
 
-def assess(found: Segmentation, names: tuple[str, ...]) -> Quality:
+def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
     """Leakage, holes, jumps of section and thin spots of a segmentation.
 
     names : of the bones, in order
@@ -77,7 +77,7 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> Quality:
     share = _largest_share(allowed, limb.values)
     judge("bone_section_share", share, _SECTION, "bone fills {:.0%} of a section of the limb (a leak?)")
     worst = max((grade for grade, _ in remarks), default=0)
-    return Quality(("good", "check", "poor")[worst], figures, tuple(text for _, text in remarks))
+    return ImageQuality(("good", "check", "poor")[worst], figures, tuple(text for _, text in remarks))
 
 
 def _areas(mask: NDArray[np.bool_]) -> Array:

@@ -39,7 +39,7 @@ class Segmentation:
     labels : Volume of uint8 on the image's grid: 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat
     skin : Volume of bool on the working grid (k along the limb): everything inside the skin
     bones : one Volume of bool per bone, largest first
-    fat : Volume of bool, or None where it cannot be told from muscle
+    fat : Volume of bool, or None where it cannot be told apart from muscle
     markers : numbered capsules
     notes : what was done on the way that a person should know
     """
@@ -137,18 +137,18 @@ def _on_mri(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
     rough = rough_outline(work, threshold=wishes.threshold)
     require_bright_fat(work, rough)
     tell(1)
-    levels = normalise(work, rough)
+    intensities = normalise(work, rough)
     tell(2)
-    found = find_markers(work, levels, rough)
+    found = find_markers(work, intensities, rough)
     tell(3)
-    limb = skin_outline(work, levels, rough, without=found.around, threshold=wishes.threshold)
+    limb = skin_outline(work, intensities, rough, without=found.around, threshold=wishes.threshold)
     tell(4)
     points = None if wishes.bone_seeds is None else work.to_voxel(wishes.bone_seeds)
-    marrow = find_marrow(levels, limb, work.spacing, seeds=points)
+    marrow = find_marrow(intensities, limb, work.spacing, seeds=points)
     tell(5)
-    bones = [with_cortex(each, levels, limb, work.spacing) & limb for each in marrow]
+    bones = [with_cortex(each, intensities, limb, work.spacing) & limb for each in marrow]
     bone = np.any(bones, axis=0) if bones else np.zeros_like(limb)
-    return Masks(limb, bones, fat_of(levels, limb, bone, work), found.mask, found.markers)
+    return Masks(limb, bones, fat_of(intensities, limb, bone, work), found.mask, found.markers)
 
 
 def _on_ct(work: Volume, wishes: Wishes, progress: Progress) -> Masks:

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.imaging.fields import evened, filled_by_slice, largest, opened
-from limbcli.imaging.intensity import Levels, otsu
+from limbcli.imaging.intensity import TissueIntensities, otsu
 from limbcli.imaging.volume import Volume
 
 _ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) still exceeds
@@ -67,7 +67,7 @@ def background_threshold(values: NDArray) -> float:
 
 def skin_outline(
     volume: Volume,
-    levels: Levels,
+    intensities: TissueIntensities,
     rough: NDArray[np.bool_],
     *,
     without: NDArray[np.bool_] | None = None,
@@ -81,7 +81,7 @@ def skin_outline(
     in its distance field.
     """
     raw = _blurred(volume)
-    values = _blurred(volume.with_values(levels.values))
+    values = _blurred(volume.with_values(intensities.values))
     reach = [max(1, round(1.0 / each)) for each in volume.spacing[:2]]
     beside = ndimage.grey_dilation(values, footprint=_ellipse(*reach)[:, :, None])
     near = ndimage.binary_dilation(rough, _ellipse(*(3 * n for n in reach))[:, :, None])

@@ -1,6 +1,6 @@
 """Best fit and profile likelihoods of a costly model, from few simulations.
 
-Everything is searched on stand-ins; another simulation is made where they are not sure
+Everything is searched on surrogates; another simulation is made where they are not sure
 enough: at the best fit, at the intervals' ends, and along the profiles.
 """
 
@@ -14,36 +14,36 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import THRESHOLD_95, Profile, best_of, profile_likelihood
 from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_PRECISE = 0.1  # allowed error of the stand-in, in standard deviations of the data
+_PRECISE = 0.1  # allowed error of the surrogate, in standard deviations of the data
 _NEAR = 0.05  # a point counts as solved within this distance in ln theta
 _END_NEAR = 0.3  # an interval's end is trusted within this distance
 
 
-class Problem(Protocol):
-    """What is to be estimated, on stand-ins.
+class EstimationProblem(Protocol):
+    """What is to be estimated, on surrogates.
 
     parameters : on the log scale, the whole vector theta; `profiled`: indices
     n_freedom : data minus parameters
     """
 
-    parameters: list[Parameter]
+    parameters: list[FitParameter]
     profiled: tuple[int, ...]
     n_freedom: int
 
     def objective(self) -> Objective:
-        """Residuals in standard deviations, on the present stand-ins."""
+        """Residuals in standard deviations, on the present surrogates."""
         ...
 
     def starts(self) -> list[Array]: ...
 
     def doubt(self, theta: Array) -> float:
-        """Error of the stand-ins there, in standard deviations of the data."""
+        """Error of the surrogates there, in standard deviations of the data."""
         ...
 
     def distance(self, theta: Array) -> float:
@@ -51,7 +51,7 @@ class Problem(Protocol):
         ...
 
     def solve(self, theta: Array) -> None:
-        """Simulate there and refresh the stand-ins; SolveError where there is no answer."""
+        """Simulate there and refresh the surrogates; SolveError where there is no answer."""
         ...
 
     def within_reach(self, theta: Array) -> Array:
@@ -82,7 +82,7 @@ class Intervals:
 
 
 def adaptive_profiles(
-    problem: Problem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
+    problem: EstimationProblem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
 ) -> Intervals:
     """Profiles with as few simulations as the accuracy of the intervals allows.
 
@@ -103,7 +103,7 @@ def adaptive_profiles(
 
 
 class _Work:
-    def __init__(self, problem: Problem, estimate: Array | None):
+    def __init__(self, problem: EstimationProblem, estimate: Array | None):
         self.problem, self.estimate = problem, estimate
         self.unsolved: list[Array] = []
         self.refused: list[Array] = []

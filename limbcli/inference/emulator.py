@@ -1,4 +1,4 @@
-"""A curve's stand-in, made anew from everything its `Memory` holds."""
+"""A curve's surrogate, made anew from everything its `SolvedPoints` holds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.inference.prediction import Memory, Prediction
+from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.surrogate import Node, Surrogate
 from limbcli.model import Array, IntArray
 
@@ -21,7 +21,7 @@ class Emulator:
     (wave speeds) without. Call `refresh` after every solve.
     """
 
-    def __init__(self, curve: Memory):
+    def __init__(self, curve: SolvedPoints):
         self.curve = curve
         self.refresh()
 

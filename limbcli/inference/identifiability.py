@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.model import Array
 
@@ -90,7 +90,7 @@ class Verdict:
 
 
 def verdict(
-    parameter: Parameter,
+    parameter: FitParameter,
     value: float,
     profile: Profile | None,
     *,
@@ -135,14 +135,14 @@ def verdict(
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """By the standard error alone, or, where there is none, without a claim."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be told: {why}.")
+        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
     flag = "identified" if reach <= _WEAK_RATIO else "weak"
     share = 100.0 * log_deviation
     return Verdict(flag, f"{name} = {value:.4g}, standard error {share:.2g} %; {why}.")
 
 
-def _excluded(parameter: Parameter, profile: Profile | None) -> str:
+def _excluded(parameter: FitParameter, profile: Profile | None) -> str:
     """What the data do exclude, in words."""
     if profile is None:
         return "no interval was computed"

@@ -16,8 +16,8 @@ import numpy as np
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.identifiability import force_variance
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory, Prediction, Predictor, sampled, slopes_at
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Prediction, Predictor, SolvedPoints, sampled, slopes_at
 from limbcli.inference.residual import Objective, force_residual, with_prior
 from limbcli.inference.shape_doubt import at_depths, whitened
 from limbcli.inference.two_step_fit import ForceDepth, search_parameters
@@ -33,7 +33,7 @@ class Stiffness:
     """c (MPa) and the standard deviation of its logarithm.
 
     gain_deviation : of ln of the simulated force, by the mesh alone. All forces are proportional
-        to c, so an error common to them is told by nothing from an error of c.
+        to c, so an error common to them cannot be told apart from an error of c.
     """
 
     c: float
@@ -45,13 +45,13 @@ class Stiffness:
         """Standard deviation of ln force that c and the mesh leave together."""
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
-    def parameter(self) -> Parameter:
+    def parameter(self) -> FitParameter:
         spread = float(np.exp(_REACH * max(self.force_deviation, _LEAST_LOG_DEVIATION)))
-        return Parameter("c", self.c, self.c / spread, self.c * spread, "log")
+        return FitParameter("c", self.c, self.c / spread, self.c * spread, "log")
 
 
 def force_intervals(
-    curve: Memory,
+    curve: SolvedPoints,
     knots: Array,
     data: ForceDepth,
     stiffness: Stiffness,
@@ -80,7 +80,7 @@ class _ForceProblem:
     """theta = (c, those of f_kappa and m that are free)."""
 
     def __init__(
-        self, curve: Memory, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
+        self, curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
         free: tuple[int, ...], shape_modes: Array | None = None,
     ):  # fmt: skip
         self.curve, self.knots, self.stiffness, self.fitted, self.free = curve, knots, stiffness, fitted, free
@@ -129,12 +129,12 @@ class _ForceProblem:
         self.emulator.refresh()
 
     def within_reach(self, theta: Array) -> Array:
-        """Not further than a stride beyond what was solved before."""
+        """Not further than a increment beyond what was solved before."""
         solved = np.array([each for each, _ in self.curve.solved])
         near = theta.copy()
         for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=True), 1):
             low, high = solved[:, column].min(), solved[:, column].max()
-            near[k] = np.clip(theta[k], low / parameter.stride, high * parameter.stride)
+            near[k] = np.clip(theta[k], low / parameter.step_factor, high * parameter.step_factor)
         return near
 
     def solved_at(self, theta: Array) -> Array:

@@ -18,10 +18,10 @@ import numpy as np
 from limbcli.errors import FitError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.residual import Objective, Residual
-from limbcli.inference.site_depth import SiteData, SitePrediction, invert, predict_site
+from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, invert, predict_site
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -29,7 +29,7 @@ __all__ = [
     "C_SPAN",
     "JointProblem",
     "JointTask",
-    "SiteData",
+    "SiteMeasurement",
     "SitePrediction",
     "held_out_error",
     "invert",
@@ -49,9 +49,9 @@ class JointTask:
     c_deviation : of ln c, a prior round c0; None where the speeds themselves say it
     """
 
-    curves: Sequence[Memory]
-    data: Sequence[SiteData]
-    shape: Sequence[Parameter]
+    curves: Sequence[SolvedPoints]
+    data: Sequence[SiteMeasurement]
+    shape: Sequence[FitParameter]
     c0: float
     log_speed_0: Sequence[float]
     c_deviation: float | None = None
@@ -65,9 +65,9 @@ class JointProblem:
         self.n_shape = len(task.shape)
         self.gained = [k for k, each in enumerate(task.data) if each.gain_deviation > 0.0]
         self.parameters = [
-            Parameter("c", task.c0, task.c0 / C_SPAN, task.c0 * C_SPAN, "log"),
+            FitParameter("c", task.c0, task.c0 / C_SPAN, task.c0 * C_SPAN, "log"),
             *(each.in_logs() for each in task.shape),
-            *(Parameter(f"gain {task.data[k].name}", 1.0, 0.2, 5.0, "log") for k in self.gained),
+            *(FitParameter(f"gain {task.data[k].name}", 1.0, 0.2, 5.0, "log") for k in self.gained),
         ]
         self.profiled = tuple(range(1 + self.n_shape))
         self.emulators = [Emulator(each) for each in task.curves]
@@ -78,8 +78,8 @@ class JointProblem:
 
     # ------------------------------------------------------------ residuals
 
-    def predict(self, k: int, theta: Array, *, data: SiteData | None = None) -> SitePrediction:
-        """Site k at theta, on the stand-ins."""
+    def predict(self, k: int, theta: Array, *, data: SiteMeasurement | None = None) -> SitePrediction:
+        """Site k at theta, on the surrogates."""
         return predict_site(
             self.emulators[k], data or self.task.data[k], self.solved_at(theta),
             c_ratio=float(theta[0]) / self.task.c0, gain=self._gain(k, theta),
@@ -171,7 +171,7 @@ class JointProblem:
         near = theta.copy()
         for k, parameter in enumerate(self.task.shape):
             low, high = solved[:, k].min(), solved[:, k].max()
-            near[1 + k] = np.clip(theta[1 + k], low / parameter.stride, high * parameter.stride)
+            near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
         return near
 
     def solved_at(self, theta: Array) -> Array:
@@ -204,7 +204,7 @@ def joint_fit(
 def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3) -> tuple[float, float]:
     """Root mean square error of left-out depths (mm) and of left-out ln speeds, every n-th level in turn.
 
-    The rest of the levels is fitted again each time (on the stand-ins), so a law with more
+    The rest of the levels is fitted again each time (on the surrogates), so a law with more
     parameters is not favoured. NaN where there are no speeds.
     """
     from limbcli.inference.profile import best_of

@@ -26,7 +26,7 @@ from limbcli.inference.layered_solves import (
     LOW,
     RATIO,
     READINGS,
-    Solved,
+    SolvedMember,
     read_solved,
     shares_of,
     trend,
@@ -179,7 +179,7 @@ def _terms(u: Array, powers: IntArray, *, by: int | None = None) -> Array:
     return out
 
 
-def _fitted(solved: Solved, powers: IntArray) -> Array:
+def _fitted(solved: SolvedMember, powers: IntArray) -> Array:
     """Coefficients (n_terms, 4) by least squares on values and derivatives."""
     u = _scaled(solved.x)
     blocks, targets = [_terms(u, powers)], [solved.y]
@@ -195,18 +195,18 @@ def _fitted(solved: Solved, powers: IntArray) -> Array:
     return np.asarray(np.linalg.solve(a.T @ a + ridge, a.T @ b))
 
 
-def _left_out(solved: Solved, powers: IntArray) -> Array:
+def _left_out(solved: SolvedMember, powers: IntArray) -> Array:
     """Root mean square (4,) of what members left out of the fit are missed by."""
     numbers = np.unique(solved.member)
     missed = np.empty_like(solved.y)
     for fold in range(_FOLDS):
         out = np.isin(solved.member, numbers[fold::_FOLDS])
-        kept = Solved(solved.member[~out], solved.x[~out], solved.y[~out], solved.slopes[~out])
+        kept = SolvedMember(solved.member[~out], solved.x[~out], solved.y[~out], solved.slopes[~out])
         missed[out] = solved.y[out] - _terms(_scaled(solved.x[out]), powers) @ _fitted(kept, powers)
     return np.asarray(np.sqrt(np.mean(missed**2, axis=0)))
 
 
-def _correction(fine: Solved, powers: IntArray, coefficients: Array) -> Array:
+def _correction(fine: SolvedMember, powers: IntArray, coefficients: Array) -> Array:
     """What a finer mesh adds (n_terms, 4): a plane through what the family misses of its members."""
     low = powers.sum(axis=1) <= _CORRECTION_DEGREE
     missed = fine.y - _terms(_scaled(fine.x), powers) @ coefficients

@@ -2,7 +2,7 @@
 
 How a solve becomes a reading is said in `LayeredFamily`; readings are kept over a trend, springs in series.
 The file is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), model and
-mesh as in `stages.cohort_family`; its members are a scrambled Sobol sequence.
+mesh as in `stages.cohorts.family`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NUDGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SolvedMember:
     """Rows of the solves: x (n, 6) coordinates, y (n, 4) over the trend, slopes (n, 4, 2) by the tissue."""
 
     member: IntArray
@@ -40,7 +40,7 @@ class Solved:
     slopes: Array
 
 
-def read_solved(path: Path, mesh: str) -> Solved:
+def read_solved(path: Path, mesh: str) -> SolvedMember:
     """The rows of one mesh ("family", "fine", "held-out family" ...) as coordinates and readings."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -56,8 +56,8 @@ def read_solved(path: Path, mesh: str) -> Solved:
             fix="install limbcli again: pip install --force-reinstall limbcli",
         ) from error
     if not parts:
-        return Solved(np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros((0, 4)), np.zeros((0, 4, 2)))
-    return Solved(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        return SolvedMember(np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros((0, 4)), np.zeros((0, 4, 2)))
+    return SolvedMember(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _member(number: int, rows: Sequence[Mapping[str, str]]) -> tuple[IntArray, Array, Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.parameter import Parameter, natural, normalised, slopes
+from limbcli.inference.parameter import FitParameter, natural, normalised, slopes
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -39,7 +39,7 @@ class Fit:
     there; cost = sum of squares; `reason` says which test ended it.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FitParameter, ...]
     theta: Array
     residual: Array
     jacobian: Array
@@ -55,7 +55,7 @@ class Fit:
 
 def levenberg_marquardt(
     objective: Objective,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[FitParameter],
     *,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
@@ -109,13 +109,17 @@ class _Search:
     """State of one search: the current point, its linearisation, trust radius and scaling."""
 
     def __init__(
-        self, objective: Objective, parameters: tuple[Parameter, ...], progress: Progress, guide: Guide | None
+        self,
+        objective: Objective,
+        parameters: tuple[FitParameter, ...],
+        progress: Progress,
+        guide: Guide | None,
     ):
         self.objective, self.parameters, self.progress = objective, parameters, progress
         self.guide = guide
         self.low = np.array([p.low for p in parameters])
         self.high = np.array([p.high for p in parameters])
-        self.stride = np.array([p.stride for p in parameters])
+        self.step_factor = np.array([p.step_factor for p in parameters])
         self.theta = np.array([p.start for p in parameters])
         self.n_evaluations = 1
         self.now = self._linearised(objective(self.theta, True))
@@ -178,8 +182,8 @@ class _Search:
         held_high = (self.theta * _TOUCHING >= self.high) & (gradient < 0)
         free = ~(held_low | held_high) & (gradient != 0.0)
         x = normalised(self.parameters, self.theta)
-        least = normalised(self.parameters, np.maximum(self.theta / self.stride, self.low))
-        most = normalised(self.parameters, np.minimum(self.theta * self.stride, self.high))
+        least = normalised(self.parameters, np.maximum(self.theta / self.step_factor, self.low))
+        most = normalised(self.parameters, np.minimum(self.theta * self.step_factor, self.high))
         return _Line(x, gradient, jacobian.T @ jacobian, free, least - x, most - x)
 
     def _step(self, line: _Line) -> Array:

@@ -17,13 +17,13 @@ _ON_BOUND = 1e-3
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FitParameter:
     """A positive parameter, its start value and bounds.
 
     The search runs on the normalised coordinate x: theta / start (scale "ratio",
     the published method) or ln(theta / start) (scale "log"). Both make the
     tolerances and steps independent of the parameter's unit. No search changes it by more
-    than the factor `stride` at a time.
+    than the factor `step_factor` at a time.
 
     >>> f_kappa = Parameter("f_kappa", start=100.0, low=0.01, high=1000.0)
     >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
@@ -35,7 +35,7 @@ class Parameter:
     low: float
     high: float
     scale: Literal["ratio", "log"] = "ratio"
-    stride: float = 10.0
+    step_factor: float = 10.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.low <= self.start <= self.high:
@@ -64,20 +64,20 @@ class Parameter:
             return "low"
         return "high" if theta >= self.high * (1.0 - _ON_BOUND) else None
 
-    def started_at(self, theta: float) -> Parameter:
+    def started_at(self, theta: float) -> FitParameter:
         return replace(self, start=min(max(theta, self.low), self.high))
 
-    def in_logs(self) -> Parameter:
+    def in_logs(self) -> FitParameter:
         return replace(self, scale="log")
 
 
-def normalised(parameters: Sequence[Parameter], theta: Array) -> Array:
+def normalised(parameters: Sequence[FitParameter], theta: Array) -> Array:
     return np.array([p.normalised(float(t)) for p, t in zip(parameters, theta, strict=True)])
 
 
-def natural(parameters: Sequence[Parameter], x: Array) -> Array:
+def natural(parameters: Sequence[FitParameter], x: Array) -> Array:
     return np.array([p.natural(float(v)) for p, v in zip(parameters, x, strict=True)])
 
 
-def slopes(parameters: Sequence[Parameter], theta: Array) -> Array:
+def slopes(parameters: Sequence[FitParameter], theta: Array) -> Array:
     return np.array([p.slope(float(t)) for p, t in zip(parameters, theta, strict=True)])

@@ -1,7 +1,7 @@
 """What a fit asks of a simulation: theta -> prediction, with a derivative where there is one.
 
 Nothing here knows a solver. A model that cannot differentiate itself is wrapped in
-`Differences`, which evaluates the shifted parameter sets side by side; `Memory` keeps
+`Differences`, which evaluates the shifted parameter sets side by side; `SolvedPoints` keeps
 everything that was ever solved.
 """
 
@@ -35,7 +35,7 @@ class Prediction:
         return self.jacobian is not None and bool(np.isfinite(self.jacobian[:, list(wrt)]).all())
 
 
-class Curve(Protocol):
+class PredictedCurve(Protocol):
     """theta (n_parameters,) -> positive values (n,) at fixed places, say forces at depth levels.
 
     `wrt`: the parameters whose derivative is needed. Raises SolveError where there is no answer.
@@ -111,13 +111,13 @@ class Differences:
         return moved
 
 
-class Memory:
+class SolvedPoints:
     """A curve that never solves the same parameters twice, and remembers all of them.
 
     `solved` holds (theta, prediction) in the order first solved.
     """
 
-    def __init__(self, curve: Curve):
+    def __init__(self, curve: PredictedCurve):
         self._curve = curve
         self._known: dict[bytes, tuple[Array, Prediction]] = {}
         self.n_calls = 0
@@ -147,7 +147,9 @@ class Memory:
         return list(self._known.values())
 
 
-def sampled(curve: Curve, knots: Array, depths: Array, *, free: Sequence[int], fixed: Array) -> Predictor:
+def sampled(
+    curve: PredictedCurve, knots: Array, depths: Array, *, free: Sequence[int], fixed: Array
+) -> Predictor:
     """Force at measured depths, as a function of some of the curve's parameters.
 
     The curve's forces at `knots` (increasing, > 0), with the origin added, are read at
@@ -169,7 +171,7 @@ def sampled(curve: Curve, knots: Array, depths: Array, *, free: Sequence[int], f
     return predict
 
 
-def slopes_at(curve: Curve, knots: Array, depths: Array, theta: Array) -> Array:
+def slopes_at(curve: PredictedCurve, knots: Array, depths: Array, theta: Array) -> Array:
     """dF/dd of the sampled curve at the measured depths (n,), N/mm."""
     values = curve(theta).values
     return pchip_sample(np.r_[0.0, knots], np.r_[0.0, values], np.maximum(depths, 0.0)).slopes

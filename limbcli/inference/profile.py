@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.levenberg_marquardt import Fit, levenberg_marquardt
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 
@@ -46,7 +46,7 @@ class Profile:
         return self.open_low or self.open_high
 
 
-def best_of(objective: Objective, parameters: Sequence[Parameter], starts: Sequence[Array]) -> Fit:
+def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
     """The lowest of several fits; starts without an answer are passed over.
 
     Raises
@@ -76,7 +76,7 @@ def best_of(objective: Objective, parameters: Sequence[Parameter], starts: Seque
 
 def profile_likelihood(
     objective: Objective,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[FitParameter],
     best: Fit,
     index: int,
     *,
@@ -115,7 +115,7 @@ class _Side:
 
 class _Walker:
     def __init__(
-        self, objective: Objective, parameters: tuple[Parameter, ...], best: Fit, index: int,
+        self, objective: Objective, parameters: tuple[FitParameter, ...], best: Fit, index: int,
         scale: float, n_points: int,
     ):  # fmt: skip
         self.objective, self.parameters, self.best = objective, parameters, best

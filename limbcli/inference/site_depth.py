@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.prediction import Curve
+from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
 
 
 @dataclass(frozen=True, eq=False)
-class SiteData:
+class SiteMeasurement:
     """One site's measurement beside its simulation's levels.
 
     knots (n_knots,) mm: depths of the simulated levels, increasing
@@ -39,11 +39,11 @@ class SiteData:
     gain_deviation: float = 0.0
     layers: LayerData = NO_LAYERS
 
-    def without(self, levels: NDArray[np.bool_]) -> SiteData:
+    def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
         """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
         gone = np.isin(self.speed_force, self.force[levels])
         keep, speeds = ~levels, ~gone
-        return SiteData(
+        return SiteMeasurement(
             self.name, self.knots, self.force[keep], self.depth[keep], self.force_deviation,
             self.depth_deviation, self.speed_force[speeds], self.log_speed[speeds],
             self.speed_deviation[speeds], self.gain_deviation,
@@ -66,7 +66,13 @@ class SitePrediction:
 
 
 def predict_site(
-    curve: Curve, data: SiteData, shape: Array, *, c_ratio: float, gain: float, log_speed_0: float
+    curve: PredictedCurve,
+    data: SiteMeasurement,
+    shape: Array,
+    *,
+    c_ratio: float,
+    gain: float,
+    log_speed_0: float,
 ) -> SitePrediction:
     """What a site's simulation says of its measurement.
 

@@ -1,4 +1,4 @@
-"""A smooth stand-in for the simulation, built from the simulations already paid for.
+"""A smooth surrogate for the simulation, built from the simulations already paid for.
 
 Profiles and several starts need hundreds of predictions. Between the parameter sets
 that were solved, the logs of forces are interpolated by a Gaussian process that takes

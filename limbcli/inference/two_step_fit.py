@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.levenberg_marquardt import Fit, Guide, levenberg_marquardt
-from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, Parameter
-from limbcli.inference.prediction import Memory, Prediction, sampled
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
+from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
 from limbcli.inference.residual import force_residual
 from limbcli.inference.statistics import coefficient_of_determination, root_mean_square
 from limbcli.model import Array
@@ -22,7 +22,7 @@ from limbcli.progress import SILENT, Progress
 F_KAPPA, M = 0, 1
 START_F_KAPPA = 100.0
 M_MOONEY_RIVLIN = 2.0
-M_STRIDE = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
+M_STEP_FACTOR = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
 MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 
 
@@ -61,16 +61,16 @@ class FittedStep:
 
 def search_parameters(
     start_f_kappa: float = START_F_KAPPA, start_m: float = M_MOONEY_RIVLIN
-) -> tuple[Parameter, Parameter]:
+) -> tuple[FitParameter, FitParameter]:
     """f_kappa and m with the paper's bounds."""
     return (
-        Parameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
-        Parameter("m", start_m, *M_BOUNDS, stride=M_STRIDE),
+        FitParameter("f_kappa", start_f_kappa, *F_KAPPA_BOUNDS),
+        FitParameter("m", start_m, *M_BOUNDS, step_factor=M_STEP_FACTOR),
     )
 
 
 def two_step(
-    curve: Memory,
+    curve: SolvedPoints,
     knots: Array,
     data: ForceDepth,
     *,
@@ -86,7 +86,7 @@ def two_step(
     sampled by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over
     both from that result (Ogden type), each parameter normalised by its start value.
 
-    guided : every iteration first tries the minimum on a stand-in of the solved points, which
+    guided : every iteration first tries the minimum on a surrogate of the solved points, which
         saves simulations; the end point meets the same tests either way
 
     curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
@@ -112,7 +112,7 @@ def two_step(
 
 
 def _step(
-    name: str, free: tuple[int, ...], start: Array, curve: Memory, knots: Array, data: ForceDepth,
+    name: str, free: tuple[int, ...], start: Array, curve: SolvedPoints, knots: Array, data: ForceDepth,
     tolerance: float, max_iterations: int, guided: bool, progress: Progress,
 ) -> FittedStep:  # fmt: skip
     parameters = [search_parameters(*start)[k] for k in free]
@@ -134,10 +134,10 @@ def _step(
 
 
 def _guide(
-    parameters: Sequence[Parameter], free: tuple[int, ...], start: Array, curve: Memory, knots: Array,
-    data: ForceDepth,
+    parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, curve: SolvedPoints,
+    knots: Array, data: ForceDepth,
 ) -> Guide:  # fmt: skip
-    """The minimum of the same objective on a stand-in made of everything solved so far."""
+    """The minimum of the same objective on a surrogate made of everything solved so far."""
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)
@@ -148,7 +148,7 @@ def _guide(
     return guess
 
 
-def sensitivities(curve: Memory, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
+def sensitivities(curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
     """Force at the loaded levels and its derivative with respect to ln f_kappa and ln m."""
     depths = data.depth[data.loaded]
     predict = sampled(curve, knots, depths, free=(F_KAPPA, M), fixed=theta)

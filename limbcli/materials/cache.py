@@ -23,7 +23,8 @@ def drop_stale_kernels() -> bool:
     Returns whether anything was deleted. A folder that cannot be written is left alone.
     """
     here = Path(__file__).parent
-    folders = (here, here.parent / "fem", here.parent / "fem" / "multifrontal")
+    fem = here.parent / "fem"
+    folders = (here, fem, *sorted(each.parent for each in fem.rglob("__init__.py") if each.parent != fem))
     sources = [path for folder in folders for path in sorted(folder.glob("*.py"))]
     texts = [
         text

@@ -72,7 +72,7 @@ def measure(w):
 def add_laws(w, ops, par, rows, tangent, place, six, square, work):
     """Stress of the program at all points, after `measure`; rows (16,) : of `par`. To be `finish`ed.
 
-    place (3, 3), six (6,), square (6, 6), work : room for laws that go point by point
+    place (3, 3), six (6,), square (6, 6), work : workspace for laws that go point by point
     """
     w[S * LANES : (X + 6) * LANES] = 0.0
     spectral = False

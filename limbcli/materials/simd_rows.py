@@ -7,14 +7,20 @@ from numba import njit
 
 from limbcli.materials.simd import LANES
 
-F, J, C, D, S, CC = 0, 9, 10, 16, 22, 28  # 9, 1, 6, 6, 6, 21 (the upper triangle, row by row)
-ALPHA, BETA, X = 49, 50, 51  # 1, 1, 6
-PLUS, MINUS, KAPPA = 57, 58, 59
-SQUARES, LOGS, VECTORS, TAU, SLOPES, QUOTIENTS = 60, 63, 66, 75, 78, 81  # 3, 3, 9, 3, 3, 3
-P, H = 84, 102  # 18, 6
-WEIGHT, SHIFT = 108, 109
-STRESS, TANGENT, PRODUCTS = 110, 119, 173  # of the element loops: 9, 54, 54
-N_ROWS = 227
+_SIZES = {
+    "F": 9, "J": 1, "C": 6, "D": 6, "S": 6, "CC": 21,  # the tangent: its upper triangle, row by row
+    "ALPHA": 1, "BETA": 1, "X": 6, "PLUS": 1, "MINUS": 1, "KAPPA": 1,
+    "SQUARES": 3, "LOGS": 3, "VECTORS": 9, "TAU": 3, "SLOPES": 3, "QUOTIENTS": 3, "P": 18, "H": 6,
+    "WEIGHT": 1, "SHIFT": 1, "STRESS": 9, "TANGENT": 54, "PRODUCTS": 54,  # of the element loops
+}  # fmt: skip
+N_ROWS = sum(_SIZES.values())
+_FIRST = {name: sum(list(_SIZES.values())[:k]) for k, name in enumerate(_SIZES)}
+F, J, C, D, S, CC = (_FIRST[name] for name in ("F", "J", "C", "D", "S", "CC"))
+ALPHA, BETA, X, PLUS, MINUS, KAPPA = (_FIRST[n] for n in ("ALPHA", "BETA", "X", "PLUS", "MINUS", "KAPPA"))
+SQUARES, LOGS, VECTORS, TAU = (_FIRST[name] for name in ("SQUARES", "LOGS", "VECTORS", "TAU"))
+SLOPES, QUOTIENTS, P, H = (_FIRST[name] for name in ("SLOPES", "QUOTIENTS", "P", "H"))
+WEIGHT, SHIFT, STRESS = (_FIRST[name] for name in ("WEIGHT", "SHIFT", "STRESS"))
+TANGENT, PRODUCTS = _FIRST["TANGENT"], _FIRST["PRODUCTS"]
 
 UPPER = np.zeros((6, 6), dtype=np.int64)  # row of the tangent's upper triangle
 UPPER[np.triu_indices(6)] = np.arange(21)
@@ -22,6 +28,6 @@ UPPER += np.triu(UPPER, 1).T
 
 
 @njit(cache=True, error_model="numpy")
-def room():
+def simd_workspace():
     """The rows, and what point-by-point laws need."""
     return np.zeros(N_ROWS * LANES), np.empty((3, 3)), np.empty(6), np.empty((6, 6))

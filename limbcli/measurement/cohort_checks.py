@@ -21,7 +21,7 @@ from limbcli.measurement.cohort_table import (
     CohortTable,
     read_cohort,
 )
-from limbcli.measurement.edge_noise import LayerNoise, layer_noise
+from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
 from limbcli.problems import Problem
@@ -249,7 +249,7 @@ def _repeated(table: CohortTable) -> list[Problem]:
     return found[:_SHOWN]
 
 
-def _grown(table: CohortTable, noise: LayerNoise) -> list[Problem]:
+def _grown(table: CohortTable, noise: EdgeNoise) -> list[Problem]:
     limit = np.maximum(_GROWTH_SIGMAS * noise.shortened, _LEAST_GROWTH)
     growing: Rows = np.asarray(table.shortened < -limit)
     return _listed(

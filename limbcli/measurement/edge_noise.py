@@ -1,4 +1,4 @@
-"""How well a layer's edges were marked, told by the marks themselves.
+"""How well a layer's edges were marked, determined by the marks themselves.
 
 A layer shortens under the probe; where a table says that it grew, the marks were wrong. So what is read of a
 layer is taken as a true shortening, exponentially distributed over people, plus Gaussian noise: the
@@ -24,7 +24,7 @@ _EDGES = 2.0  # root of the four marks, two an image, behind a shortening
 
 
 @dataclass(frozen=True, eq=False)
-class LayerNoise:
+class EdgeNoise:
     """shortened (3,): deviation (mm) of skin's, fat's, muscle's shortening; from_data (3,): the table's."""
 
     shortened: Array
@@ -36,7 +36,7 @@ class LayerNoise:
         return self.shortened / _EDGES
 
 
-def layer_noise(shortened: Array) -> LayerNoise:
+def layer_noise(shortened: Array) -> EdgeNoise:
     """From shortenings (n_rows, n_layers) mm. A layer that never grows takes the largest of the others."""
     n = shortened.shape[1]
     found, known = np.zeros(n), np.zeros(n, dtype=bool)
@@ -45,7 +45,7 @@ def layer_noise(shortened: Array) -> LayerNoise:
         if (values < 0).sum() >= _FEWEST_NEGATIVE:
             found[j], known[j] = gaussian_part(values), True
     found[~known] = found[known].max() if known.any() else _EDGES * ASSUMED_EDGE
-    return LayerNoise(found, known)
+    return EdgeNoise(found, known)
 
 
 def gaussian_part(values: Array) -> float:

@@ -1,6 +1,6 @@
 """What readings of layers cannot be: skin, fat and muscle along the beam, level by level.
 
-Each fault has its own message. How far readings may lie apart by chance is told by their noise; where
+Each fault has its own message. How far readings may lie apart by chance is determined by their noise; where
 nobody states it, only what no reading can be is refused.
 """
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from limbcli.meshing.domain import Domain
+from limbcli.meshing.domain import TissueDomain
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array
 
@@ -32,7 +32,7 @@ class SiteChecks:
         return asdict(self)
 
 
-def site_checks(domain: Domain, probe: ProbeShape, margin: float) -> SiteChecks:
+def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteChecks:
     """Measure the domain along the probe's beam (-z) over its face."""
     x, y = probe.plan(2.0)
     covered = np.isfinite(probe.rise(x, y))
@@ -57,7 +57,7 @@ def _to_plane(normal: Array, offset: float, probe: ProbeShape) -> float:
     return float(offset - np.abs(normal * half).sum())
 
 
-def beam(domain: Domain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:
+def beam(domain: TissueDomain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:
     """Height of the skin under plan points, and the tissue from there down to bone (n,); NaN where none."""
     z = np.arange(10.0, -_DEEPEST, -step)
     grid = np.stack(

@@ -37,7 +37,7 @@ _SMALL = 60.0  # mm3: smaller bits of bone are left out
 
 
 @dataclass(frozen=True, eq=False)
-class Domain:
+class TissueDomain:
     """Distance fields of skin and bone in the site's frame, the cutting planes, and what was settled."""
 
     skin: Field
@@ -52,7 +52,7 @@ class Domain:
         distances += [np.abs(each.height(points)) for each in self.planes]
         return np.argmin(np.stack(distances), axis=0).astype(np.int64) + 1
 
-    def smoothed(self, width: float) -> Domain:
+    def smoothed(self, width: float) -> TissueDomain:
         """The same with bones rounded by a Gaussian of `width` mm, still clear of the skin."""
         if self.bone is None:
             return self
@@ -61,7 +61,7 @@ class Domain:
         return replace(self, bone=distance_again(self.bone.with_values(values)))
 
 
-def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) -> Domain:
+def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) -> TissueDomain:
     """The tissue between skin, bones and planes, in the frame of the limb given.
 
     Raises
@@ -82,7 +82,9 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
     if bones:
         bone = _clear_of_skin(rounded(signed_distance(join(bones), grid), CLEFT), skin, planes, notes)
         bone = _one_tissue(_without_wedges(bone, planes), skin, planes, notes)
-    return Domain(skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes))
+    return TissueDomain(
+        skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes)
+    )
 
 
 def _reach(skin: Triangles, planes: tuple[Plane, ...], slack: float) -> tuple[Array, Array]:
@@ -160,7 +162,7 @@ def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
     return int(numbers[np.argmin(nearest)])
 
 
-def boundary(domain: Domain) -> Triangles:
+def boundary(domain: TissueDomain) -> Triangles:
     """The closed boundary of the tissue under the site, in triangles of about the grid's spacing."""
     solid = manifold_of(_level_set(domain.skin), "skin")
     assert solid is not None

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.meshing.distance import Field
-from limbcli.meshing.domain import BONE, CUT, SKIN, Domain
+from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain
 from limbcli.model import Array, IntArray
 
 FREE, FIXED = 0, -1
@@ -46,7 +46,7 @@ class Ties:
         return Ties(codes)
 
 
-def put_back(points: Array, ties: Ties, domain: Domain, *, rounds: int = 3) -> Array:
+def put_back(points: Array, ties: Ties, domain: TissueDomain, *, rounds: int = 3) -> Array:
     """Boundary points moved onto the surfaces they belong to."""
     x = np.array(points, float)
     arrays = _arrays(domain)
@@ -55,7 +55,13 @@ def put_back(points: Array, ties: Ties, domain: Domain, *, rounds: int = 3) -> A
 
 
 def smooth(
-    points: Array, cells: IntArray, ties: Ties, domain: Domain, *, goal_deg: float = 25.0, passes: int = 12
+    points: Array,
+    cells: IntArray,
+    ties: Ties,
+    domain: TissueDomain,
+    *,
+    goal_deg: float = 25.0,
+    passes: int = 12,
 ) -> Array:
     """Points moved so that the worst cells improve; nothing changes where every angle reaches `goal_deg`."""
     corners = np.ascontiguousarray(cells[:, :4])
@@ -73,7 +79,7 @@ def worst_sines(points: Array, cells: IntArray) -> Array:
     return _all_sines(np.ascontiguousarray(points), np.ascontiguousarray(cells[:, :4]))
 
 
-def _arrays(domain: Domain) -> tuple[Any, ...]:
+def _arrays(domain: TissueDomain) -> tuple[Any, ...]:
     """The domain as plain arrays for the kernels."""
     skin = domain.skin
     bone = domain.bone or Field(skin.grid, np.ones((2, 2, 2)))

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.distance import Field, distance_again
-from limbcli.meshing.domain import CUT, SKIN, Domain
+from limbcli.meshing.domain import CUT, SKIN, TissueDomain
 from limbcli.meshing.improve import Ties, smooth, worst_sines
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.site_mesher import VolumeMesh, boundary_faces
@@ -59,7 +59,7 @@ def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tupl
     return tuple(Layer(name, t, cells[name]) for name, t in wanted if t > 0)
 
 
-def core_of(domain: Domain, layers: tuple[Layer, ...]) -> Domain:
+def core_of(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
     """The domain without its layers: its `skin` is the layers' inner side."""
     total = sum(each.thickness for each in layers)
     depth = np.full(domain.skin.grid.shape, total)
@@ -75,7 +75,7 @@ def core_of(domain: Domain, layers: tuple[Layer, ...]) -> Domain:
     return replace(domain, skin=inner)
 
 
-def _tapered(domain: Domain) -> Array:
+def _tapered(domain: TissueDomain) -> Array:
     """Part of the layers' thickness kept at each sample: less where a cut meets the skin at a grazing angle.
 
     There a layer would reach far along the cut; it is far from the probe.
@@ -92,7 +92,7 @@ def _tapered(domain: Domain) -> Array:
 
 
 def with_layers(
-    core: VolumeMesh, inner: Domain, skin: Field, layers: tuple[Layer, ...]
+    core: VolumeMesh, inner: TissueDomain, skin: Field, layers: tuple[Layer, ...]
 ) -> tuple[VolumeMesh, IntArray]:
     """The core with its layers on, and each cell's number: 0 core, 1 and more the layers from inside out.
 
@@ -124,7 +124,9 @@ def with_layers(
     return VolumeMesh(points, every, shell, labels, core.maker, core.notes), np.concatenate(parts)
 
 
-def _untangled(points: Array, cells: IntArray, shell: IntArray, labels: IntArray, domain: Domain) -> Array:
+def _untangled(
+    points: Array, cells: IntArray, shell: IntArray, labels: IntArray, domain: TissueDomain
+) -> Array:
     """Nodes moved where cells of the layers came out flat or inverted (folds of the skin, the cuts' edges).
 
     Raises
@@ -157,7 +159,7 @@ def _odd(order: IntArray) -> NDArray[np.bool_]:
     return np.asarray((order[:, 1] - order[:, 0]) % 3 == 2)
 
 
-def _outer_points(core: VolumeMesh, inner: Domain, skin: Field, base: IntArray) -> Array:
+def _outer_points(core: VolumeMesh, inner: TissueDomain, skin: Field, base: IntArray) -> Array:
     """Where each inner node lands on the skin: along the distance field, in its cut, along a cuts' edge."""
     normals = _cut_normals(core, inner, base)
     start, x = core.points[base], core.points[base].copy()
@@ -170,7 +172,7 @@ def _outer_points(core: VolumeMesh, inner: Domain, skin: Field, base: IntArray) 
     return np.where((skin.at(start) < 0)[:, None], x, start)
 
 
-def _cut_normals(core: VolumeMesh, inner: Domain, base: IntArray) -> Array:
+def _cut_normals(core: VolumeMesh, inner: TissueDomain, base: IntArray) -> Array:
     """For each node (n, 3, 3), what projects onto the normals of the cuts that it lies in."""
     out = np.zeros((len(base), 3, 3))
     for k, plane in enumerate(inner.planes):
@@ -206,7 +208,9 @@ def _prisms(low: IntArray, high: IntArray, turned: NDArray[np.bool_]) -> IntArra
     return cells
 
 
-def _labels(shell: IntArray, points: Array, core: VolumeMesh, outer: IntArray, domain: Domain) -> IntArray:
+def _labels(
+    shell: IntArray, points: Array, core: VolumeMesh, outer: IntArray, domain: TissueDomain
+) -> IntArray:
     """Labels of the whole boundary: the core's own, SKIN outside, the cuts between."""
     known = {
         tuple(face): label

@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 
 from limbcli.drawing import save_picture
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.quality import Quality, dihedral_angles_deg
+from limbcli.meshing.quality import MeshQuality, dihedral_angles_deg
 from limbcli.model import Array, IntArray, Mesh
 
 _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
 def mesh_picture(
-    mesh: Mesh, probe: ProbeShape, figures: Quality, path: Path, *, title: str, start_depth: float
+    mesh: Mesh, probe: ProbeShape, figures: MeshQuality, path: Path, *, title: str, start_depth: float
 ) -> None:
     """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes."""
     figure = Figure(figsize=(13, 9.5), layout="constrained")
@@ -98,7 +98,7 @@ def _outline(probe: ProbeShape) -> Array:
     return np.vstack([ring, ring[:1]])
 
 
-def _histogram(axes: Any, mesh: Mesh, figures: Quality) -> None:
+def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
     lowest = [dihedral_angles_deg(mesh.points, each.cells).min(axis=1) for each in mesh.solid_blocks]
     axes.hist(np.concatenate(lowest), bins=np.arange(0, 72, 2), color="#7f9db9", edgecolor="white")
     axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: least asked for")

@@ -17,7 +17,7 @@ _GAUSS_A, _GAUSS_B = 0.1381966011250105, 0.5854101966249685  # 4-point rule, deg
 
 
 @dataclass(frozen=True)
-class Quality:
+class MeshQuality:
     """Figures of a mesh; angles are dihedral."""
 
     n_nodes: int
@@ -115,7 +115,7 @@ def tet10_gradient(at: Array) -> Array:
 
 def quality(
     points: Array, cells: IntArray, under_probe: NDArray[np.bool_], at_face: NDArray[np.bool_] | None = None
-) -> Quality:
+) -> MeshQuality:
     """All figures; `under_probe` (n_cells,) marks the fine zone, `at_face` the cells at the face."""
     angles = dihedral_angles_deg(points, cells)
     volume = volumes(points, cells)
@@ -124,7 +124,7 @@ def quality(
     lowest = angles.min(axis=1)
     near = under_probe if under_probe.any() else np.ones(len(cells), bool)
     far = ~under_probe if (~under_probe).any() else near
-    return Quality(
+    return MeshQuality(
         n_nodes=len(np.unique(cells)),
         n_cells=len(cells),
         n_corner_nodes=len(np.unique(cells[:, :4])),

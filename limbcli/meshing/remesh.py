@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
-from limbcli.meshing.domain import BONE, CUT, Domain
+from limbcli.meshing.domain import BONE, CUT, TissueDomain
 from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
 from limbcli.meshing.improve import FIXED, Ties, put_back
 from limbcli.meshing.probe import ProbeShape
@@ -53,7 +53,7 @@ class SizeField:
 
     sizes: Sizes
     probe: ProbeShape
-    domain: Domain
+    domain: TissueDomain
     bend: Field  # edge length that bends and thin places allow
     least: float = _MIN_SIZE
 
@@ -66,7 +66,7 @@ class SizeField:
         return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
 
 
-def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
+def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     """The size field of a domain: thin tissue and tight bends ask for facets of about their own size."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
     if domain.bone is not None:
@@ -82,7 +82,7 @@ def size_field(domain: Domain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
 
 
-def _within_cuts(domain: Domain, *, inside: float = 1.0) -> NDArray[np.bool_]:
+def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
     """Samples at least `inside` mm on the kept side of every cut; what lies beyond asks for nothing."""
     points = domain.skin.grid.points()
     keep = np.ones(points.shape[:3], bool)
@@ -91,7 +91,9 @@ def _within_cuts(domain: Domain, *, inside: float = 1.0) -> NDArray[np.bool_]:
     return keep
 
 
-def _chord_error(domain: Domain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03) -> Array:
+def _chord_error(
+    domain: TissueDomain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03
+) -> Array:
     """How far (mm) facets may leave the true surface: little under the probe, more far from it."""
     points = domain.skin.grid.points()
     beside = probe.distance_in_plan(points[..., 0], points[..., 1])
@@ -109,7 +111,7 @@ def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
     return np.clip(limit, min(least, far), far)
 
 
-def _cleft_limit(domain: Domain, far: float, *, share: float = 4.0) -> Array:
+def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:
     """Edge length allowed by narrow tissue or thin bone: `share` of half the width, on its middle."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
@@ -153,7 +155,7 @@ def _folded(surface: Triangles) -> NDArray[np.bool_]:
     return out
 
 
-def unfold(boundary: Boundary, domain: Domain, *, rounds: int = 8) -> Boundary:
+def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boundary:
     """Faces folded over their own surface spread out: their nodes go amid their neighbours."""
     surface, labels = boundary.surface, boundary.labels
     ties = Ties.of_faces(len(surface.points), surface.faces, labels)
@@ -183,7 +185,7 @@ def _relaxed(points: Array, edges: IntArray, free: Array) -> Array:
     return out
 
 
-def outward_normals(boundary: Boundary, domain: Domain) -> Array:
+def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
     """The normal (n_faces, 3) that each face should have, from the surface it belongs to."""
     centroids, labels = boundary.surface.centroids, boundary.labels
     out = domain.skin.gradient(centroids)
@@ -211,7 +213,7 @@ class Boundary:
     labels: IntArray
 
 
-def remesh(fine: Triangles, domain: Domain, field: SizeField, *, rounds: int = 10) -> Boundary:
+def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: int = 10) -> Boundary:
     """Graded facets for a finely triangulated boundary; its features (cuts' edges) stay sharp.
 
     Raises
@@ -258,7 +260,7 @@ def _crowded(points: Array, faces: IntArray, field: SizeField) -> bool:
     return bool((length < _CROWDED * field.at(points)[edges].mean(axis=1)).any())
 
 
-def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Domain) -> IntArray:
+def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: TissueDomain) -> IntArray:
     """Faces of skin or bone whose three nodes lie in a cut belong to the cut.
 
     As skin they would tie three nodes to the cut's edge where two will do.
@@ -280,14 +282,14 @@ def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, 
     return np.where((ranks == 2) & (at != 2), 3, ranks), ties
 
 
-def face_labels(surface: Triangles, domain: Domain, *, tolerance: float = 0.02) -> IntArray:
+def face_labels(surface: Triangles, domain: TissueDomain, *, tolerance: float = 0.02) -> IntArray:
     """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone.
 
     tolerance : mm by which a face of a cut may leave its plane
     """
     labels = domain.label(surface.centroids)
     unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
-    uncut = Domain(domain.skin, domain.bone, (), ())
+    uncut = TissueDomain(domain.skin, domain.bone, (), ())
     labels = np.where(labels >= CUT, uncut.label(surface.centroids), labels)
     for k, plane in enumerate(domain.planes):
         flat = np.abs(plane.height(surface.points))[surface.faces].max(axis=1) < tolerance

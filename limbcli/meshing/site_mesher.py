@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
-from limbcli.meshing.domain import Domain, boundary
+from limbcli.meshing.domain import TissueDomain, boundary
 from limbcli.meshing.improve import Ties, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
@@ -58,7 +58,7 @@ def under_probe(
     return np.asarray(near & (middle[:, 2] > -depth), bool)
 
 
-def mesh_volume(domain: Domain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:
+def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:
     """Graded tetrahedra in a domain, good enough for the solver.
 
     Tried in turn: TetGen on the boundary remeshed as asked (finer where facets
@@ -107,7 +107,7 @@ def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
     return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())
 
 
-def _with_tetgen(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     fine = boundary(domain)
     field = size_field(domain, probe, sizes)
     graded = unfold(remesh(fine, domain, field), domain)
@@ -138,7 +138,7 @@ def _with_tetgen(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str
     return best[1]
 
 
-def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: Domain) -> tuple[IntArray, IntArray]:
+def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: TissueDomain) -> tuple[IntArray, IntArray]:
     """The cells' own boundary faces and their labels.
 
     TetGen may turn edges between facets in one plane; such faces are named by their place.
@@ -161,7 +161,7 @@ def _face_keys(faces: IntArray, base: int) -> IntArray:
     return (a * base + b) * base + c
 
 
-def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Domain) -> VolumeMesh:
+def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: TissueDomain) -> VolumeMesh:
     """Nodes moved for better angles; in a second round only where the worst are left."""
     ties = Ties.of_faces(len(raw.points), faces, labels)
     points = smooth(raw.points, raw.cells, ties, domain)
@@ -169,7 +169,7 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Domain
     return VolumeMesh(points, raw.cells, faces, labels, raw.maker, ())
 
 
-def _with_ftetwild(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     """fTetWild: slower, its surface within a tolerance of ours, but it refuses nothing."""
     field = size_field(domain, probe, sizes)
     surface = _remeshed_or_not(domain, field, tale)
@@ -190,7 +190,7 @@ def _with_ftetwild(domain: Domain, probe: ProbeShape, sizes: Sizes, tale: list[s
     return _improved(Tetrahedra(points, raw.cells, raw.maker), faces, labels, domain)
 
 
-def _remeshed_or_not(domain: Domain, field: SizeField, tale: list[str]) -> Triangles:
+def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) -> Triangles:
     """The boundary, remeshed where that can be (it may pierce itself; fTetWild is fast on few facets)."""
     fine = boundary(domain)
     try:

@@ -12,18 +12,24 @@ from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
 from limbcli.meshing.checks import SiteChecks, site_checks
 from limbcli.meshing.crop import crop_planes
-from limbcli.meshing.domain import CUT, Domain, make_domain
+from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.layers import Layer, core_of, with_layers
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
-from limbcli.meshing.quality import Quality, quality
+from limbcli.meshing.quality import MeshQuality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import VolumeMesh, mesh_volume, under_probe
-from limbcli.model import Curve, IntArray, LimbModel, Material, Mesh, Step, Support
 from limbcli.model import (
-    Domain as MaterialDomain,
+    Curve,
+    Domain,
+    IntArray,
+    LimbModel,
+    Material,
+    Mesh,
+    Step,
+    Support,
 )
 from limbcli.progress import SILENT, Progress
 
@@ -54,8 +60,8 @@ class SiteModel:
 
     model: LimbModel
     frame: SiteFrame
-    domain: Domain
-    quality: Quality
+    domain: TissueDomain
+    quality: MeshQuality
     checks: SiteChecks
     maker: str
     notes: tuple[str, ...]
@@ -111,7 +117,7 @@ def site_model(
     )
 
 
-def _fill(domain: Domain, probe: ProbeShape, options: MeshOptions) -> tuple[VolumeMesh, IntArray]:
+def _fill(domain: TissueDomain, probe: ProbeShape, options: MeshOptions) -> tuple[VolumeMesh, IntArray]:
     """Cells and the number of the block each belongs to."""
     if not options.layers:
         volume = mesh_volume(domain, probe, options.sizes)
@@ -122,7 +128,7 @@ def _fill(domain: Domain, probe: ProbeShape, options: MeshOptions) -> tuple[Volu
     return with_layers(mesh_volume(core, probe, sizes), core, domain.skin, options.layers)
 
 
-def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> Quality:
+def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> MeshQuality:
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])
     face = under_probe(mesh.points, cells, probe, beside=0.0, depth=3.0)
     return quality(mesh.points, cells, under_probe(mesh.points, cells, probe), face)
@@ -141,7 +147,7 @@ def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbMod
     return LimbModel(
         mesh=mesh,
         materials={each.name: tissue for each in mesh.solid_blocks},
-        domains=tuple(MaterialDomain(each.name, each.name) for each in mesh.solid_blocks),
+        domains=tuple(Domain(each.name, each.name) for each in mesh.solid_blocks),
         bodies=(body,),
         supports=(Support("fixed", ("x", "y", "z")),),
         drives=(*held, down),
@@ -153,7 +159,12 @@ def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbMod
 
 
 def _info(
-    name: str, frame: SiteFrame, probe: ProbeShape, options: MeshOptions, domain: Domain, volume: VolumeMesh
+    name: str,
+    frame: SiteFrame,
+    probe: ProbeShape,
+    options: MeshOptions,
+    domain: TissueDomain,
+    volume: VolumeMesh,
 ) -> dict[str, Any]:
     return {
         "site": name,

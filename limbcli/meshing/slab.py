@@ -43,7 +43,7 @@ class Slab:
 
 
 @dataclass(frozen=True)
-class Counts:
+class CellCounts:
     """Cells: along the probe's half sides (x, y), beside its ends (x) and flanks (y), through the layers."""
 
     along: int = 3
@@ -56,7 +56,7 @@ class Counts:
 
 
 def slab_model(
-    slab: Slab, laws: Mapping[str, Material], *, counts: Counts = Counts(), start: float = 0.0
+    slab: Slab, laws: Mapping[str, Material], *, counts: CellCounts = CellCounts(), start: float = 0.0
 ) -> LimbModel:
     """The quarter as a model in tet10, its probe's face `start` mm inside; `laws` by the names in LAYERS.
 
@@ -103,7 +103,7 @@ def _growth(step: float, margin: float, n: int) -> float:
     )
 
 
-def _heights(slab: Slab, counts: Counts) -> tuple[Array, IntArray]:
+def _heights(slab: Slab, counts: CellCounts) -> tuple[Array, IntArray]:
     """Heights from the base (n + 1,) to z = 0, and the place in LAYERS of every row of cells (n,)."""
     borders = -np.cumsum([0.0, slab.skin, slab.fat, slab.muscle])
     rows, layer = [np.zeros(1)], []

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from limbcli.drawing import save_figure
-from limbcli.meshing.convergence import Extrapolation
+from limbcli.meshing.mesh_extrapolation import Extrapolation
 
 
 def study_picture(

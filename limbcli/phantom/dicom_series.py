@@ -15,7 +15,7 @@ from pydicom.dataset import FileDataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, MRImageStorage, generate_uid
 
 from limbcli.model import Array
-from limbcli.phantom.mri import Grid
+from limbcli.phantom.mri import VoxelGrid
 from limbcli.version import __version__
 
 BITS = 12
@@ -25,7 +25,7 @@ DATE = "20260101"
 def write_series(
     folder: Path,
     signal: Array,
-    grid: Grid,
+    grid: VoxelGrid,
     *,
     subject: str = "phantom",
     seed: int = 0,
@@ -124,7 +124,7 @@ def _describe(dataset: pydicom.Dataset, *, subject: str) -> None:
         setattr(dataset, keyword, value)
 
 
-def _place(dataset: pydicom.Dataset, grid: Grid, k: int, number: int) -> None:
+def _place(dataset: pydicom.Dataset, grid: VoxelGrid, k: int, number: int) -> None:
     position = grid.points(np.array([[0.0, 0.0, float(k)]]))[0]
     dataset.InstanceNumber = number
     dataset.ImagePositionPatient = [_decimal(each) for each in position]

@@ -34,7 +34,7 @@ BIAS = 0.12
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class VoxelGrid:
     """Voxel centres of an image in the patient frame (LPS, mm).
 
     origin (3,) : centre of voxel (0, 0, 0); axes (3, 3) : rows are the unit directions of
@@ -65,10 +65,10 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Volume:
+class SimulatedVolume:
     """signal (ni, nj, nk) float; fractions of every tissue in every voxel (n_tissues, ni, nj, nk)."""
 
-    grid: Grid
+    grid: VoxelGrid
     signal: Array
     fractions: Array
 
@@ -84,7 +84,7 @@ class Volume:
 
 def tissue_fractions(
     anatomy: Anatomy,
-    grid: Grid,
+    grid: VoxelGrid,
     limb_from_patient: Array,
     *,
     supersampling: tuple[int, int, int] = (3, 3, 4),
@@ -123,7 +123,7 @@ def _offsets(counts: tuple[int, int, int]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def acquire(fractions: Array, grid: Grid, *, rng: np.random.Generator) -> Volume:
+def acquire(fractions: Array, grid: VoxelGrid, *, rng: np.random.Generator) -> SimulatedVolume:
     """The magnitude image of the tissue fractions."""
     levels = np.array([SIGNAL[each] for each in Tissue])
     clean = np.tensordot(levels, fractions, axes=1)
@@ -132,7 +132,7 @@ def acquire(fractions: Array, grid: Grid, *, rng: np.random.Generator) -> Volume
     clean *= bias_field(grid.shape, rng)
     real = clean + NOISE * rng.standard_normal(grid.shape)
     imaginary = NOISE * rng.standard_normal(grid.shape)
-    return Volume(grid=grid, signal=np.hypot(real, imaginary), fractions=fractions)
+    return SimulatedVolume(grid=grid, signal=np.hypot(real, imaginary), fractions=fractions)
 
 
 def bias_field(shape: tuple[int, int, int], rng: np.random.Generator) -> Array:

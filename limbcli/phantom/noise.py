@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.measurement.elastography import SPEED_HIGH_M_PER_S, SPEED_LOW_M_PER_S, SweMap, statistics
 from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
-from limbcli.phantom.protocol import Protocol, TrueLevels
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 
 SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
@@ -33,7 +33,9 @@ class Readings:
     travel: Array | None = None
 
 
-def measure(true: TrueLevels, law: NoiseLaw, *, protocol: Protocol, rng: np.random.Generator) -> Readings:
+def measure(
+    true: TrueLevels, law: NoiseLaw, *, protocol: LoadingProtocol, rng: np.random.Generator
+) -> Readings:
     """Read every level off once.
 
     Force and depth errors are independent from level to level; level 0 is the tare and
@@ -66,7 +68,9 @@ def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generato
     return SweMap(swe.lateral[keep], swe.depth[keep], speed[keep])
 
 
-def _trace(force: Array, depth: Array, protocol: Protocol, rng: np.random.Generator, *, quiet: bool) -> Array:
+def _trace(
+    force: Array, depth: Array, protocol: LoadingProtocol, rng: np.random.Generator, *, quiet: bool
+) -> Array:
     """Force and depth against time: smooth ramps and holds, sampled; the probe's weight lies along z."""
     per_ramp = round(protocol.ramp * protocol.sampling_hz)
     per_hold = round(protocol.hold * protocol.sampling_hz)

@@ -13,7 +13,7 @@ from limbcli.model import Array
 
 
 @dataclass(frozen=True)
-class Protocol:
+class LoadingProtocol:
     """Force-controlled steps (N) up to a force or a strain, each held; the load cell's record.
 
     max_strain : largest depth as a share of the skin-bone distance under the probe

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
-from limbcli.measurement.acoustoelasticity import OgdenTerms, wave_speed_m_per_s
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.swe_prediction import Window, predict_map
 from limbcli.model import Array
-from limbcli.phantom.protocol import Protocol, TrueLevels, depth_at_force
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
+from limbcli.shear_waves.ogden import OgdenTerms
+from limbcli.shear_waves.pixels import Window, predict_map
+from limbcli.shear_waves.speed import wave_speed_m_per_s
 
 # Deformation gradients of some elements, and which of the recorded ones these are -> m/s.
 Speed = Callable[[Array, NDArray[np.bool_]], Array]
@@ -48,7 +49,7 @@ def true_levels(
     simulated: Indentation,
     terms: OgdenTerms,
     *,
-    protocol: Protocol,
+    protocol: LoadingProtocol,
     skin_bone: float | None,
     window: Window = Window(),
     density_kg_per_m3: float = 1000.0,

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.model import Array
 from limbcli.phantom.anatomy import Anatomy, random_anatomy
-from limbcli.phantom.mri import Grid
+from limbcli.phantom.mri import VoxelGrid
 from limbcli.phantom.shapes import project
 
 LENGTH = 156.0  # of limb in the image, mm
@@ -40,7 +40,7 @@ class Subject:
 
     anatomy: Anatomy
     patient_from_limb: Array
-    grid: Grid
+    grid: VoxelGrid
     places: tuple[Place, ...]
 
     @property
@@ -89,7 +89,7 @@ def make_subject(
     )
 
 
-def _grid_around(anatomy: Anatomy, pose: Array, axes: Array, spacing: Array) -> Grid:
+def _grid_around(anatomy: Anatomy, pose: Array, axes: Array, spacing: Array) -> VoxelGrid:
     """The smallest grid along `axes` that holds `LENGTH` of the limb, its markers and some air."""
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 49), np.linspace(2.0, LENGTH, 40))
     ring = np.stack([40 * np.cos(angle).ravel(), 36 * np.sin(angle).ravel(), height.ravel()], axis=1)
@@ -100,6 +100,6 @@ def _grid_around(anatomy: Anatomy, pose: Array, axes: Array, spacing: Array) -> 
     tip = (np.array([0.0, 0.0, 0.0]) @ pose[:3, :3].T + pose[:3, 3]) @ axes[2]
     low[2], high[2] = min(low[2], tip - AIR), tip + LENGTH
     shape = np.ceil((high - low) / spacing).astype(int)
-    return Grid(
+    return VoxelGrid(
         origin=(low + spacing / 2) @ axes, axes=axes, spacing=spacing, shape=(shape[0], shape[1], shape[2])
     )

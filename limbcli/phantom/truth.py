@@ -10,7 +10,7 @@ import numpy as np
 from skimage import measure
 
 from limbcli.model import Array, IntArray
-from limbcli.phantom.mri import Grid
+from limbcli.phantom.mri import VoxelGrid
 from limbcli.phantom.shapes import Implicit, project
 from limbcli.phantom.subject import Subject
 
@@ -76,7 +76,7 @@ def write_surface(path: Path, surface: ClosedSurface) -> None:
     path.write_bytes(header.encode() + surface.points.astype("<f4").tobytes() + faces.tobytes())
 
 
-def write_labels(path: Path, labels: IntArray, grid: Grid) -> None:
+def write_labels(path: Path, labels: IntArray, grid: VoxelGrid) -> None:
     """A label map as NIfTI; its affine is RAS, as the format wants."""
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ grid.patient_from_index
     image = nib.Nifti1Image(labels.astype(np.uint8), affine)

@@ -8,7 +8,7 @@ from typing import Any
 
 from limbcli.reporting.figures import cohort as drawn
 from limbcli.reporting.numbers import DASH, cell, significant
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 
 Data = Mapping[str, Any]
 _NAMES = (("c_muscle_kpa", "c of muscle", "kPa"), ("c_fat_kpa", "c of fat", "kPa"), ("m", "m", ""))
@@ -64,7 +64,7 @@ def population(data: Data) -> Reportlet:
         "spread between people",
         "left to the population",
     )
-    table = Table(
+    table = PageTable(
         "Population of every site: geometric means and spreads as factors",
         (head(*names),),
         tuple(rows),
@@ -118,7 +118,7 @@ def standing_out(data: Data) -> Reportlet:
     tables = []
     if people:
         tables.append(
-            Table(
+            PageTable(
                 "People whose muscle differs over all of their sites",
                 (head("person", "rows", "muscle is", "z", "p, adjusted"),),
                 people,
@@ -126,7 +126,7 @@ def standing_out(data: Data) -> Reportlet:
         )
     if rows:
         tables.append(
-            Table(
+            PageTable(
                 "Rows that their site’s population does not expect",
                 (head("person", "site", "line", "p, adjusted"),),
                 rows,
@@ -190,7 +190,7 @@ def one_tissue(data: Data) -> Reportlet:
             ),
         ),
         tables=(
-            Table(
+            PageTable(
                 "Fat’s shortening over that of one tissue, in deviations of the edges’ noise",
                 (head(*names),),
                 rows,
@@ -221,7 +221,7 @@ def left_out(data: Data) -> Reportlet:
     rows.append(("of it marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
     if repeat["percent_from_trials"] is not None:
         rows.append(("of it repeatability (trials)", repeat["percent_from_trials"]))
-    table = Table(
+    table = PageTable(
         "Mean of |predicted − measured| / measured, ten folds by person",
         (head("model", "percent"),),
         tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
@@ -280,7 +280,7 @@ def grounds(data: Data) -> Reportlet:
         "grounds",
         "What do these numbers rest on?",
         tables=(
-            Table(
+            PageTable(
                 "Noise and emulator",
                 (head("what", "value", "whence"),),
                 tuple((Cell(a, lead=True), Cell(b or DASH), Cell(c)) for a, b, c in rows),

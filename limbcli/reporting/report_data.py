@@ -16,7 +16,7 @@ from limbcli.reporting.outcome import Outcomes
 
 @dataclass(frozen=True, eq=False)
 class SiteMaterial:
-    """One site's measurement and the pieces that need another room to read.
+    """One site's measurement and the pieces that need another package to read.
 
     Where a piece is None, the matching `why_*` says why, in words for the page.
     """

@@ -43,7 +43,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """Rows of cells below one or two heading rows; numeric tables are set in columns."""
 
     caption: str
@@ -99,14 +99,14 @@ class Reportlet:
     mood: Mood = "fine"
     site: str | None = None
     pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
+    tables: tuple[PageTable, ...] = ()
     look_for: str = ""
     bad: str = ""
     notes: tuple[str, ...] = ()
     warned: tuple[str, ...] = ()
     failure: Failure | None = None
     command: str = ""
-    more: tuple[Table, ...] = field(default=())
+    more: tuple[PageTable, ...] = field(default=())
 
     @property
     def is_answered(self) -> bool:

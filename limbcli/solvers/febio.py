@@ -192,14 +192,14 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float, *, given: bool) -> None:
     """Follow the log until the process ends; a sign of life where the log is silent for long."""
-    start = told = time.monotonic()
+    start = last_sign = time.monotonic()
     while process.poll() is None:
         now = time.monotonic()
         if watcher.look():
-            told = now
-        elif now - told > HEARTBEAT_S:
+            last_sign = now
+        elif now - last_sign > HEARTBEAT_S:
             watcher.alive(now - start, limit_s)
-            told = now
+            last_sign = now
         if now - start > limit_s:
             _stop(process)
             watcher.look()

@@ -1,4 +1,4 @@
-"""What can be told of FEBio while it runs: its iterations, signs of life, and how long it may take."""
+"""What can be reported of FEBio while it runs: its iterations, signs of life, and how long it may take."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from limbcli.feb.log import Iteration, LogReader
 from limbcli.feb.outline import Outline
 from limbcli.progress import Progress
 
-HEARTBEAT_S = 15.0  # of silence, after which a sign of life is told
+HEARTBEAT_S = 15.0  # of silence, after which a sign of life is reported
 # Wide: a model of 30,000 nodes has 17 hours. It is there for a run that hangs, not for one that is slow.
 _LEAST_LIMIT_S, _LIMIT_S_PER_NODE_AND_LEVEL = 1800.0, 0.2
 
@@ -42,7 +42,7 @@ class LogWatcher:
         return self.reader.times[-1] if self.reader.times else 0.0
 
     def look(self) -> bool:
-        """Read on; whether an iteration was told."""
+        """Read on; whether an iteration was reported."""
         try:
             with self.log.open("rb") as stream:
                 stream.seek(self._offset)

@@ -87,8 +87,8 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
     items = table.items[known]
     F = values[:, [table.fields.index(each) for each in _GRADIENT]].reshape(-1, 3, 3)
     whole = values[:, [table.fields.index(each) for each in _STRESS]]
-    told = _deviator(whole)
-    size = np.linalg.norm(told, axis=1)
+    deviator = _deviator(whole)
+    size = np.linalg.norm(deviator, axis=1)
     size = np.where(size > _SHEARED * np.linalg.norm(whole, axis=1), size, 0.0)
     small = (np.abs(F - np.eye(3)).max(axis=(1, 2)) < _STRAIN) & (np.linalg.det(F) > 0.2)
     most = [k for k in np.argsort(-size) if small[k] and size[k] > _LOADED * size.max() > 0][:_CELLS]
@@ -97,7 +97,7 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
     stress = np.array([_voigt(cauchy_stress(laws[int(items[k])], F[k][None])[0]) for k in most])
     expected = _deviator(stress)
     scale = np.maximum(size[most], np.linalg.norm(expected, axis=1))
-    return float(np.median(np.linalg.norm(told[most] - expected, axis=1) / scale))
+    return float(np.median(np.linalg.norm(deviator[most] - expected, axis=1) / scale))
 
 
 def _deviator(stress: Array) -> Array:

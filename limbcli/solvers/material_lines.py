@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import MeasurementError
-from limbcli.fem.element import shape
+from limbcli.fem.elements.element import shape
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation, Table
 

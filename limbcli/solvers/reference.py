@@ -25,7 +25,7 @@ from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
-    from limbcli.fem.linear import LinearSolver
+    from limbcli.fem.linear_solvers.direct import LinearSolver
 
 NAME = "reference"
 _SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
@@ -127,7 +127,7 @@ def prepare(
     check_supported(model)
     warm_up(progress)
     from limbcli.fem.analysis import Analysis
-    from limbcli.fem.newton import Settings
+    from limbcli.fem.equilibrium.newton import Settings
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
@@ -144,6 +144,6 @@ def kernels_are_there() -> bool:
 
 def direct_solver(indptr: IntArray, indices: IntArray, *, single: bool) -> LinearSolver:
     """The usual direct solver of a matrix's pattern (upper triangle, CSR)."""
-    from limbcli.fem.linear import make
+    from limbcli.fem.linear_solvers.direct import make
 
     return make(indptr, indices, single=single)

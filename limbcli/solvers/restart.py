@@ -19,9 +19,9 @@ from limbcli.files import atomic_file
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
-    from limbcli.fem.state import State
+    from limbcli.fem.motion.state import State
     from limbcli.fem.system import System
-    from limbcli.fem.warm import Solved as Solved
+    from limbcli.fem.warm_start import Solved as Solved
 
 RESTART_FILE = "restart.npz"
 
@@ -76,7 +76,7 @@ def solved_arrays(solved: Solved) -> dict[str, Any]:
 
 def solved_of(stored: Any) -> Solved:
     """The levels out of what `solved_arrays` gave."""
-    from limbcli.fem.warm import Solved
+    from limbcli.fem.warm_start import Solved
 
     names = [(str(material), str(name)) for material, name in stored["names"]]
     lame = tuple(stored[f"lame{k}"] for k in range(int(stored["n_lame"])))
@@ -102,8 +102,8 @@ def levels_of(stored: Any) -> dict[float, State]:
 
 
 def _state(stored: Any, k: int, time: float) -> State:
-    from limbcli.fem.rigid import BodyState
-    from limbcli.fem.state import State
+    from limbcli.fem.motion.rigid import BodyState
+    from limbcli.fem.motion.state import State
 
     keys = [key for key in stored.files if key.startswith(f"hints{k}_")]
     hints = tuple(stored[f"hints{k}_{j}"] for j in range(len(keys)))

@@ -23,7 +23,7 @@ from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Snapshot
-    from limbcli.fem.warm import Solved, WarmStart
+    from limbcli.fem.warm_start import Solved, WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
 
@@ -144,7 +144,7 @@ class ReferenceSession:
         SolveError
             If a level is not reached; the session can be used further.
         """
-        from limbcli.fem.warm import Solved
+        from limbcli.fem.warm_start import Solved
 
         model = model2 if model2 is not None else self.model
         if wrt and path_dependent(model):
@@ -189,7 +189,7 @@ class ReferenceSession:
 
     def lead(self, solved: Solved) -> None:
         """Take levels that an earlier session kept as those of a solve of this one."""
-        from limbcli.fem.warm import WarmStart
+        from limbcli.fem.warm_start import WarmStart
 
         self._warm = self._warm or WarmStart()
         self._warm.keep(solved)
@@ -229,7 +229,7 @@ class ReferenceSession:
         return replace(found, force_gradient=gradients, field_gradient=tables, differenced=True)
 
     def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
-        from limbcli.fem.fields import BODY_FIELDS
+        from limbcli.fem.derivatives.fields import BODY_FIELDS
 
         others = [r for r in model.records if everything and r.kind != "rigid_body"]
         rigid = [LogRecord("rigid_body", BODY_FIELDS, f"*{body.name}", body.name) for body in model.bodies]
@@ -266,7 +266,7 @@ class ReferenceSession:
     def _warm_start(
         self, model: LimbModel, wrt: Sequence[Parameter], weights: Mapping[Parameter, Array]
     ) -> WarmStart:
-        from limbcli.fem.warm import WarmStart
+        from limbcli.fem.warm_start import WarmStart
 
         self._warm = self._warm or WarmStart()
         self._warm.at(parameter_values(model, wrt, weights))

@@ -11,7 +11,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array, ElementMap, LimbModel
 
 if TYPE_CHECKING:
-    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
+    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
 Parameter = tuple[str, str]
 
@@ -27,7 +27,7 @@ def tied_parts(name: str) -> list[tuple[str, float]]:
 
 def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Tied | Prestrain:
     """What a key stands for; "ramp" of a prestrained material is its prestrain's."""
-    from limbcli.fem.parameters import LawParameter, Prestrain, Tied
+    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
     material, name = key
     if name == "ramp" and model.materials[material].law == "prestrain":

@@ -13,7 +13,7 @@ from limbcli.solvers.session_parameters import Parameter
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
-    from limbcli.fem.sensitivity import Parameter as Differentiable
+    from limbcli.fem.derivatives.sensitivity import Parameter as Differentiable
 
 Rows = list[tuple[IntArray, Array]]
 
@@ -44,7 +44,7 @@ class Watch:
         self._times: list[float] = []
 
     def __call__(self, running: Analysis, snapshot: Snapshot) -> None:
-        from limbcli.fem.fields import record_rows
+        from limbcli.fem.derivatives.fields import record_rows
 
         for record in self.asked:
             rows = record_rows(running.system, snapshot.state, snapshot.forces, record)
@@ -59,8 +59,8 @@ class Watch:
         return -float(np.asarray(values).ravel()[record.fields.index("Fz")])
 
     def _differentiate(self, running: Analysis, snapshot: Snapshot) -> None:
-        from limbcli.fem.field_derivatives import record_derivatives
-        from limbcli.fem.sensitivity import sensitivities
+        from limbcli.fem.derivatives.field_derivatives import record_derivatives
+        from limbcli.fem.derivatives.sensitivity import sensitivities
 
         system, state = running.system, snapshot.state
         self._times.append(state.time)

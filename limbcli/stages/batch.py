@@ -19,13 +19,13 @@ from limbcli.files import sha256
 from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
-from limbcli.stages.asked import in_words
-from limbcli.stages.batch_outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
-from limbcli.stages.batch_steps import SITE_STAGES, parts_of, site_steps
-from limbcli.stages.chain import Chain
-from limbcli.stages.extras import Extra, extras, made_by_hand, shown_only
-from limbcli.stages.freshness import Memory, code_hash, key_of
-from limbcli.stages.kernels import compile_ahead
+from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
+from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
+from limbcli.stages.batching.steps import SITE_STAGES, parts_of, site_steps
+from limbcli.stages.machine.kernels import compile_ahead
+from limbcli.stages.provenance.asked import in_words
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
 
 DIAGNOSE = "diagnose"
 
@@ -61,7 +61,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
     CaseError
         If there is no such folder.
     """
-    from limbcli.stages.report_failure import report_failure
+    from limbcli.stages.report_pages.failure import report_failure
 
     try:
         return Case.open(folder)
@@ -177,7 +177,7 @@ class CaseRun:
         elif stage in SITE_STAGES:
             self._skip(SITE_STAGES[SITE_STAGES.index(stage) + 1 :], site, because=stage)
 
-    def _extra(self, extra: Extra, keys: Sequence[str]) -> str:
+    def _extra(self, extra: FitOnDemand, keys: Sequence[str]) -> str:
         """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
         folder = stage_folder(self.out, extra.stage, extra.site)
         by_site = zip(self.case.sites, keys, strict=False)

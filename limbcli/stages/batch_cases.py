@@ -11,8 +11,8 @@ from limbcli.errors import CaseError, FitError, LimbError
 from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
-from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
 from limbcli.stages.batch_task import in_words
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 from limbcli.writing import one_writer
 
@@ -41,7 +41,7 @@ def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, 
 
 def n_processes(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
     """Local processes: those asked for, else what suits several cases; one where Dask is not installed."""
-    from limbcli.stages.cluster import is_installed, jobs_for
+    from limbcli.stages.batching.cluster import is_installed, jobs_for
 
     if jobs is not None or scheduler is not None:
         return jobs or 1

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
 from limbcli.results import CALLED
-from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
 from limbcli.stages.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
-from limbcli.stages.cluster import Standing, WorkerRefused, connected, lost_workers, threads_of
+from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -59,8 +59,8 @@ def together(
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
         call = Call(
-            client=Standing.own(), asked=asked(sys.argv, [case for case, _ in cases]), called=CALLED.get(),
-            threads=threads_of(jobs) if scheduler is None else 1, topic=f"limbcli-{uuid.uuid4().hex}",
+            client=WorkerStanding.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            called=CALLED.get(), threads=threads_of(jobs) if scheduler is None else 1, topic=f"limbcli-{uuid.uuid4().hex}",
             tell_s=max(_TELL_S, n_workers / 2), wait=wait, options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()
@@ -225,18 +225,18 @@ class _Together:
 
         if not isinstance(error, KilledWorker) and self.client.status != "running":
             raise self._no_scheduler(error) from error
-        told: LimbError
+        reported: LimbError
         if isinstance(error, KilledWorker):
-            told = ToolError(
+            reported = ToolError(
                 f"every process that worked on it was lost ({1 + error.allowed_failures} in turn)",
                 where=part.name,
                 fix="look whether the memory suffices (fewer --jobs, more memory a worker); " + _SAME,
             )
         else:
             text = f"the cluster gave it up ({type(error).__name__}: {error})"
-            told = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
+            reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
-        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, told)])
+        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, reported)])
         return Done(outcome, is_all=part.kind == LAST)
 
     def _no_scheduler(self, error: Exception) -> ToolError:

@@ -13,9 +13,9 @@ from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
-from limbcli.stages.batch_outcome import BatchOptions, CaseOutcome, Failure
-from limbcli.stages.batch_steps import SITE_STAGES
-from limbcli.stages.cluster import Standing, as_called, refuse_other
+from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
@@ -33,7 +33,7 @@ class Call:
     topic : of Dask's events, for progress, of which one comes every `tell_s` at least
     """
 
-    client: Standing
+    client: WorkerStanding
     asked: tuple[str, ...]
     called: str
     threads: int
@@ -94,17 +94,17 @@ def work(part: Part, call: Call) -> Done:
     refuse_other(call.client)
     worker = get_worker()
 
-    told = _Told(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
+    event_log = _EventLog(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
     command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.asked]
     with as_called(command, call.threads):
         before = CALLED.set(call.called)
         try:
-            return done(part, call, told)
+            return done(part, call, event_log)
         finally:
             CALLED.reset(before)
 
 
-class _Told:
+class _EventLog:
     """Passes on each stage once, that another's lock is waited for, and now and then that work goes on."""
 
     def __init__(self, part: str, every_s: float, send: Callable[[dict[str, Any]], None]):

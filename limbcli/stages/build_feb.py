@@ -27,10 +27,10 @@ from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
-from limbcli.stages.asked import asked_of, asked_of_options
-from limbcli.stages.chain import Chain
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.indentation_model import (
+from limbcli.stages.provenance.asked import asked_of, asked_of_options
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.indentation_model import (
     PROBE,
     TISSUE,
     facet_gap,
@@ -40,14 +40,14 @@ from limbcli.stages.indentation_model import (
     touching_points,
     with_penalty,
 )
-from limbcli.stages.site_layers import (
+from limbcli.stages.site_model.site_layers import (
     LayerLaw,
     layer_laws,
     layers_in,
     locking_warning,
     with_layer_laws,
 )
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
@@ -165,19 +165,19 @@ def no_level_0(levels: Levels, site: Site) -> str | None:
     """A warning where c comes from loaded tissue, with c at 0 N by the line through the speeds of loading."""
     if levels.begins_at_zero:
         return None
-    told = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue under load already"
+    why = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue under load already"
     rows = levels.loading
     try:
         line = speed_against_force(levels.force[rows], levels.swe_mean_m_per_s[rows])
     except MeasurementError:
-        return told + "; measure one, or give c with --c-kpa"
+        return why + "; measure one, or give c with --c-kpa"
     if line.n < _LINE_NEEDS or line.intercept <= 0:
-        return told + "; measure one, or give c with --c-kpa"
+        return why + "; measure one, or give c with --c-kpa"
     modulus = shear_modulus_from_wave_speed(
         np.array([line.intercept]), density_kg_per_m3=site.density_kg_per_m3
     )
     c_kpa = kpa_from_mpa(2 * float(modulus[0]))
-    return told + f"; the line through {line.n} speeds gives {c_kpa:.3g} kPa at 0 N (--c-kpa {c_kpa:.3g})"
+    return why + f"; the line through {line.n} speeds gives {c_kpa:.3g} kPa at 0 N (--c-kpa {c_kpa:.3g})"
 
 
 def simulated_depths(levels: Levels) -> Array:

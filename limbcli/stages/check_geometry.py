@@ -36,7 +36,7 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
 def _surfaces(case: Case) -> list[Problem]:
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
-    from limbcli.stages.segment_surfaces import read_surfaces, triangles_of
+    from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 
     surfaces = triangles_of(read_surfaces(case)[0])
     found = limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin))
@@ -48,9 +48,9 @@ def _assumed(case: Case) -> list[Problem]:
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
     from limbcli.problems import errors_of
-    from limbcli.stages.assumed_geometry import assumed_limb, assumed_problems
-    from limbcli.stages.segment_assumed import FIX
-    from limbcli.stages.segment_surfaces import triangles_of
+    from limbcli.stages.segmenting.assumed import FIX
+    from limbcli.stages.segmenting.assumed_geometry import assumed_limb, assumed_problems
+    from limbcli.stages.segmenting.surfaces import triangles_of
 
     found = [Problem(case.imaging.assumed, str(case.file), FIX, severity="warning"), *assumed_problems(case)]
     if errors_of(found):
@@ -99,7 +99,7 @@ def _label_map(case: Case) -> list[Problem]:
     from limbcli.imaging.surface import surface_of
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
-    from limbcli.stages.segment_surfaces import triangles_of
+    from limbcli.stages.segmenting.surfaces import triangles_of
 
     path = str(case.imaging.labels)
     labels = read_label_file(case.imaging.labels)

@@ -27,7 +27,7 @@ def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
 def layer_lines(case: Case) -> list[str]:
     """A line for each site that has layers.
 
-    Files that cannot be read have been told of already.
+    Files that cannot be read have been reported of already.
     """
     from limbcli.measurement.indentation import check_levels
 

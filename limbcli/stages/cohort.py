@@ -22,10 +22,10 @@ from limbcli.measurement.cohort_table import CohortTable
 from limbcli.problems import Problem, checked
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, provenance
-from limbcli.stages.cohort_compliance import compliance_left_out
-from limbcli.stages.cohort_estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
-from limbcli.stages.cohort_page import cohort_page
-from limbcli.stages.cohort_result import (
+from limbcli.stages.cohorts.compliance import compliance_left_out
+from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
+from limbcli.stages.cohorts.page import cohort_page
+from limbcli.stages.cohorts.result import (
     c_fat_beyond,
     family_ends,
     m_beyond,

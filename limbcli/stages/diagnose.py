@@ -17,24 +17,25 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.conclusions.sentences import sentences
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
-from limbcli.diagnostics.forward_model import Explanation
-from limbcli.diagnostics.sentences import sentences
-from limbcli.diagnostics.verdict import Diagnosis
+from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.chain import check_earlier, note_earlier
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.menu import known
-from limbcli.stages.diagnosis.bench.site import SiteCurves
+from limbcli.stages.diagnosis.forward_model.measurement_menu import known
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
-from limbcli.stages.diagnosis.mesh_doubt.numerics import MATTERS, Intervention, too_doubtful
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
+from limbcli.stages.provenance.chain import check_earlier, note_earlier
 
 _SAME_PLACE = 2.0  # mm
 
@@ -44,7 +45,7 @@ class DiagnoseOptions:
     """effects : names to try (empty: all);
     size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
-    measured : numbers measured besides (see `bench.menu.known`), of the first site of each place.
+    measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place.
     """
 
     effects: tuple[str, ...] = ()
@@ -162,20 +163,23 @@ class _Diagnosed:
                     prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
                             extras=more, progress=self.progress)
                 )  # fmt: skip
-            bench = SiteBench.joint([each.curves for each in prepared])
+            forward_model = SiteForwardModel([each.curves for each in prepared])
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
-                bench.turned = lambda: self._turned(prepared[0])
-            bench.settle_noise()
+                forward_model.turned = lambda: self._turned(prepared[0])
+            forward_model.settle_noise()
             found = diagnose_bench(
-                bench, max_effects=self.options.max_effects, seed=self.options.seed, progress=self.progress
+                forward_model,
+                max_effects=self.options.max_effects,
+                seed=self.options.seed,
+                progress=self.progress,
             )
-            return [self._leave(found, bench, prepared, k) for k in range(len(prepared))]
+            return [self._leave(found, forward_model, prepared, k) for k in range(len(prepared))]
         finally:
             for each in prepared:
                 each.close()
 
     def _turned(self, prepared: Prepared) -> SiteCurves:
-        """The probe turned by 90 degrees; why not is told where it cannot be simulated."""
+        """The probe turned by 90 degrees; why not is reported where it cannot be simulated."""
         try:
             return turned_by_90(
                 self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
@@ -185,7 +189,9 @@ class _Diagnosed:
             prepared.notes.warnings.append(text)
             raise
 
-    def _leave(self, found: Diagnosis, bench: SiteBench, all_: list[Prepared], k: int) -> StageResult:
+    def _leave(
+        self, found: Diagnosis, forward_model: SiteForwardModel, all_: list[Prepared], k: int
+    ) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
         mine = all_[k]
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
@@ -197,11 +203,11 @@ class _Diagnosed:
                 writer.warnings.append(_in_part(mine.book.in_part))
             for name, why in mine.curves.changes.not_simulated.items():
                 writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
-            if bench.not_simulated:
-                writer.warnings.append(_not_simulated(bench.not_simulated))
+            if forward_model.not_simulated:
+                writer.warnings.append(_not_simulated(forward_model.not_simulated))
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
-            content = self._content(found, bench, mine, all_)
+            content = self._content(found, forward_model, mine, all_)
             path = writer.file("diagnosis", "diagnosis.json")
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
             writer.data.update(mine.notes.data)
@@ -210,30 +216,35 @@ class _Diagnosed:
             writer.summary.extend(content["sentences"][:10])
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
-            sizes_picture(found, bench.effects, writer.file("sizes", "sizes.png"))
+            sizes_picture(found, forward_model.effects, writer.file("sizes", "sizes.png"))
             write_diagnosed(
-                found, bench, mine, writer, out=self.out, number=k, templates=self.options.templates
+                found, forward_model, mine, writer, out=self.out, number=k, templates=self.options.templates
             )
         assert writer.result is not None
         return writer.result
 
     def _content(
-        self, found: Diagnosis, bench: SiteBench, mine: Prepared, all_: list[Prepared]
+        self, found: Diagnosis, forward_model: SiteForwardModel, mine: Prepared, all_: list[Prepared]
     ) -> dict[str, Any]:
-        content = diagnosis_json(found, mine.curves.site, bench)
+        content = diagnosis_json(found, mine.curves.site, forward_model)
         content["sites"] = [each.site.name for each in all_]
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-             "matters": i.deviations > MATTERS, "log_force_change": i.log_force, "share_in_doubt": i.left}
+             "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
+             "share_in_doubt": i.left}
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
-        content["not_simulated"] = sorted(bench.not_simulated)
+        content["not_simulated"] = sorted(forward_model.not_simulated)
         content["solved_in_part_mm"] = mine.book.in_part
         lines = sentences(found)
-        moved = [i.name for i in mine.interventions if i.deviations > MATTERS and i.name != "locking"]
+        moved = [
+            i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"
+        ]
         lines[1:1] = [
-            _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > MATTERS
+            _locked(i)
+            for i in mine.interventions
+            if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
         ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")

@@ -16,7 +16,7 @@ from limbcli.config import templates_folder
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose
-from limbcli.stages import doctor_libraries as libraries
+from limbcli.stages.machine import libraries
 from limbcli.version import __version__
 
 State = Literal["good", "note", "missing"]
@@ -118,7 +118,7 @@ def _package(wanted: Requirement) -> Finding:
     return Finding("packages", wanted.name, "good", version)
 
 
-def _library(trial: libraries.Trial) -> Finding:
+def _library(trial: libraries.LibraryTrial) -> Finding:
     purpose = libraries.PURPOSES[trial.package]
     if trial.works:
         return Finding("tried", trial.package, "good", f"{purpose}: works")
@@ -141,8 +141,8 @@ def _solvers(febio: Path | None, progress: Progress) -> list[Finding]:
 
 def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
     """The self test with one solver; FEBio is needed only where it is there, but then it must work."""
-    from limbcli.stages.kernels import compile_ahead
-    from limbcli.stages.self_test import TOLERANCE, self_test
+    from limbcli.stages.machine.kernels import compile_ahead
+    from limbcli.stages.machine.self_test import TOLERANCE, self_test
 
     try:
         if kind == "reference":

@@ -19,7 +19,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.shape_doubt import no_narrower
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, doubts_about_levels
@@ -29,19 +29,19 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.chain import Chain
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.contact_check import leave_contact_check
-from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, with_tissue
-from limbcli.stages.fit_geometry import geometry_doubt
-from limbcli.stages.fit_geometry_result import leave_geometry
-from limbcli.stages.fit_layers import leave_layers
-from limbcli.stages.fit_map import leave_map, tissue_map
-from limbcli.stages.fit_options import FitOptions, check_choice, check_numbers
-from limbcli.stages.fit_result import Identified, leave_result
-from limbcli.stages.fit_swe import leave_speeds
-from limbcli.stages.numerical_error import gain_deviation, studied_error
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fitting.geometry import geometry_doubt
+from limbcli.stages.fitting.geometry_result import leave_geometry
+from limbcli.stages.fitting.layers import leave_layers
+from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
+from limbcli.stages.fitting.predicted_speeds import leave_speeds
+from limbcli.stages.fitting.result import Identified, leave_result
+from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_levels import levels_of
 
 __all__ = [
     "STAGE",
@@ -129,7 +129,7 @@ def _fit_site(
         why_none = "the case states no noise of force or depth"
         writer.warnings.append(
             f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
-            "parameters are cannot be told"
+            "parameters are cannot be determined"
         )
     elif options.intervals:
         limit = options.max_interval_solves
@@ -152,7 +152,7 @@ def _fit_site(
 
 
 def _intervals(
-    curve: Memory, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
+    curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
     limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
     """Of both steps; `modes`: with the doubt of the geometry."""
@@ -228,16 +228,16 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 
 def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
-) -> tuple[Memory, Array, float]:
+) -> tuple[SolvedPoints, Array, float]:
     """The curve, the depths of its levels, and the seconds of the first (cold) solve."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
-        curve = Memory(exact)
+        curve = SolvedPoints(exact)
         curve(START, (0, 1))
         return curve, exact.depths, time.perf_counter() - clock
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
-    curve = Memory(files.differentiable())
+    curve = SolvedPoints(files.differentiable())
     curve(START)
     return curve, files.depths, time.perf_counter() - clock
 

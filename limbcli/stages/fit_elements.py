@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import FittedStep, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
@@ -30,9 +30,9 @@ from limbcli.stages.fit import (
     force_depth_data,
     initial_stiffness,
 )
-from limbcli.stages.fit_curves import ReferenceCurve
-from limbcli.stages.fit_exports import write_table
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.exports import write_table
+from limbcli.stages.fitting.force_curves import ReferenceCurve
+from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa
 
 STAGE = "fit-elements"
@@ -99,7 +99,7 @@ def _compare_site(
         same = with_element(model, element)
         curve = ReferenceCurve(same, c=stiffness.c, progress=progress)
         try:
-            memory = Memory(curve)
+            memory = SolvedPoints(curve)
             start = memory(START, (0, 1)).values
             sweep = [memory(np.array([f_kappa, 2.0]), (0, 1)).values[-1] for f_kappa in SWEEP]
             steps = two_step(memory, curve.depths, data, tolerance=options.tolerance, progress=progress)
@@ -114,7 +114,7 @@ def _compare_site(
     _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 
-def _forces_with(curve: Memory, theta: Array, writer: StageWriter) -> Array:
+def _forces_with(curve: SolvedPoints, theta: Array, writer: StageWriter) -> Array:
     """Forces at these parameters, or NaN and a warning where they cannot be solved."""
     try:
         return curve(theta).values

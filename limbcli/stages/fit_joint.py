@@ -18,22 +18,22 @@ from scipy.linalg import block_diag
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, SiteData, joint_fit
-from limbcli.inference.prediction import Memory
+from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
-from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
-from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
-from limbcli.stages.layer_readings import LayerReadings, layer_readings
-from limbcli.stages.numerical_error import gain_deviation, studied_error
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
+from limbcli.stages.fitting.laws import LAWS, FitLaw, law_named
+from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "fit-joint"
 
@@ -128,9 +128,9 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:
-        told = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
-        if told not in writer.warnings:
-            writer.warnings.append(told)
+        warning = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
+        if warning not in writer.warnings:
+            writer.warnings.append(warning)
     layers, lines = layer_readings(levels, site), None
     if layers is not None:
         try:
@@ -154,7 +154,7 @@ def _identify(
             each.model, law, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
             lines=each.lines, progress=progress,
         )  # fmt: skip
-        memory = Memory(curve)
+        memory = SolvedPoints(curve)
         for shape in _first_shapes(law):
             memory(shape, tuple(range(len(shape))))
         curves.append(memory)
@@ -195,7 +195,7 @@ def _check_contacts(
 
 
 def _first_shapes(law: FitLaw) -> list[Array]:
-    """Where to start: the usual values, and each parameter moved by its stride (f_kappa: a tenth)."""
+    """Where to start: the usual values, and each parameter moved by its step factor (f_kappa: a tenth)."""
     base = np.array([each.start for each in law.shape])
     shapes = [base]
     for k, parameter in enumerate(law.shape):
@@ -205,7 +205,7 @@ def _first_shapes(law: FitLaw) -> list[Array]:
     return shapes
 
 
-def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteData:
+def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:
     """The loading levels of a site with their stated noise."""
     levels, noise = measured.levels, measured.site.noise
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
@@ -213,7 +213,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
     pixels = np.where(np.isfinite(levels.swe_pixels), levels.swe_pixels, np.inf)[seen]
     deviation = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
-    return SiteData(
+    return SiteMeasurement(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
         np.maximum(deviation, 1e-4), gain_deviation(measured.model, given), _layer_data(measured),

@@ -33,10 +33,10 @@ from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.measure_images import box_of, images_of, measured_speeds, tissue_between
-from limbcli.stages.measure_layers import layer_columns, read_borders
-from limbcli.stages.site_levels import layer_noise
+from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
+from limbcli.stages.measuring.layers import layer_columns, read_borders
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_levels import layer_noise
 
 STAGE = "measure"
 _FEW_LOST = 0.01  # of the samples

@@ -16,7 +16,7 @@ from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.places import MOVED_MM, place_problems
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.quality import Quality
+from limbcli.meshing.quality import MeshQuality
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
@@ -25,12 +25,12 @@ from limbcli.model_io import save_model
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.asked import asked_of
-from limbcli.stages.chain import Chain
-from limbcli.stages.mesh_checks import geometry_warnings, measured_skin_bone
-from limbcli.stages.mesh_inputs import MeshInputs
-from limbcli.stages.mesh_study import study_site
-from limbcli.stages.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
+from limbcli.stages.provenance.asked import asked_of
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, measured_skin_bone
+from limbcli.stages.site_model.mesh_inputs import MeshInputs
+from limbcli.stages.site_model.mesh_study import study_site
+from limbcli.stages.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
 
 
 def mesh(
@@ -183,7 +183,7 @@ def _mesh_site(
 
 
 def _tell_layers(
-    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: Quality
+    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: MeshQuality
 ) -> None:
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
     writer.data["layer_sources"] = sources

@@ -12,7 +12,7 @@ from limbcli.case import CASE_FILE
 from limbcli.case_schema import FILL_IN, plain_name
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
-from limbcli.faults import told
+from limbcli.faults import file_system_errors
 from limbcli.files import atomic_folder
 from limbcli.results import StageResult, provenance
 
@@ -45,7 +45,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
             with (target / path).open("x", encoding="utf-8") as stream:
                 stream.write(text)
 
-    with told(folder):
+    with file_system_errors(folder):
         _fill_empty(folder, fill) if folder.is_dir() else _fill_absent(folder, fill)
     return StageResult(
         stage="new",

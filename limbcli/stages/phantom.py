@@ -26,13 +26,13 @@ from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.measured_files import write_readings
-from limbcli.phantom.mri import Volume, acquire, tissue_fractions
+from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
-from limbcli.stages.kernels import compile_ahead
+from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.synth import (
     SiteMeasurement,
     SynthOptions,
@@ -127,14 +127,14 @@ def _places(names: tuple[str, ...]) -> tuple[Place, ...]:
 
 def _write_image(
     subject: Subject, work: Path, options: PhantomOptions, rng: np.random.Generator, progress: Progress
-) -> Volume:
+) -> SimulatedVolume:
     fractions = tissue_fractions(subject.anatomy, subject.grid, subject.limb_from_patient, progress=progress)
     volume = acquire(fractions, subject.grid, rng=rng)
     write_series(work / "mri", volume.signal, subject.grid, subject=options.subject_id, seed=options.seed)
     return volume
 
 
-def _write_geometry(subject: Subject, volume: Volume, work: Path) -> None:
+def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> None:
     """Truth label map and surfaces."""
     folder = work / TRUTH
     folder.mkdir()
@@ -208,7 +208,7 @@ def _write_case(
 def _result(
     folder: Path,
     subject: Subject,
-    volume: Volume,
+    volume: SimulatedVolume,
     measured: list[SiteMeasurement],
     options: PhantomOptions,
 ) -> StageResult:

@@ -8,13 +8,13 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.progress import SILENT, Progress
-from limbcli.reporting.assemble import embed, render, save_pictures
 from limbcli.reporting.outcome import Outcome
+from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.material import gather
 
 PAGE_FILE = "report.html"
 

@@ -18,11 +18,11 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
-from limbcli.stages.asked import asked_of_options
-from limbcli.stages.chain import Chain
-from limbcli.stages.run_files import leave_simulation
-from limbcli.stages.site_levels import levels_of
-from limbcli.stages.vtu import write_series
+from limbcli.stages.provenance.asked import asked_of_options
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.running.files import leave_simulation
+from limbcli.stages.running.vtu import write_series
+from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "run"
 FAILED = "-failed"

@@ -32,11 +32,11 @@ from limbcli.imaging.volume import Volume
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.asked import asked_of
-from limbcli.stages.chain_inputs import note_case
-from limbcli.stages.segment_assumed import from_assumed
-from limbcli.stages.segment_places import tell_places
-from limbcli.stages.segment_surfaces import check_limb, from_surfaces, write_surfaces
+from limbcli.stages.provenance.asked import asked_of
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.segmenting.assumed import from_assumed
+from limbcli.stages.segmenting.places import tell_places
+from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
 LABELS = "labels.nii.gz"

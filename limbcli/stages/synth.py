@@ -19,22 +19,22 @@ import numpy as np
 from limbcli.case import CASE_FILE, Case, Noise, Site
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, atomic_folder
-from limbcli.measurement.swe_prediction import Window
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.noise import Readings, measure
-from limbcli.phantom.protocol import Protocol, TrueLevels
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, stage_folder
 from limbcli.scratch import scratch_folder
-from limbcli.stages.chain import Chain
-from limbcli.stages.hidden import Hidden
-from limbcli.stages.indent import KnownTissue, indent
-from limbcli.stages.indentation_model import with_penalty
-from limbcli.stages.site_layers import MRI
-from limbcli.stages.synth_case import case_table, copy_imaging
+from limbcli.shear_waves.pixels import Window
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.simulated_subjects.hidden_effects import Hidden
+from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
+from limbcli.stages.simulated_subjects.synth_case import case_table, copy_imaging
+from limbcli.stages.site_model.indentation_model import with_penalty
+from limbcli.stages.site_model.site_layers import MRI
 from limbcli.version import __version__
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
@@ -63,7 +63,7 @@ class SynthOptions:
     margin: float | None = None
     same_mesh: bool = False
     contact_penalty: float | None = None
-    protocol: Protocol = field(default_factory=Protocol)
+    protocol: LoadingProtocol = field(default_factory=LoadingProtocol)
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.api.call import told
+from limbcli.api.call import records_call
 from limbcli.results import provenance
 
 
-@told
+@records_call
 def simulate(case: object, *, m: float = 1.0, progress: object = None) -> str:
     return str(provenance()["command"])
 
@@ -23,7 +23,7 @@ def test_a_result_of_a_call_says_the_call(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_call_that_fails_leaves_nothing_behind():
-    @told
+    @records_call
     def fail() -> None:
         raise ValueError
 

@@ -100,9 +100,9 @@ def test_every_function_tells_parameters_and_errors(name: str):
         return
     assert "Parameters\n----------" in text
     words = text.partition("Parameters\n----------")[2]
-    told = set(words.replace(",", " ").replace(":", " ").split())
+    records_call = set(words.replace(",", " ").replace(":", " ").split())
     others = "the others" in words
-    missing = [each for each in inspect.signature(found).parameters if each not in told]
+    missing = [each for each in inspect.signature(found).parameters if each not in records_call]
     assert others or not missing, f"{name} does not tell of {missing}"
 
 

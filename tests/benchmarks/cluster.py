@@ -26,7 +26,7 @@ from distributed import Client, LocalCluster
 
 from limbcli.progress import SILENT
 from limbcli.stages.batch_cluster import together
-from limbcli.stages.batch_outcome import BatchOptions
+from limbcli.stages.batching.outcome import BatchOptions
 from tests.benchmarks.small_case import write_case
 from tests.test_case_text import two_sites
 

@@ -53,11 +53,11 @@ def show(title: str, data: dict[str, Any], seconds: float) -> None:
         cells = []
         for key in ("c_muscle_kpa", "c_fat_kpa", "m"):
             value = own["population"][key]
-            told = (
+            reported = (
                 f"{value['geometric_mean']:.3g} ({value['low']:.3g} to {value['high']:.3g}) x/÷ "
                 f"{value['spread_factor']:.2f}"
             )
-            cells.append(value["beyond_family"] or told)
+            cells.append(value["beyond_family"] or reported)
         left = ", ".join(
             f"{100 * own['population'][key]['mean_shrinkage']:.0f} %"
             for key in ("c_muscle_kpa", "c_fat_kpa", "m")
@@ -77,12 +77,12 @@ def show(title: str, data: dict[str, Any], seconds: float) -> None:
             one["by_fat_thickness"].get(name)
             for name in ("2 to 4 mm", "4 to 8 mm", "8 to 15 mm", "15 mm and more")
         ]
-        told = [
+        reported = [
             f"{each['median_noise_deviations']:.1f} ({each['n_rows']})" if each else "–" for each in bands
         ]
         print(
             f"| {site} | {one['median_noise_deviations']:.1f} ({100 * one['share_beyond_2']:.0f} %) | "
-            f"{' | '.join(told)} |"
+            f"{' | '.join(reported)} |"
         )
     found = data["compliance_left_out"]
     print("\n| compliance of people left out, ten folds by person | mean absolute difference, % |")

@@ -21,8 +21,8 @@ from scipy.stats import qmc
 
 from limbcli.errors import SolveError
 from limbcli.inference import layered_solves as solves
-from limbcli.meshing.slab import Counts
-from limbcli.stages.cohort_family import STRAINS, Answer, Member, solve_member
+from limbcli.meshing.slab import CellCounts
+from limbcli.stages.cohorts.family import STRAINS, Answer, Member, solve_member
 
 FILE = Path(__file__).resolve().parents[2] / "limbcli" / "inference" / "layered_family.csv"
 COLUMNS = (
@@ -46,7 +46,7 @@ COLUMNS = (
 )
 LOW, HIGH = (ends[:-1] for ends in (solves.LOW, solves.HIGH))  # of all coordinates but the strain
 THICKEST_SKIN = 0.25  # of the whole
-MESHES = {"family": Counts(), "fine": Counts(4, 3, 2, 5, 1, 2, 2)}
+MESHES = {"family": CellCounts(), "fine": CellCounts(4, 3, 2, 5, 1, 2, 2)}
 FINE_STRAINS = (0.05, 0.12, 0.2)  # a finer mesh is there to tell what a mesh does; without derivatives
 SEED, HELD_OUT_SEED = 7, 11
 

@@ -22,16 +22,16 @@ import numpy as np
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model_io import load_model
 from limbcli.phantom.protocol import depth_at_force
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
-from limbcli.stages.fit_curves import ReferenceCurve
-from limbcli.stages.indentation_model import indentation_model
-from limbcli.stages.numerical_error import gain_deviation
+from limbcli.stages.fitting.force_curves import ReferenceCurve
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.1, 0.3, 0.05
@@ -60,7 +60,7 @@ def one_seed(seed, model, truth, forces, depths, gain):
     start = indentation_model(model, schedule(list(simulated)), c=c, f_kappa=100.0, m=2.0)
     clock, work = time.perf_counter(), time.process_time()
     curve = ReferenceCurve(start, c=c, threads=1)
-    memory = Memory(curve)
+    memory = SolvedPoints(curve)
     memory(START, (0, 1))
     cold, cold_work = time.perf_counter() - clock, time.process_time() - work
     steps = two_step(memory, curve.depths, data)

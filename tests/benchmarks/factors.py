@@ -25,8 +25,8 @@ import numpy as np
 import scipy.sparse as sparse
 
 from limbcli.errors import LimbError
-from limbcli.fem import linear
-from limbcli.fem.singular import singular
+from limbcli.fem.linear_solvers import direct as linear
+from limbcli.fem.linear_solvers.singular import singular
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.solvers.reference import prepare
 
@@ -105,7 +105,7 @@ class Cholmod(Adapter):
 
 
 def maker(kind: str) -> Any:
-    """A stand-in for `linear.make`."""
+    """A surrogate for `linear.make`."""
     ours = linear.make
 
     def make(indptr: IntArray, indices: IntArray, **options: Any) -> Any:
@@ -127,17 +127,17 @@ def model_of(site: str, mesh: str, folder: Path) -> LimbModel:
 def measure(kind: str, site: str, mesh: str, folder: Path, *, whole: bool, threads: int) -> dict[str, Any]:
     linear.make = maker(kind)  # type: ignore[assignment]
     model = model_of(site, mesh, folder)
-    told: dict[str, Any] = {"solver": kind}
+    reported: dict[str, Any] = {"solver": kind}
     values, indptr, indices, last = matrix(site, mesh, folder, threads)
     before, clock = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
     solver = linear.make(indptr, indices, threads=threads, last=last)
     solver.factor(values)  # what is compiled or allocated at first
     solver.solve(np.ones(len(indptr) - 1))
-    told["analysis and first s"] = round(time.perf_counter() - clock, 2)
-    told["factor ms"] = round(1e3 * _best(lambda: solver.factor(values), 5), 1)
+    reported["analysis and first s"] = round(time.perf_counter() - clock, 2)
+    reported["factor ms"] = round(1e3 * _best(lambda: solver.factor(values), 5), 1)
     rhs = np.random.default_rng(7).standard_normal(len(indptr) - 1)
-    told["substitution ms"] = round(1e3 * _best(lambda: solver.solve(rhs), 9), 2)
-    told["grew by MB"] = round((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+    reported["substitution ms"] = round(1e3 * _best(lambda: solver.solve(rhs), 9), 2)
+    reported["grew by MB"] = round((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
     solver.close()
     if whole:
         analysis = prepare(model, threads=threads, tolerance=TOLERANCE[mesh])
@@ -145,15 +145,15 @@ def measure(kind: str, site: str, mesh: str, folder: Path, *, whole: bool, threa
         try:
             analysis.run()
             counts = analysis.totals()
-            told |= {
+            reported |= {
                 "whole s": round(time.perf_counter() - clock, 1),
                 "whole cpu s": round(time.process_time() - cpu, 1),
                 "factorisations": counts.factorisations, "Krylov": counts.krylov,
                 "iterations": counts.iterations,
             }  # fmt: skip
         except LimbError as error:
-            told["whole s"] = error.what[:60]
-    return told
+            reported["whole s"] = error.what[:60]
+    return reported
 
 
 def matrix(site: str, mesh: str, folder: Path, threads: int) -> tuple[Array, IntArray, IntArray, IntArray]:

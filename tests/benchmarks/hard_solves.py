@@ -42,7 +42,12 @@ from limbcli.progress import SILENT
 from limbcli.solvers.reference import prepare
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, softer_jumps
 from limbcli.stages.diagnosis.prepare import size_for
-from limbcli.stages.indentation_model import TISSUE, indentation_model, starting_depth, with_penalty
+from limbcli.stages.site_model.indentation_model import (
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
@@ -128,8 +133,8 @@ def site_names() -> list[str]:
 
 def meshed(site: str, mesh: str, folder: Path) -> tuple[LimbModel, float]:
     """The site's model, and the thickness of tissue under the probe (mm); kept in the folder."""
-    path, told = folder / f"{site}-{mesh}.npz", folder / f"{site}-{mesh}.json"
-    if not told.is_file():
+    path, reported = folder / f"{site}-{mesh}.npz", folder / f"{site}-{mesh}.json"
+    if not reported.is_file():
         case = Case.open(SITES / site)
         files = [
             SITES / site / "surfaces" / name
@@ -149,8 +154,8 @@ def meshed(site: str, mesh: str, folder: Path) -> tuple[LimbModel, float]:
         if mesh == "coarse":
             found = make(Sizes(under_probe=size_for(thickness), far=14.0))
         save_model(found.model, path)
-        told.write_text(json.dumps({"thickness_mm": thickness}))
-    return load_model(path), float(json.loads(told.read_text())["thickness_mm"])
+        reported.write_text(json.dumps({"thickness_mm": thickness}))
+    return load_model(path), float(json.loads(reported.read_text())["thickness_mm"])
 
 
 def built(row: Row, mesh: str, folder: Path) -> tuple[LimbModel, float]:
@@ -193,16 +198,16 @@ def solve(
     def visit(_: Analysis, found: Snapshot) -> None:
         reached.append((float(-found.forces.bodies[0, 2]), found.forces.worst))
 
-    told: dict[str, Any] = {"name": row.name, "extra": row.extra, "depth_mm": round(depth, 2)}
+    reported: dict[str, Any] = {"name": row.name, "extra": row.extra, "depth_mm": round(depth, 2)}
     start, cpu = time.perf_counter(), time.process_time()
     analysis = prepare(model, SILENT.also(Watch(limit_s)), threads=threads, tolerance=tolerance)
     try:
         analysis.run(visit)
-        told["ended"] = True
+        reported["ended"] = True
     except LimbError as error:
-        told |= {"ended": False, "why": error.what, "where": error.where}
+        reported |= {"ended": False, "why": error.what, "where": error.where}
     counts = analysis.totals()
-    told |= {
+    reported |= {
         "levels": len(reached), "reached_mm": round(depth * len(reached) / max(len(_levels(model)), 1), 2),
         "equations": analysis.system.n_unknowns, "factorisations": counts.factorisations,
         "krylov": counts.krylov, "iterations": counts.iterations, "residuals": counts.residuals,
@@ -211,15 +216,15 @@ def solve(
         "worst": round(reached[-1][1], 3) if reached else None,
     }  # fmt: skip
     analysis.close()
-    return told
+    return reported
 
 
 def _levels(model: LimbModel) -> list[float]:
-    from limbcli.fem.levels import step_times
+    from limbcli.fem.equilibrium.solve_times import step_times
 
     step = model.steps[0]
-    rubs = any(each.friction for each in model.contacts)
-    return step_times(step, every=rubs)
+    has_friction = any(each.friction for each in model.contacts)
+    return step_times(step, every=has_friction)
 
 
 def read(path: Path) -> dict[str, dict[str, Any]]:

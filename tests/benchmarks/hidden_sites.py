@@ -23,12 +23,12 @@ from limbcli.case import Case
 from limbcli.effects import effect
 from limbcli.errors import LimbError
 from limbcli.phantom.measured_files import write_readings
-from limbcli.phantom.protocol import Protocol
+from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
-from limbcli.stages.hidden import hide
-from limbcli.stages.indent import KnownTissue
 from limbcli.stages.run import run
+from limbcli.stages.simulated_subjects.hidden_effects import hide
+from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.synth import SiteMeasurement, SynthOptions, measure_sites, read_off
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
@@ -42,7 +42,7 @@ def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list
     source = Case.open(options.truth or options.case)
     hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
     how = SynthOptions(
-        tissue=TISSUE, hidden=hidden, protocol=Protocol(max_force=options.max_force_n), margin=50.0,
+        tissue=TISSUE, hidden=hidden, protocol=LoadingProtocol(max_force=options.max_force_n), margin=50.0,
         size=options.size_mm, far_size=3 * options.size_mm, contact_penalty=options.contact_penalty,
     )  # fmt: skip
     chosen = source.selected(options.site)
@@ -132,9 +132,9 @@ def main() -> None:
             with store.open("a") as stream:
                 stream.write(json.dumps(row) + "\n")
             print(json.dumps(row), flush=True)
-    told = [r for r in rows if "verdict" in r]
-    real = [r for r in told if r["truth"]]
-    print(f"nothing missing: {[r['verdict'] for r in told if not r['truth']]}")
+    reported = [r for r in rows if "verdict" in r]
+    real = [r for r in reported if r["truth"]]
+    print(f"nothing missing: {[r['verdict'] for r in reported if not r['truth']]}")
     for word in ("named", "ambiguous", "unexplained", "adequate", "untestable"):
         these = [r for r in real if r["verdict"] == word]
         inside = sum(r["truth"] in r["set"] for r in these)

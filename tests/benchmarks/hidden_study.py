@@ -9,7 +9,6 @@ those of tests/diagnostics/hidden_cases.py.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -25,12 +24,10 @@ PAIRS = (("force-zero", "swe-guided-wave"), ("depth-zero", "anisotropy"), ("forc
 
 
 def _cases():
-    if "hidden_cases" not in sys.modules:
-        path = Path(__file__).resolve().parents[1] / "diagnostics" / "hidden_cases.py"
-        spec = importlib.util.spec_from_file_location("hidden_cases", path)
-        sys.modules["hidden_cases"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["hidden_cases"])
-    return sys.modules["hidden_cases"]
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # run as a script
+    from tests.diagnostics import hidden_cases
+
+    return hidden_cases
 
 
 def arms(sizes: dict[str, dict[str, float]]) -> list[tuple[str, dict[str, dict[str, float]]]]:

@@ -3,7 +3,7 @@
     python tests/benchmarks/joint_coverage.py FIT.npz TRUTH.npz --seeds 100 --out joint.jsonl
 
 Both are a site's mesh as `limbcli mesh` leaves it. The simulated levels lie at fixed
-depths, so all seeds share the simulations; a seed costs its own fit on the stand-ins
+depths, so all seeds share the simulations; a seed costs its own fit on the surrogates
 and now and then one simulation more. Seeds already in the file are skipped.
 """
 
@@ -20,13 +20,13 @@ import numpy as np
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.joint import JointTask, SiteData, joint_fit
-from limbcli.inference.prediction import Memory
+from limbcli.inference.joint import JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.model_io import load_model
-from limbcli.stages.fit_curves import LawCurve
-from limbcli.stages.fit_laws import LAWS
-from limbcli.stages.indentation_model import indentation_model
-from limbcli.stages.numerical_error import gain_deviation
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0
@@ -56,7 +56,7 @@ def one_seed(seed, memory, knots, truth, forces, depths, speeds, gain):
     depth = depths + DEPTH_SD * rng.standard_normal(len(forces)) * (forces > 0)
     speed = speeds + SPEED_SD * rng.standard_normal(len(forces))
     loaded = (depth > 0) & (force > 0)
-    data = SiteData(
+    data = SiteMeasurement(
         "site", knots, force[loaded], depth[loaded], FORCE_SD, DEPTH_SD, np.maximum(force, 0.0), speed,
         np.full(len(speed), SPEED_SD), gain,
     )  # fmt: skip
@@ -92,7 +92,7 @@ def main():
     print(f"{len(forces)} levels to {forces[-1]:g} N at {depths[-1]:.2f} mm", file=sys.stderr)
     model = load_model(given.model)
     curve = law_curve(model, truth["c"], np.linspace(0.08, 1.1, 9) * depths[-1])
-    memory = Memory(curve)
+    memory = SolvedPoints(curve)
     for shape in ((100.0, 2.0), (10.0, 2.0), (100.0, 4.0)):
         memory(np.array(shape), (0, 1))
     rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []

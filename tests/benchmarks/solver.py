@@ -39,7 +39,7 @@ def measure(path: Path, threads: int) -> dict[str, object]:
     """One solve without derivatives, then the cost of one parameter at every level."""
     from limbcli.feb.read import read_feb
     from limbcli.fem.analysis import Analysis, Snapshot
-    from limbcli.fem.sensitivity import LawParameter, sensitivities
+    from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
     from limbcli.solvers.reference import prepare
 
     model = read_feb(path)

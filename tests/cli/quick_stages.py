@@ -21,7 +21,7 @@ from typing import Any
 from limbcli.case import Case, Site
 from limbcli.errors import MeshError
 from limbcli.results import open_stage, read_result
-from limbcli.stages.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import note_case
 
 FILES = {"report": "report.html", "build-feb": "model.feb"}
 STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
@@ -40,7 +40,7 @@ def in_one_place(case: Case, sites: Sequence[Site], *, out: Path) -> list[list[S
     return [[each] for each in sites] if (case.folder / "apart").exists() else [list(sites)]
 
 
-def told(case: Path, word: str, label: str) -> None:
+def reported(case: Path, word: str, label: str) -> None:
     handle = os.open(case / "log.txt", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     os.write(handle, f"{word} {label} {os.getpid()}\n".encode())
     os.close(handle)
@@ -68,7 +68,7 @@ def quick(stage: str) -> Any:
         for site in sites:
             label = f"{stage} {site}" if site else stage
             progress.event("stage", name=stage, site=site)
-            told(case.folder, "begin", label)
+            reported(case.folder, "begin", label)
             with open_stage(out, stage, subject=case.subject, site=site) as writer:
                 writer.file("half", "half.txt").write_text("the first half")
                 befalls(case.folder, label)
@@ -79,7 +79,7 @@ def quick(stage: str) -> Any:
                 if stage in EARLIER:
                     before = read_result(out, EARLIER[stage], site=None if stage == "mesh" else site)
                     writer.used_result(before, files=["text"])
-            told(case.folder, "end", label)
+            reported(case.folder, "end", label)
 
     return work
 

@@ -28,7 +28,8 @@ from distributed import Client, LocalCluster
 
 import limbcli
 from limbcli.cli.app import main
-from limbcli.stages import batch_cluster, cluster
+from limbcli.stages import batch_cluster
+from limbcli.stages.batching import cluster
 from tests.benchmarks.left_behind import contents, strays
 from tests.test_case_text import two_sites
 
@@ -103,10 +104,10 @@ def ended(number: str, *, within_s: float = 30.0) -> bool:
 def test_every_part_is_done_once_by_two_processes_and_then_nothing(workers, tmp_path: Path, capsys):
     several = cases(tmp_path, "a", "b")
     assert batch(workers, *several, "--out", tmp_path / "out") == 0
-    told = capsys.readouterr()
-    assert re.search(r"2 worker processes; dashboard: http", told.err)
-    assert re.search(r"a: done", told.err)
-    assert told.out.splitlines()[-1].endswith("index.html")
+    reported = capsys.readouterr()
+    assert re.search(r"2 worker processes; dashboard: http", reported.err)
+    assert re.search(r"a: done", reported.err)
+    assert reported.out.splitlines()[-1].endswith("index.html")
     processes = set()
     for case in several:
         assert left(tmp_path / "out" / case.name) == ALL
@@ -211,10 +212,10 @@ def test_an_interrupted_batch_ends_at_once_and_leaves_no_process(tmp_path: Path)
         assert process.poll() is None
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    told = process.communicate(timeout=300)[1]  # nobody waits for the part to end
+    reported = process.communicate(timeout=300)[1]  # nobody waits for the part to end
     assert process.returncode == 130
-    assert "interrupted; nothing half-written was kept" in told
-    assert "Traceback" not in told
+    assert "interrupted; nothing half-written was kept" in reported
+    assert "Traceback" not in reported
     assert ended(at.read_text())
     assert "run/p2" not in left(out)
     assert not list((tmp_path / "scratch").iterdir())
@@ -228,15 +229,15 @@ def test_who_failed_where_and_why_is_listed_and_stops_nobody(workers, tmp_path: 
     (several[4] / "p1.csv").unlink()
     out = tmp_path / "out"
     assert batch(workers, *several, tmp_path / "nowhere", "--out", out) == 70
-    told = capsys.readouterr().err
-    listed = told[told.index("cases failed:") :]
-    assert told.count("5 of 6 cases failed") == 1
+    reported = capsys.readouterr().err
+    listed = reported[reported.index("cases failed:") :]
+    assert reported.count("5 of 6 cases failed") == 1
     assert "mesh p2: no skin under the probe\n      where: mesh p2\n      fix:   move it" in listed
     assert "of all things" in listed
     assert "mesh p1: every process that worked on it was lost (2 in turn)" in listed
     assert "p1.csv" in listed
     assert "there is no case folder" in listed
-    assert "Traceback" not in told
+    assert "Traceback" not in reported
     gone = {"foreseen": 4 * ["p2"], "crash": 4 * ["p1"], "fault": ["fit/p1"], "fine": []}
     for name, missing in gone.items():
         found = left(out / name)
@@ -302,15 +303,15 @@ def test_a_worker_with_other_code_is_refused_before_anything_begins(workers, tmp
     monkeypatch.setattr(cluster, "code_hash", lambda: "0123456789")
     case = two_sites(tmp_path / "a")
     assert batch(workers, case, "--out", tmp_path / "out") == 4
-    told = capsys.readouterr().err
-    assert "2 of 2 workers may not be used" in told
-    assert "with other sources" in told
+    reported = capsys.readouterr().err
+    assert "2 of 2 workers may not be used" in reported
+    assert "with other sources" in reported
     assert not (case / "log.txt").exists()
 
 
 def _change(code: str) -> str:
     """On a worker: the hash of its sources, until it is put back; returns the one before."""
-    from limbcli.stages import cluster
+    from limbcli.stages.batching import cluster
 
     before = cluster.code_hash()
     cluster.code_hash = lambda: code  # type: ignore[assignment]
@@ -330,8 +331,8 @@ def test_a_worker_that_comes_later_with_other_code_refuses_and_the_others_do_it(
     monkeypatch.setattr(cluster, "refuse_unlike", and_then_one_changes)
     several = cases(tmp_path, "a", "b")
     assert batch(workers, *several, "--out", tmp_path / "out") == 0
-    told = capsys.readouterr().err
-    assert told.count("a worker refused the work: it has limbcli") == 1
+    reported = capsys.readouterr().err
+    assert reported.count("a worker refused the work: it has limbcli") == 1
     assert [left(tmp_path / "out" / each.name) for each in several] == [ALL, ALL]
     processes = {line.split()[-1] for case in several for line in (case / "log.txt").read_text().splitlines()}
     assert len(processes) == 1
@@ -352,9 +353,9 @@ def test_no_scheduler_and_no_dask_are_told(tmp_path: Path, capsys, monkeypatch):
         with pytest.raises(SystemExit) as stop:
             main(["batch", str(case), "--out", str(tmp_path / "out"), *words])
         assert stop.value.code == 4
-        told = capsys.readouterr().err
-        assert "limbcli[cluster]" in told
-        assert words[0] in told
+        reported = capsys.readouterr().err
+        assert "limbcli[cluster]" in reported
+        assert words[0] in reported
 
 
 def test_two_cases_are_never_given_one_output_folder(tmp_path: Path, capsys):

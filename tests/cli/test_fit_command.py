@@ -61,9 +61,9 @@ def test_what_cannot_be_done_is_refused_with_a_fix(case: Path, capsys, arguments
     with pytest.raises(SystemExit) as stopped:
         main(["fit", str(case), "--out", str(case / "out"), "--quiet", *arguments])
     assert stopped.value.code == code
-    told = capsys.readouterr().err
-    assert fix in told
-    assert "Traceback" not in told
+    reported = capsys.readouterr().err
+    assert fix in reported
+    assert "Traceback" not in reported
     assert not list((case / "out").rglob("fit*.json"))
 
 

@@ -48,9 +48,9 @@ def test_commands_without_out_are_those():
 
 def test_commands_name_the_case_and_the_output_folder():
     error = CaseError("a", where="b", fix="run `limbcli mesh CASE --site p1` first, or `limbcli check CASE`")
-    told = pasted(error, Path("/data/my case"), Path("results"))
-    assert "`limbcli mesh '/data/my case' --site p1 --out results`" in told.fix
-    assert "`limbcli check '/data/my case'`" in told.fix
+    reported = pasted(error, Path("/data/my case"), Path("results"))
+    assert "`limbcli mesh '/data/my case' --site p1 --out results`" in reported.fix
+    assert "`limbcli check '/data/my case'`" in reported.fix
     assert pasted_text("limbcli batch CASE --out out/x", Path("S1"), Path("other")).endswith("--out out/x")
 
 
@@ -70,10 +70,10 @@ def test_problems_carry_what_can_be_pasted():
 def test_option_of_another_command_is_told_with_that_command(tmp_path: Path):
     folder = two_sites(tmp_path / "S1")
     error = SolveError("a", where="b", fix="run again with --time-limit-s, or use --element tet4")
-    told = for_command_line(error, ["run", str(folder)], OPTIONS)
-    assert told.fix.endswith(f"(--element is an option of `limbcli mesh {folder}`)")
+    reported = for_command_line(error, ["run", str(folder)], OPTIONS)
+    assert reported.fix.endswith(f"(--element is an option of `limbcli mesh {folder}`)")
     assert for_command_line(error, ["mesh", str(folder)], OPTIONS).fix.count("--time-limit-s") == 2
-    assert isinstance(told, SolveError)
+    assert isinstance(reported, SolveError)
 
 
 def test_message_of_a_command_line_is_pasted(tmp_path: Path, capsys):

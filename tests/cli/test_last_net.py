@@ -46,9 +46,9 @@ def test_what_nobody_foresaw_is_a_message_with_a_file_to_send_in(tmp_path: Path,
     assert done.returncode == 70
     assert "Traceback" not in done.stdout + done.stderr
     assert "did not foresee (ZeroDivisionError: of all things)" in done.stderr
-    told = json.loads(done.stdout)
-    assert (told["error"], told["exit_code"]) == ("UnforeseenError", 70)
-    story = Path(told["where"])
+    reported = json.loads(done.stdout)
+    assert (reported["error"], reported["exit_code"]) == ("UnforeseenError", 70)
+    story = Path(reported["where"])
     assert story.name.startswith("limbcli-error-")
     assert "ZeroDivisionError" in story.read_text()
     assert "limbcli segment" in story.read_text()
@@ -96,6 +96,6 @@ def test_one_cases_unforeseen_fault_does_not_stop_the_batch(tmp_path: Path):
     )  # fmt: skip
     assert done.returncode == 70
     assert "2 of 2 cases failed" in done.stderr
-    told, listed = done.stderr.split("2 of 2 cases failed:")
-    assert told.count("of all things") == listed.count("of all things") == 2
+    reported, listed = done.stderr.split("2 of 2 cases failed:")
+    assert reported.count("of all things") == listed.count("of all things") == 2
     assert "Traceback" not in done.stderr

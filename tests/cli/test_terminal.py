@@ -44,7 +44,7 @@ def test_other_work_and_the_same_once_more_start_anew():
     assert left.words("b", 1, 10) == "", "begun again"
 
 
-def told(*events: tuple[str, dict]) -> list[str]:
+def reported(*events: tuple[str, dict]) -> list[str]:
     stream = io.StringIO()
     progress = terminal(stream=stream, verbose=1)
     for kind, facts in events:
@@ -53,7 +53,7 @@ def told(*events: tuple[str, dict]) -> list[str]:
 
 
 def test_a_level_says_of_which_solve_of_how_many():
-    lines = told(
+    lines = reported(
         ("newton", {**NEWTON, "step": 7}),
         ("solve", {"number": 3, "at_most": None}),
         ("newton", {**NEWTON, "step": 7}),

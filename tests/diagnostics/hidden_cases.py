@@ -6,29 +6,27 @@ library has a simpler form, another form of the effect.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
+from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.heldout import fell
-from limbcli.diagnostics.nextstep import best_step
+from limbcli.diagnostics.statistical_tests.heldout import fell
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.menu import ROTATE, items
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
-from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import site_data
+from limbcli.stages.diagnosis.forward_model.measurement_menu import ROTATE, items
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from tests.diagnostics import reduced
 
 USUAL = (6.5, 4.0)  # c in kPa, m
 C_KPA_BETWEEN, M_BETWEEN = (4.0, 10.0), (1.5, 12.0)  # where every case has a tissue of its own
@@ -38,17 +36,6 @@ LARGEST = 2.0  # times the plausible size: skin is not steel
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 ALONG = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 Truth = Mapping[str, Mapping[str, float]]
-
-
-def _reduced():
-    if "reduced" not in sys.modules:
-        spec = importlib.util.spec_from_file_location("reduced", Path(__file__).with_name("reduced.py"))
-        sys.modules["reduced"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["reduced"])
-    return sys.modules["reduced"]
-
-
-reduced = _reduced()
 
 
 class Otherwise:
@@ -161,7 +148,7 @@ class Case:
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 
     def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 3):
-        bench = SiteBench.joint(curves or [self.curves(self.levels)])
+        bench = SiteForwardModel(curves or [self.curves(self.levels)])
         if len(bench.sites) == 1:
             bench.turned = self._turned
         return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose, max_effects=max_effects)
@@ -185,7 +172,7 @@ class Case:
         curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
         y = item.see(curves, reading, protocol)
         deviation = item.deviation(protocol, len(y))
-        extra = Extra(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
+        extra = ExtraMeasurement(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
         return name, self.diagnose(self.curves(self.levels, extras=[extra]), propose=False)
 
 
@@ -223,10 +210,12 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "set": [sorted(each) for each in found.confidence_set],
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "held_out_fell": fell(first.held_out, last.held_out),
-        "error": [case.error(each.values) for each in (found.shrink[0].told, found.told)],
-        "error_without_prior": [case.error(each.best) for each in (found.shrink[0].told, found.told)],
-        "values": [dict(each.values) for each in (found.shrink[0].told, found.told)],
-        "intervals": [dict(each.intervals) for each in (found.shrink[0].told, found.told)],
+        "error": [case.error(each.values) for each in (found.shrink[0].estimates, found.estimates)],
+        "error_without_prior": [
+            case.error(each.best) for each in (found.shrink[0].estimates, found.estimates)
+        ],
+        "values": [dict(each.values) for each in (found.shrink[0].estimates, found.estimates)],
+        "intervals": [dict(each.intervals) for each in (found.shrink[0].estimates, found.estimates)],
         "true": {"c_kpa": case.c_kpa, "m": case.m},
         "recommended": None,
         "set_after": None,

@@ -15,15 +15,16 @@ import numpy as np
 
 from limbcli.case import Noise
 from limbcli.effects.base import applied
-from limbcli.effects.frozen import Kinematics, frozen_force, frozen_speed
-from limbcli.effects.reading import Curves, Reading, read
+from limbcli.effects.curves import Curves
+from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.reading import Protocol as ReadProtocol
+from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.stages.diagnosis.curves.cells import volumes
-from limbcli.stages.diagnosis.curves.curves import fields
+from limbcli.stages.diagnosis.curves.ingredients import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 
 HEIGHT = 25.0
@@ -53,7 +54,9 @@ def block_model(nx: int = 9, ny: int = 6, nz: int = 6, *, height: float = HEIGHT
     )
 
 
-def kinematics(model: LimbModel, depth: np.ndarray, windows: Windows, *, spread: float = 1.0) -> Kinematics:
+def kinematics(
+    model: LimbModel, depth: np.ndarray, windows: Windows, *, spread: float = 1.0
+) -> SolvedDeformation:
     """The prescribed deformation: squeezed under the face, tapering beside it and a little in the depth."""
     height = float(-model.mesh.points[:, 2].min())
     at = model.mesh.points[model.mesh.block("tissue").cells].mean(axis=1)
@@ -68,7 +71,7 @@ def kinematics(model: LimbModel, depth: np.ndarray, windows: Windows, *, spread:
         gradients.append(F)
         places = at - np.outer((1 + at[:, 2] / height) * beside, [0, 0, d])
         seen.append(windows.seen(model, places, at, F, depth=float(d)))
-    return Kinematics(depth, np.array(gradients), volumes(model), tuple(seen))
+    return SolvedDeformation(depth, np.array(gradients), volumes(model), tuple(seen))
 
 
 @dataclass
@@ -111,7 +114,7 @@ class ReducedBook:
             self._laws[m] = self._with(m, ())
         return self._laws[m]
 
-    def _deformation(self, model: LimbModel) -> Kinematics:
+    def _deformation(self, model: LimbModel) -> SolvedDeformation:
         """Of one mesh, kept: it is prescribed."""
         if id(model.mesh) not in self._deformed:
             found = kinematics(model, self.depth, self.windows, spread=self.spread)

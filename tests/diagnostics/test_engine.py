@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections import Counter
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.candidates import Candidates, closes_gross
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
-from limbcli.diagnostics.sentences import sentences
-
-
-def _module(name: str):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-toy = _module("toy")
+from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
+from tests.diagnostics import toy
 
 
 def run(case, seed: int = 7, **more):
@@ -137,7 +124,7 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     """The one explanation that fits leaves something at the level of detection: perhaps it is not all."""
     case = toy.make(rng, {"wave": 6.0})
     assert run(case).verdict == "named"
-    monkeypatch.setattr("limbcli.diagnostics.engine.LEFT", 1.01)
+    monkeypatch.setattr("limbcli.diagnostics.thresholds.LEFT", 1.01)
     found = run(case)
     assert found.verdict == "ambiguous"
     assert found.confidence_set == (("wave",),)
@@ -179,8 +166,8 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
 )  # fmt: skip
 def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, speaks, needed):
     """Its score was not significant at the fit without effects, where sensitivities may tell little."""
-    ground = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
-    run = _Run(ground, 3, False)
+    baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
+    run = _Run(baseline, 3, False)
     run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
     fitted = SimpleNamespace(effect_names=("size",))

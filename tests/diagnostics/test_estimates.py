@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.estimates import LN_M_DEVIATION, USUAL_M, Conditional, reported
+from limbcli.diagnostics.model.estimates import LN_M_DEVIATION, USUAL_M, Conditional, reported
 
 BOUNDS = (1.0, 20.0)
 
@@ -17,12 +17,12 @@ def walk_on(deviance):
     return walk
 
 
-def told(deviance, start=5.0, scale=1.0):
+def estimates(deviance, start=5.0, scale=1.0):
     return reported(walk_on(deviance), {"m": start, "c_kpa": 6.0}, BOUNDS, scale=scale)
 
 
 def test_a_well_told_m_keeps_its_value_and_its_interval():
-    found = told(lambda x: 20 + ((x - np.log(8)) / 0.05) ** 2, start=8.0)
+    found = estimates(lambda x: 20 + ((x - np.log(8)) / 0.05) ** 2, start=8.0)
     assert found.values["m"] == pytest.approx(8.0, rel=0.01)
     low, high = found.intervals["m"]
     assert np.log([low / 8, high / 8]) == pytest.approx([-0.098, 0.098], abs=0.01)
@@ -33,7 +33,7 @@ def test_a_well_told_m_keeps_its_value_and_its_interval():
 def test_of_a_parabola_the_value_is_the_weighted_mean():
     """Two independent readings of ln m: weights 1/variance."""
     at, deviation = np.log(2.0), 0.5
-    found = told(lambda x: ((x - at) / deviation) ** 2, start=2.0)
+    found = estimates(lambda x: ((x - at) / deviation) ** 2, start=2.0)
     weights = np.array([deviation**-2, LN_M_DEVIATION**-2])
     expected = np.exp(weights @ [at, np.log(USUAL_M)] / weights.sum())
     assert found.values["m"] == pytest.approx(expected, rel=0.03)
@@ -44,7 +44,7 @@ def test_of_two_equal_minima_the_usual_one_is_told_and_both_are_in_the_interval(
     def two(x):
         return 25 + 8 * (np.sin(np.pi * (x - np.log(1.1)) / np.log(4 / 1.1))) ** 2 + 40 * max(x - 1.4, 0) ** 2
 
-    found = told(two, start=1.1)
+    found = estimates(two, start=1.1)
     assert found.values["m"] == pytest.approx(4.0, rel=0.15)
     low, high = found.intervals["m"]
     assert low == 1.0
@@ -56,6 +56,6 @@ def test_noise_of_unknown_level_widens_the_interval():
     def parabola(x):
         return 40 + ((x - np.log(4)) / 0.15) ** 2
 
-    narrow, wide = told(parabola, start=4.0), told(parabola, start=4.0, scale=4.0)
+    narrow, wide = estimates(parabola, start=4.0), estimates(parabola, start=4.0, scale=4.0)
     assert wide.intervals["m"][1] > 1.1 * narrow.intervals["m"][1]
     assert wide.intervals["c_kpa"][1] > narrow.intervals["c_kpa"][1]

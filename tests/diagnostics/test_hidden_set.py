@@ -5,23 +5,10 @@ Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): 
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
+from tests.diagnostics import hidden_cases as cases
 
-def _cases():
-    if "hidden_cases" not in sys.modules:
-        path = Path(__file__).with_name("hidden_cases.py")
-        spec = importlib.util.spec_from_file_location("hidden_cases", path)
-        sys.modules["hidden_cases"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["hidden_cases"])
-    return sys.modules["hidden_cases"]
-
-
-cases = _cases()
 ONCE = {
     "force-zero": {"force_zero_n": 0.9},
     "depth-zero": {"depth_zero_mm": 1.8},
@@ -96,7 +83,7 @@ def test_noise_stated_too_small_is_noticed():
 def test_two_effects_fit_no_worse_than_one_of_them():
     """Fits go on from those of their parts: from their usual starts these two ended five worse."""
     case = cases.Case("preload", {"preload": ONCE["preload"]}, 10, cases.COARSE, 1500)
-    bench = cases.SiteBench.joint([case.curves(case.levels)], verify=False)
+    bench = cases.SiteForwardModel([case.curves(case.levels)], verify=False)
     bench.fit((), {})
 
     def deviance(explanation):

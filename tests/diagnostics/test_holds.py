@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
 from limbcli.measurement.indentation import Levels, Trace
-from limbcli.stages.diagnosis.data.holds import STEP_S, held_forces, is_steady, relaxing, stretches
+from limbcli.stages.diagnosis.data.held_forces import STEP_S, held_forces, is_steady, relaxing, stretches
 
 DEPTHS = np.array([0.0, 3.0, 6.0, 9.0])
 HOLD_S, RAMP_S, RATE_HZ = 20.0, 1.0, 60.0

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,22 +10,13 @@ import pytest
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.joint import joined, slices
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.site_data import site_data
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from tests.diagnostics import reduced
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 CANDIDATES = ("force-zero", "force-gain", "anisotropy", "swe-time-scale", "skin-layer")
 # Patient from model: the limb's axis is the model's y, or (the probe along the limb) its x.
 ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -72,7 +60,7 @@ def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
 
 
 def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
-    both = SiteBench.joint(
+    both = SiteForwardModel(
         [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]
     )
     assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
@@ -85,7 +73,7 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
 @pytest.mark.slow
 def test_an_offset_in_one_measurement_is_found_there(rng):
     offset = measurement(rng, ALONG, reading=Reading(force_zero=1.2))
-    both = SiteBench.joint([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
+    both = SiteForwardModel([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
     found = diagnose(both, n_draws=1500, propose=False)
     assert ("force-zero",) in found.confidence_set
     fitted = next(r.fitted for r in found.refits if r.explanation == ("force-zero",))
@@ -98,8 +86,8 @@ def test_turning_the_probe_tells_fibres_from_another_time_scale_of_the_waves(rng
     """Across the fibres alone both make the force too high for the speeds; along them they part."""
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.2, "fibre_tension_per_c": 0.4}),)
     first = measurement(rng, ACROSS, fibres)
-    alone = diagnose(SiteBench.joint([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
-    both = SiteBench.joint([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
+    alone = diagnose(SiteForwardModel([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
+    both = SiteForwardModel([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
     together = diagnose(both, n_draws=1500, propose=False)
     assert ("anisotropy",) in together.confidence_set
     assert ("swe-time-scale",) not in together.confidence_set

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,27 +11,20 @@ import pytest
 from limbcli.case import Noise
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
+from limbcli.effects.curves import Curves, continued
 from limbcli.effects.places import Places
-from limbcli.effects.reading import Curves, Protocol, continued, read
+from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.curves.curves import CurveBook
-from limbcli.stages.diagnosis.data.data import site_data
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
+from limbcli.stages.diagnosis.data.site_data import site_data
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import diagnosis_json, gap_picture
-from limbcli.stages.layer_readings import LayerReadings
+from limbcli.stages.site_model.layer_readings import LayerReadings
+from tests.diagnostics import reduced
 from tests.stages import block_case
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 REST = np.array([1.5, 8.0])
 NOISE = replace(reduced.NOISE, layer=0.1)
 CANDIDATES = ("force-zero", "depth-zero", "adipose-layer", "thickness", "skin-layer", "swe-guided-wave")
@@ -71,10 +62,10 @@ def measured(rng, ingredients=()):
     )
 
 
-def bench(levels, layers, names=CANDIDATES) -> SiteBench:
+def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
     book = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
     site = site_data("p1", levels, NOISE, windows=book.windows, layers=layers)
-    return SiteBench(site, book, [effect(name) for name in names])
+    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
@@ -177,7 +168,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
     book = CurveBook(layered_block, depths, c=0.006, threads=1, borders=BorderLines(seen))
     site = site_data("p1", levels, noise, windows=book.windows, layers=seen)
-    the_bench = SiteBench(site, book, [effect("adipose-layer")])
+    the_bench = SiteForwardModel([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
     book.close()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics import multiple_testing as calibrate
-from limbcli.diagnostics.confidence_set import Refit
-from limbcli.diagnostics.form_error import form_allowances
-from limbcli.diagnostics.forward_model import Data, Fitted
-from limbcli.diagnostics.linear import Whitener
-from limbcli.diagnostics.noise import Noise, independent
-from limbcli.diagnostics.score import Direction, Score
+from limbcli.diagnostics.model.forward_model import Data, Direction, Fitted
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.noise import Noise, independent
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.form_error import form_allowances
+from limbcli.diagnostics.statistical_tests import multiple_testing as calibrate
+from limbcli.diagnostics.statistical_tests.score import Score
 from limbcli.effects import effect
 from limbcli.effects.places import Places
 from limbcli.measurement.map_noise import PixelNoise

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.errors import CaseError
-from limbcli.stages.diagnosis.bench.menu import items, known
+from limbcli.stages.diagnosis.forward_model.measurement_menu import items, known
 
 DEPTH = np.linspace(0, 10, 11)
 CURVES = Curves(DEPTH, 0.2 * DEPTH**1.5, np.zeros((11, 0)), np.zeros(0), 30.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.noise import Noise, independent
-from limbcli.diagnostics.noise_scale import likeliest_share
+from limbcli.diagnostics.model.noise import Noise, independent
+from limbcli.diagnostics.model.noise_scale import likeliest_share
 
 N = 400
 BESIDE = "beside"

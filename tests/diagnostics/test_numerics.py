@@ -7,11 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves, continued, log_force_at
+from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.bench.changes import filled
-from limbcli.stages.diagnosis.curves.curves import FIRST_M
-from limbcli.stages.diagnosis.mesh_doubt.numerics import Intervention, Numerics, measured_slope, too_doubtful
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.forward_model.changes import filled
+from limbcli.stages.diagnosis.mesh_doubt.interventions import (
+    Intervention,
+    Numerics,
+    measured_slope,
+    too_doubtful,
+)
 
 
 def curve(power: float) -> Curves:
@@ -89,6 +94,6 @@ def test_doubt_that_is_a_large_part_of_the_force_is_warned_of():
         return Intervention(name, np.array([0.0, change]), np.zeros((2, 0)), 1.0)
 
     assert too_doubtful([tried("contact", -0.12), tried("locking", 0.9)]) is None
-    told = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
-    assert told is not None
-    assert "contact 35 %, f-kappa 25 %" in told
+    estimates = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
+    assert estimates is not None
+    assert "contact 35 %, f-kappa 25 %" in estimates

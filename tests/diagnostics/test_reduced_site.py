@@ -2,43 +2,31 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.baseline_fit import BaselineFit
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.sentences import sentences
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.bench.changes import logs
-from limbcli.stages.diagnosis.data.data import site_data
 from limbcli.stages.diagnosis.data.noise import ModelError
+from limbcli.stages.diagnosis.data.site_data import site_data
+from limbcli.stages.diagnosis.forward_model.changes import logs
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
+from tests.diagnostics import reduced
 
-
-def _module(name: str):
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-reduced = _module("reduced")
 CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-scale", "swe-guided-wave",
               "viscoelasticity", "poroelasticity", "support-motion")  # fmt: skip
 
 
-def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteBench:
+def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteForwardModel:
     book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
     site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
-    return SiteBench(site, book, [effect(name) for name in names])
+    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
 
 
 def true_book():
@@ -206,7 +194,7 @@ def of_the_block(measured) -> ModelError:
 def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
     """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
     the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
-    monkeypatch.setattr("limbcli.stages.diagnosis.bench.fits.WITHIN", 12.0)
+    monkeypatch.setattr("limbcli.diagnostics.thresholds.WITHIN", 12.0)
     the_bench.fit((), {})
     ran = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 2.9995})[1]
     usual = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 1.0})[0]
@@ -221,14 +209,14 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
     the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
     base = the_bench.fit((), {})
-    ground = BaselineFit(the_bench, base, 7, 500)
+    baseline = BaselineFit(the_bench, base, 7, 500)
     fitted = the_bench.fit(("anisotropy",), {})
     widths = []
-    for besides in (None, ground.form_error(fitted)):
+    for besides in (None, baseline.form_error(fitted)):
         low, high = the_bench.reported(fitted, besides=besides).intervals["m"]
         widths.append(np.log(high / low))
     assert widths[1] > 1.05 * widths[0]
-    assert not ground.form_error(base).any()
+    assert not baseline.form_error(base).any()
 
 
 def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):

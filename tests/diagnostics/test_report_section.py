@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.sentences import sentences
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
 from limbcli.stages.diagnosis.report import (
@@ -20,20 +17,11 @@ from limbcli.stages.diagnosis.report import (
     gap_picture,
     sizes_picture,
 )
-
-
-def _reduced():
-    if "test_reduced_site_module" not in sys.modules:
-        path = Path(__file__).with_name("test_reduced_site.py")
-        spec = importlib.util.spec_from_file_location("test_reduced_site_module", path)
-        sys.modules["test_reduced_site_module"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["test_reduced_site_module"])
-    return sys.modules["test_reduced_site_module"]
+from tests.diagnostics import test_reduced_site as reduced
 
 
 @pytest.mark.slow
 def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
-    reduced = _reduced()
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
     found = diagnose(bench, n_draws=1000)
     with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:

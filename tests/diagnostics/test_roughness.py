@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.forward_model import Data
-from limbcli.diagnostics.linear import LinearFit, Whitener
-from limbcli.diagnostics.noise import Noise, independent
-from limbcli.diagnostics.roughness import roughness
+from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import Noise, independent
+from limbcli.diagnostics.statistical_tests.roughness import roughness
 
 N_LEVELS, PARTS = 9, 4
 
@@ -21,10 +21,10 @@ def data(y: np.ndarray, *, by_part: bool) -> Data:
 
 
 def found(y: np.ndarray, *, by_part: bool):
-    told = data(y, by_part=by_part)
-    whiten = Whitener.of(told.noise.covariance)
+    estimates = data(y, by_part=by_part)
+    whiten = Whitener.of(estimates.noise.covariance)
     state = LinearFit.of(whiten(y), np.ones((len(y), 1)))
-    return roughness(state, whiten, series=told.all_series(), order=told.order)
+    return roughness(state, whiten, series=estimates.all_series(), order=estimates.order)
 
 
 def test_parts_that_differ_smoothly_are_no_scatter(rng):

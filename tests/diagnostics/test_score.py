@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnostics.linear import LinearFit
-from limbcli.diagnostics.multiple_testing import score_family
-from limbcli.diagnostics.score import Direction, Trial, cone_projection, cosine, score, statistics
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
+from limbcli.diagnostics.statistical_tests.score import Trial, cone_projection, cosine, score, statistics
 
 
 def _state(rng, n=20, p=2):

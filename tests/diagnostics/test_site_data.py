@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from limbcli.case import Noise
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.data.data import site_data
-from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.noise import ModelError, deepest, depth_slopes
+from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.data.windows import Windows
 
 N = 6

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnostics.estimates import Reported
-from limbcli.diagnostics.forward_model import Data, Explanation, Facts, Fitted, Proposal
-from limbcli.diagnostics.noise import Noise, common, independent
-from limbcli.diagnostics.score import Direction
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Data, Direction, Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.model.noise import Noise, common, independent
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11

@@ -17,7 +17,7 @@ from limbcli import case_schema
 from limbcli.case import read_case
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
-from limbcli.fem import element
+from limbcli.fem.elements import element
 from limbcli.materials import laws
 from limbcli.stages.diagnose import load_effect
 
@@ -92,8 +92,8 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
-    told = set(re.findall(r"^\| `([^`]+)`", (REPOSITORY / "cases/README.md").read_text(), re.MULTILINE))
-    assert told == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
+    reported = set(re.findall(r"^\| `([^`]+)`", (REPOSITORY / "cases/README.md").read_text(), re.MULTILINE))
+    assert reported == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
 
 
 def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):

@@ -13,7 +13,8 @@ import limbcli.effects
 from limbcli.bodies import RigidBody
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.base import Effect
-from limbcli.effects.reading import Curves, Protocol, Reading, read
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb

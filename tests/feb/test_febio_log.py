@@ -62,15 +62,15 @@ def test_no_log_and_a_strange_log_raise(tmp_path: Path) -> None:
 def test_iterations_are_told_as_they_come(data: Path) -> None:
     reader = LogReader()
     lines = (data / "log-normal.txt").read_text().splitlines()
-    told = [each for each in map(reader.feed, lines) if each is not None]
-    assert len(told) == 12
-    where = [(each.step, each.time, each.number) for each in told[2:5]]
+    reported = [each for each in map(reader.feed, lines) if each is not None]
+    assert len(reported) == 12
+    where = [(each.step, each.time, each.number) for each in reported[2:5]]
     assert where == [
         (1, 0.25, 3),
         (2, 0.5, 1),
         (2, 0.5, 2),
     ]
-    assert told[0].worst() == (0.1, 1e-5)
+    assert reported[0].worst() == (0.1, 1e-5)
 
 
 # ---------------------------------------------------------------- records

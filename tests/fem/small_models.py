@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
-from limbcli.fem.element import _TET10_EDGES
+from limbcli.fem.elements.element import _TET10_EDGES
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, Domain, LimbModel, Material, Mesh, Step, Support, Surface
 

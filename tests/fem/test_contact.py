@@ -14,12 +14,12 @@ from limbcli.errors import SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.contact import make_pairs
-from limbcli.fem.newton import Settings
-from limbcli.fem.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
-from limbcli.fem.state import State
+from limbcli.fem.contacts.contact import make_pairs
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.motion.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.model import LimbModel, Support
 
 QUICK = Settings(tolerance=1e-8, threads=1)

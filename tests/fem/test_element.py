@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from small_models import block
 
-from limbcli.fem.element import reference_gradients, shape
-from limbcli.fem.quadrature import rule
+from limbcli.fem.elements.element import reference_gradients, shape
+from limbcli.fem.elements.quadrature import rule
 
 KINDS = ("tet4", "tet10", "hex8", "penta6", "tri3", "tri6", "quad4")
 

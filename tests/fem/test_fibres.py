@@ -8,8 +8,8 @@ import numpy as np
 from small_models import block
 
 from limbcli.bodies import Drive, RigidBody
+from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 from limbcli.materials.fiber import JUMP
 from limbcli.model import Material

@@ -13,12 +13,16 @@ from small_models import block, punch
 from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.field_derivatives import cell_field_derivatives, principal_changes, record_derivatives
-from limbcli.fem.fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
-from limbcli.fem.newton import Settings
-from limbcli.fem.parameters import BodyMotion, LawParameter, Parameter, Prestrain, Shape, Tied
-from limbcli.fem.rigid import rotation_matrix
-from limbcli.fem.sensitivity import sensitivities
+from limbcli.fem.derivatives.field_derivatives import (
+    cell_field_derivatives,
+    principal_changes,
+    record_derivatives,
+)
+from limbcli.fem.derivatives.fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
+from limbcli.fem.derivatives.parameters import BodyMotion, LawParameter, Parameter, Prestrain, Shape, Tied
+from limbcli.fem.derivatives.sensitivity import sensitivities
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.motion.rigid import rotation_matrix
 from limbcli.materials import compile_material, ogden_type
 from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, LogRecord, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession

@@ -10,12 +10,12 @@ from small_models import block, punch
 
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
-from limbcli.fem import friction_kernels
 from limbcli.fem.analysis import Analysis, Snapshot
-from limbcli.fem.newton import Settings
-from limbcli.fem.sensitivity import LawParameter, sensitivities
+from limbcli.fem.contacts import friction_kernels
+from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, LimbModel, Step, Support
 from limbcli.solvers.session import ReferenceSession

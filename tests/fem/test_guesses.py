@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.fem.guesses import extrapolate
+from limbcli.fem.equilibrium.first_guesses import extrapolate
 from limbcli.fem.system import System
 from limbcli.model import Curve
 

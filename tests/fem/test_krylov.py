@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.fem.krylov import gmres
-from limbcli.fem.singular import SingularMatrix
+from limbcli.fem.linear_solvers.krylov import gmres
+from limbcli.fem.linear_solvers.singular import SingularMatrix
 
 
 def test_solves_to_the_tolerance(rng: np.random.Generator) -> None:

@@ -10,8 +10,8 @@ import pytest
 from small_models import block
 
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.levels import step_times
-from limbcli.fem.newton import Settings
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.model import Curve, Step
 
 

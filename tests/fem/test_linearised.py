@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from small_models import punch
 
-from limbcli.fem.contact_reach import near_nodes
-from limbcli.fem.counts import Counts, Settings
-from limbcli.fem.linearised import Linearised
-from limbcli.fem.state import State, norm
+from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.equilibrium.linearised import Linearised
+from limbcli.fem.equilibrium.settings import Counts, Settings
+from limbcli.fem.motion.state import State, norm
 from limbcli.fem.system import System
 
 

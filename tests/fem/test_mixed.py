@@ -10,11 +10,11 @@ from small_models import block, punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.newton import Settings
-from limbcli.fem.state import State
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
-from limbcli.fem.warm import Solved, WarmStart, even_step
+from limbcli.fem.warm_start import Solved, WarmStart, even_step
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel, Support
 

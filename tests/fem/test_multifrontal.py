@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sparse
 
-from limbcli.fem import linear
-from limbcli.fem.linear import check_supported
-from limbcli.fem.multifrontal import Multifrontal
-from limbcli.fem.multifrontal.ordering import compress, minimum_degree, order
-from limbcli.fem.singular import SingularMatrix
+from limbcli.fem.linear_solvers import direct as linear
+from limbcli.fem.linear_solvers.direct import check_supported
+from limbcli.fem.linear_solvers.multifrontal import Multifrontal
+from limbcli.fem.linear_solvers.multifrontal.ordering import compress, minimum_degree, order
+from limbcli.fem.linear_solvers.singular import SingularMatrix
 
 ROUND_OFF = {True: 2e-4, False: 1e-9}  # of matrices with condition numbers of a few hundred
 

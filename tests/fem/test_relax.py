@@ -9,15 +9,15 @@ import pytest
 from small_models import block, punch
 
 from limbcli.errors import SolveError
-from limbcli.fem import load_stepping as march
-from limbcli.fem import newton
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.newton import Level, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium import load_stepping, newton, relaxation
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.relaxation import relax
+from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 
-LEVEL = Level(1, 1, 0.0)
+LEVEL = LoadStep(1, 1, 0.0)
 
 
 def test_drag_is_shear_modulus_times_volume() -> None:
@@ -46,7 +46,7 @@ def test_it_comes_to_rest_where_newtons_method_ends(f_kappa: float) -> None:
     expected = Analysis(model, Settings(tolerance=1e-9, threads=1)).run()[-1]
     system = System(model, threads=1)
     solver = Newton(system, Settings(tolerance=1e-9, threads=1))
-    found, forces = solver.relax(system.prescribed(system.start, 1.0), LEVEL)
+    found, forces = relax(solver, system.prescribed(system.start, 1.0), LEVEL)
     assert forces.error <= 1e-9
     np.testing.assert_allclose(found.u, expected.state.u, atol=1e-7)
     assert solver.linearised.drag == 0.0, "nothing is held back afterwards"
@@ -79,7 +79,7 @@ def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch
         return solve(self, guess, level, **options)
 
     monkeypatch.setattr(Newton, "equilibrate", fails)
-    monkeypatch.setattr(newton, "_RELAXED", 0)
+    monkeypatch.setattr(relaxation, "_RELAXED", 0)
     with pytest.raises(SolveError, match=r"there is an answer up to 0\.") as caught:
         Analysis(model, Settings(threads=1)).run()
     reached = caught.value.facts["reached_depth_mm"]
@@ -89,12 +89,12 @@ def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch
     with pytest.raises(SolveError) as caught:
         Analysis(model, Settings(threads=1)).run()
     assert "is about to turn inside out: volume ratio" in caught.value.where
-    assert march._LOOSE < 0.1
+    assert load_stepping._LOOSE < 0.1
 
 
 def test_friction_is_not_relaxed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What rubs depends on the way: strides of pseudo-time would be another way."""
+    """Friction depends on the way: increments of pseudo-time would be another way."""
     model = punch("tet4", depth=0.4, levels=1)
     model = replace(model, contacts=(replace(model.contacts[0], friction=0.2),))
-    monkeypatch.setattr(Newton, "relax", lambda *a, **k: pytest.fail("relaxed"))
+    monkeypatch.setattr(load_stepping, "relax", lambda *a, **k: pytest.fail("relaxed"))
     Analysis(model, Settings(tolerance=1e-6, threads=1)).run()

@@ -10,9 +10,9 @@ from small_models import punch
 
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
-from limbcli.fem.load_stepping import BRIEF_CUTS
-from limbcli.fem.standing import Standing
-from limbcli.fem.state import Forces, State
+from limbcli.fem.equilibrium.load_stepping import BRIEF_CUTS
+from limbcli.fem.equilibrium.stagnation import Stagnation
+from limbcli.fem.motion.state import Forces, State
 from limbcli.materials import ogden_type
 from limbcli.model import Array, LimbModel
 from limbcli.solvers.session import ReferenceSession
@@ -104,7 +104,7 @@ def test_a_run_ends_with_the_first_level_that_bears_enough():
 
 
 def test_what_iterations_no_longer_lessen_will_do_where_it_may_and_else_fails(monkeypatch):
-    monkeypatch.setattr("limbcli.fem.newton._ROUND_OFF", 0.0)
+    monkeypatch.setattr("limbcli.fem.equilibrium.newton._ROUND_OFF", 0.0)
     exact = ReferenceSession(punch(), threads=1, tolerance=1e-8)
     expected = exact.solve().must_points
     refused = ReferenceSession(punch(), threads=1, tolerance=1e-30)
@@ -118,13 +118,13 @@ def test_what_iterations_no_longer_lessen_will_do_where_it_may_and_else_fails(mo
 
 
 def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
-    def noted(*errors: float) -> Standing:
-        standing = Standing(5e-3)
+    def noted(*errors: float) -> Stagnation:
+        stagnation = Stagnation(5e-3)
         for k, error in enumerate(errors):
             state = State(float(k), np.zeros((1, 3)), ())
             residual = np.array([error])
-            standing.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
-        return standing
+            stagnation.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
+        return stagnation
 
     turns = noted(0.1, 2.7e-3, 1.95e-3, 2.71e-3, 1.951e-3)
     assert turns.goes_round

@@ -9,11 +9,11 @@ import pytest
 from small_models import punch
 
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.contact_points import GAP, TRACTION, WEIGHT
-from limbcli.fem.newton import Settings
-from limbcli.fem.pairs import rim_widths
+from limbcli.fem.contacts.contact_points import GAP, TRACTION, WEIGHT
+from limbcli.fem.contacts.pairs import rim_widths
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.model import LimbModel
 
 NARROW = 6.3  # mm: a plate whose rim lies on the block

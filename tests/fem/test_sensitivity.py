@@ -11,9 +11,7 @@ import pytest
 from small_models import punch
 
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.newton import Settings
-from limbcli.fem.rigid import rotation_matrix
-from limbcli.fem.sensitivity import (
+from limbcli.fem.derivatives.sensitivity import (
     BodyMotion,
     LawParameter,
     Parameter,
@@ -21,6 +19,8 @@ from limbcli.fem.sensitivity import (
     Shape,
     sensitivities,
 )
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.motion.rigid import rotation_matrix
 from limbcli.materials import ogden_type
 from limbcli.model import Curved, ElementMap, LimbModel, Material
 from limbcli.solvers.session import ReferenceSession

@@ -11,11 +11,11 @@ from small_models import block
 
 from limbcli.errors import MeshError, SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.fields import cell_fields, gauss_fields
-from limbcli.fem.newton import Settings
-from limbcli.fem.state import State
+from limbcli.fem.derivatives.fields import cell_fields, gauss_fields
+from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.fem.tangent import assemble
 from limbcli.materials import ogden_type
 from limbcli.materials.energy import energy_density
 from limbcli.model import LimbModel, Material, NodeMap, Support
@@ -130,8 +130,8 @@ def test_error_falls_at_the_element_rate(kind: str, rate: float) -> None:
 
 
 def _l2_error(system: System, u: np.ndarray, amplitude: float) -> float:
-    from limbcli.fem.element import shape
-    from limbcli.fem.quadrature import rule
+    from limbcli.fem.elements.element import shape
+    from limbcli.fem.elements.quadrature import rule
 
     group = system.groups[0]
     N, _ = shape(group.kind, rule("tet10")[0])
@@ -226,11 +226,11 @@ def test_free_block_is_a_singular_matrix_with_a_fix() -> None:
     assert "fix:" in str(caught.value)
 
 
-def test_impossible_load_stops_with_level_and_place() -> None:
-    """A block squeezed to less than nothing: steps are cut, then the error names level and place."""
+def test_impossible_load_stops_with_load_step_and_place() -> None:
+    """A block squeezed to less than nothing: steps are cut, then the error names load step and place."""
     model = block("tet4", (1, 1, 1))
     supports = (Support("z0", ("x", "y", "z")), Support("z1", ("z",), -1.5, "ramp"))
-    with pytest.raises(SolveError, match="level 1 of 1") as caught:
+    with pytest.raises(SolveError, match="load step 1 of 1") as caught:
         Analysis(replace(model, supports=supports), Settings(threads=1)).run()
     assert "mm" in str(caught.value)
     assert caught.value.facts["level"] == 1

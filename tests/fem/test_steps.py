@@ -10,7 +10,7 @@ from small_models import block
 
 from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.newton import Settings
+from limbcli.fem.equilibrium.newton import Settings
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Curve, LimbModel, Step, Support
 

@@ -1,4 +1,4 @@
-"""Makes the stand-in importable, however pytest was started."""
+"""Makes the surrogate importable, however pytest was started."""
 
 import importlib.util
 from pathlib import Path
@@ -8,9 +8,9 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def stand_in() -> ModuleType:
-    path = Path(__file__).with_name("stand_in.py")
-    spec = importlib.util.spec_from_file_location("limbcli_test_stand_in", path)
+def simulated() -> ModuleType:
+    path = Path(__file__).with_name("simulated.py")
+    spec = importlib.util.spec_from_file_location("limbcli_test_simulated", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

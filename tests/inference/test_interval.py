@@ -6,8 +6,8 @@ import pytest
 from limbcli.errors import SolveError
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.levenberg_marquardt import levenberg_marquardt
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.residual import Residual
 from limbcli.inference.two_step_fit import ForceDepth, two_step
@@ -16,19 +16,19 @@ DEPTH = np.linspace(0.0, 10.0, 12)
 C = 0.008
 
 
-def noisy(stand_in, truth, kind, seed):
+def noisy(simulated, truth, kind, seed):
     rng = np.random.default_rng(seed)
-    force = stand_in.force(DEPTH, C, *truth, kind) + 0.1 * rng.standard_normal(12)
+    force = simulated.force(DEPTH, C, *truth, kind) + 0.1 * rng.standard_normal(12)
     depth = DEPTH + 0.3 * rng.standard_normal(12)
     depth[0] = 0.0
     c = C * (1 + 0.05 * rng.standard_normal()) ** 2
     return ForceDepth(force, depth, 0.1, 0.3), c
 
 
-def intervals(stand_in, truth, kind, seed, **options):
-    data, c = noisy(stand_in, truth, kind, seed)
+def intervals(simulated, truth, kind, seed, **options):
+    data, c = noisy(simulated, truth, kind, seed)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, kind))
+    memory = SolvedPoints(simulated.curve(knots, c, kind))
     _, second = two_step(memory, knots, data)
     return force_intervals(memory, knots, data, Stiffness(c, 0.1), second.theta, **options), second
 
@@ -40,7 +40,7 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
     def objective(theta, derivative=True):
         return Residual(data - design @ theta, -design)
 
-    parameters = [Parameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
+    parameters = [FitParameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
     best = levenberg_marquardt(objective, parameters, tolerance=1e-8)
     deviation = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     found = profile_likelihood(objective, parameters, best, 1)
@@ -53,11 +53,11 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "truth", "n"), [("tet4", (150.0, 3.0), 12), ("tet10", (100.0, 3.0), 6)])
-def test_truth_is_covered_at_the_stated_rate(stand_in, kind, truth, n):
+def test_truth_is_covered_at_the_stated_rate(simulated, kind, truth, n):
     """95 % each: 2 misses among 12 (6) have a chance of 12 (3) %; more would be a fault."""
     inside = np.zeros(2)
     for seed in range(n):
-        found, _ = intervals(stand_in, truth, kind, seed)
+        found, _ = intervals(simulated, truth, kind, seed)
         inside += [
             found.profiles[k].low <= t <= found.profiles[k].high
             for k, t in zip(("f_kappa", "m"), truth, strict=True)
@@ -65,14 +65,14 @@ def test_truth_is_covered_at_the_stated_rate(stand_in, kind, truth, n):
     assert np.all(inside >= n - 2), inside
 
 
-def test_the_interval_agrees_with_one_on_the_true_model(stand_in):
-    """Twin: the stand-in of the stand-in against profiles with as many simulations as it likes."""
-    few, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0)
-    many, _ = intervals(stand_in, (150.0, 3.0), "tet4", 0, max_solves=0)
+def test_the_interval_agrees_with_one_on_the_true_model(simulated):
+    """Twin: the simulated of the simulated against profiles with as many simulations as it likes."""
+    few, _ = intervals(simulated, (150.0, 3.0), "tet4", 0)
+    many, _ = intervals(simulated, (150.0, 3.0), "tet4", 0, max_solves=0)
     assert few.n_solves > 0 == many.n_solves
-    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     for f_kappa in np.geomspace(30, 500, 7):
         for m in np.geomspace(1.5, 6, 5):
@@ -85,8 +85,8 @@ def test_the_interval_agrees_with_one_on_the_true_model(stand_in):
         )  # fmt: skip
 
 
-def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(stand_in):
-    found, second = intervals(stand_in, (300.0, 3.0), "tet10", 1)
+def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(simulated):
+    found, second = intervals(simulated, (300.0, 3.0), "tet10", 1)
     profile = found.profiles["f_kappa"]
     assert profile.open_high
     assert profile.high == pytest.approx(1000.0)
@@ -94,21 +94,21 @@ def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(stand_in
         assert found.profiles[name].low <= second.theta[k] <= found.profiles[name].high
 
 
-def test_an_uncertain_stiffness_widens_the_interval(stand_in):
-    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+def test_an_uncertain_stiffness_widens_the_interval(simulated):
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    memory = Memory(stand_in.curve(knots, c, "tet4"))
+    memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
     theta = two_step(memory, knots, data)[1].theta
     known = force_intervals(memory, knots, data, Stiffness(c, 0.0), theta).profiles["f_kappa"]
     guessed = force_intervals(memory, knots, data, Stiffness(c, 0.2), theta).profiles["f_kappa"]
     assert np.log(guessed.high / guessed.low) > 1.3 * np.log(known.high / known.low)
 
 
-def test_a_simulation_that_fails_is_reported_and_stops_the_interval(stand_in):
-    data, c = noisy(stand_in, (150.0, 3.0), "tet4", 0)
+def test_a_simulation_that_fails_is_reported_and_stops_the_interval(simulated):
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
-    exact = stand_in.curve(knots, c, "tet4")
-    walk = Memory(exact)
+    exact = simulated.curve(knots, c, "tet4")
+    walk = SolvedPoints(exact)
     theta = two_step(walk, knots, data)[1].theta
 
     def fragile(at, wrt=()):
@@ -116,7 +116,7 @@ def test_a_simulation_that_fails_is_reported_and_stops_the_interval(stand_in):
             raise SolveError("stopped", where="here", fix="none")
         return exact(at, wrt)
 
-    memory = Memory(fragile)
+    memory = SolvedPoints(fragile)
     for at, _ in walk.solved:
         if at[0] <= 1.1 * theta[0]:
             memory(at, (0, 1))

@@ -7,22 +7,22 @@ from limbcli.errors import FitError
 from limbcli.inference.joint import (
     JointProblem,
     JointTask,
-    SiteData,
+    SiteMeasurement,
     held_out_error,
     invert,
     joint_fit,
     predict_site,
 )
-from limbcli.inference.parameter import Parameter
-from limbcli.inference.prediction import Memory, Prediction
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Prediction, SolvedPoints
 
 C0 = 0.008
 KNOTS = np.linspace(1.0, 11.0, 11)
 DEPTH = np.linspace(0.8, 9.6, 11)
 LOG_SPEED_0 = float(np.log(np.sqrt(C0 / 2 / 1e-9) / 1e3))
 SHAPE = (
-    Parameter("f_kappa", 100.0, 0.01, 1000.0, "log"),
-    Parameter("m", 2.0, 1.0, 100.0, "log", stride=2.5),
+    FitParameter("f_kappa", 100.0, 0.01, 1000.0, "log"),
+    FitParameter("m", 2.0, 1.0, 100.0, "log", step_factor=2.5),
 )
 
 
@@ -32,8 +32,8 @@ def log_speed(depth, m):
     return 0.5 * np.log(1 + strain + (m**2 / 6) * strain**2)
 
 
-def curve(stand_in, *, graded_speed=False):
-    forces = stand_in.curve(KNOTS, C0)
+def curve(simulated, *, graded_speed=False):
+    forces = simulated.curve(KNOTS, C0)
 
     def answer(theta, wrt=()):
         found = forces(theta, wrt)
@@ -47,8 +47,8 @@ def curve(stand_in, *, graded_speed=False):
     return answer
 
 
-def measurement(stand_in, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=0.0, depths=DEPTH):
-    force = stand_in.force(depths, c, f_kappa, m)
+def measurement(simulated, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=0.0, depths=DEPTH):
+    force = simulated.force(depths, c, f_kappa, m)
     depth, speeds = depths.copy(), np.r_[0.0, log_speed(depths, m)] + LOG_SPEED_0 + 0.5 * np.log(c / C0)
     forces = np.r_[0.0, force]
     if rng is not None:
@@ -56,13 +56,13 @@ def measurement(stand_in, *, c, f_kappa, m, rng=None, name="p1", gain_deviation=
         depth = depth + 0.3 * rng.standard_normal(len(depth))
         speeds = speeds + 0.05 * rng.standard_normal(len(speeds))
         forces = np.r_[0.0, force]
-    return SiteData(
+    return SiteMeasurement(
         name, KNOTS, force, depth, 0.1, 0.3, forces, speeds, np.full(len(speeds), 0.05), gain_deviation
     )
 
 
-def task(stand_in, data, shape=SHAPE, **options):
-    curves = [Memory(curve(stand_in, **options)) for _ in data]
+def task(simulated, data, shape=SHAPE, **options):
+    curves = [SolvedPoints(curve(simulated, **options)) for _ in data]
     for each in curves:
         for theta in ((100.0, 2.0), (100.0, 3.5), (20.0, 2.5)):
             each(np.array(theta[: len(shape)]), tuple(range(len(shape))))
@@ -72,9 +72,9 @@ def task(stand_in, data, shape=SHAPE, **options):
 STARTS = [np.array([C0, 100.0, 2.0]), np.array([C0, 20.0, 4.0])]
 
 
-def test_inversion_undoes_the_curve(stand_in):
+def test_inversion_undoes_the_curve(simulated):
     knots = np.r_[0.0, KNOTS]
-    force = np.r_[0.0, stand_in.force(KNOTS, C0, 50.0, 4.0)]
+    force = np.r_[0.0, simulated.force(KNOTS, C0, 50.0, 4.0)]
     from limbcli.inference.interpolation import pchip_sample
 
     places = np.linspace(0.3, 10.9, 17)
@@ -83,9 +83,9 @@ def test_inversion_undoes_the_curve(stand_in):
     )
 
 
-def test_derivatives_of_depth_and_speed_are_those_of_differences(stand_in):
-    data = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0)
-    exact, shape = curve(stand_in, graded_speed=True), np.array([30.0, 3.0])
+def test_derivatives_of_depth_and_speed_are_those_of_differences(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
+    exact, shape = curve(simulated, graded_speed=True), np.array([30.0, 3.0])
 
     def at(c_ratio=1.1, gain=0.97, shape=shape):
         return predict_site(exact, data, shape, c_ratio=c_ratio, gain=gain, log_speed_0=LOG_SPEED_0)
@@ -105,24 +105,24 @@ def test_derivatives_of_depth_and_speed_are_those_of_differences(stand_in):
 
 
 @pytest.mark.slow
-def test_truth_is_recovered_from_exact_data(stand_in):
-    data = measurement(stand_in, c=0.0095, f_kappa=8.0, m=5.0)
-    _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=12)
+def test_truth_is_recovered_from_exact_data(simulated):
+    data = measurement(simulated, c=0.0095, f_kappa=8.0, m=5.0)
+    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=12)
     assert found.best[0] == pytest.approx(0.0095, rel=0.01)
     assert found.best[2] == pytest.approx(5.0, rel=0.02)
     assert found.chi_square < 0.05
 
 
 @pytest.mark.slow
-def test_speeds_and_a_second_site_narrow_the_interval(stand_in):
+def test_speeds_and_a_second_site_narrow_the_interval(simulated):
     rng = np.random.default_rng(7)
-    one = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
-    two = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p2")
+    one = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p1")
+    two = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, rng=rng, name="p2")
     nothing = np.zeros(0)
-    silent = SiteData("p1", KNOTS, one.force, one.depth, 0.1, 0.3, nothing, nothing, nothing)
+    silent = SiteMeasurement("p1", KNOTS, one.force, one.depth, 0.1, 0.3, nothing, nothing, nothing)
 
     def width(data, **options):
-        made = task(stand_in, data)
+        made = task(simulated, data)
         made = JointTask(made.curves, data, SHAPE, C0, made.log_speed_0, **options)
         _, found = joint_fit(made, STARTS, max_solves=2)
         return np.log(found.profiles["m"].high / found.profiles["m"].low)
@@ -132,36 +132,36 @@ def test_speeds_and_a_second_site_narrow_the_interval(stand_in):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_seen_stays_open(stand_in):
-    data = measurement(stand_in, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
-    _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=6)
+def test_what_cannot_be_seen_stays_open(simulated):
+    data = measurement(simulated, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
+    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
     assert found.profiles["f_kappa"].open_high
     assert not found.profiles["m"].open_high
 
 
 @pytest.mark.slow
-def test_an_uncertain_gain_widens_what_the_force_says(stand_in):
+def test_an_uncertain_gain_widens_what_the_force_says(simulated):
     rng = np.random.default_rng(7)
-    sure = measurement(stand_in, c=C0, f_kappa=4.0, m=4.0, rng=rng)
-    unsure = SiteData(**{**vars(sure), "gain_deviation": 0.2})
+    sure = measurement(simulated, c=C0, f_kappa=4.0, m=4.0, rng=rng)
+    unsure = SiteMeasurement(**{**vars(sure), "gain_deviation": 0.2})
     lows = []
     for data in (sure, unsure):
-        _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=4)
+        _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=4)
         lows.append(found.profiles["f_kappa"].low)
     assert lows[1] < 0.8 * lows[0]
 
 
 @pytest.mark.slow
-def test_held_out_levels_prefer_the_law_that_made_the_data(stand_in):
-    data = measurement(stand_in, c=C0, f_kappa=50.0, m=7.0, rng=np.random.default_rng(7))
-    full, best = joint_fit(task(stand_in, [data]), STARTS, max_solves=6)
-    whole = curve(stand_in)
+def test_held_out_levels_prefer_the_law_that_made_the_data(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=7.0, rng=np.random.default_rng(7))
+    full, best = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
+    whole = curve(simulated)
 
     def only_f_kappa(theta, wrt=()):
         found = whole(np.array([theta[0], 2.0]), (0, 1))
         return Prediction(found.values, found.jacobian[:, :1])
 
-    memory = Memory(only_f_kappa)
+    memory = SolvedPoints(only_f_kappa)
     for value in (100.0, 20.0, 4.0):
         memory(np.array([value]), (0,))
     stiff = JointTask([memory], [data], SHAPE[:1], C0, [LOG_SPEED_0])
@@ -169,26 +169,26 @@ def test_held_out_levels_prefer_the_law_that_made_the_data(stand_in):
     assert held_out_error(full, best)[0] < 0.8 * held_out_error(poor, poor_best)[0]
 
 
-def test_too_few_levels_are_an_error(stand_in):
-    data = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0, depths=np.array([2.0, 4.0]))
+def test_too_few_levels_are_an_error(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0, depths=np.array([2.0, 4.0]))
     with pytest.raises(FitError, match="2 loaded levels for 3 parameters"):
-        joint_fit(task(stand_in, [data]), STARTS)
+        joint_fit(task(simulated, [data]), STARTS)
 
 
 @pytest.mark.slow
-def test_truth_is_covered_at_the_stated_rate(stand_in):
+def test_truth_is_covered_at_the_stated_rate(simulated):
     """95 % each: 3 misses of 10 have a chance of 1 %."""
     truth = {"c": C0, "f_kappa": 50.0, "m": 4.0}
     inside = dict.fromkeys(truth, 0)
     for seed in range(10):
-        data = measurement(stand_in, **truth, rng=np.random.default_rng(seed))
-        _, found = joint_fit(task(stand_in, [data]), STARTS, max_solves=6)
+        data = measurement(simulated, **truth, rng=np.random.default_rng(seed))
+        _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
         for name, value in truth.items():
             inside[name] += found.profiles[name].low <= value <= found.profiles[name].high
     assert min(inside.values()) >= 8, inside
 
 
-def test_problem_counts_its_freedom(stand_in):
-    data = measurement(stand_in, c=C0, f_kappa=50.0, m=4.0)
-    problem = JointProblem(task(stand_in, [data]), STARTS)
+def test_problem_counts_its_freedom(simulated):
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
+    problem = JointProblem(task(simulated, [data]), STARTS)
     assert problem.n_freedom == 11 + 12 - 3

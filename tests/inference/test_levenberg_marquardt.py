@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.levenberg_marquardt import levenberg_marquardt
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.residual import Residual
 
 TIMES = np.linspace(0.0, 3.0, 25)
@@ -30,7 +30,7 @@ def objective_for(data, calls=None):
 
 
 def parameters(scale="ratio", low=(1e-3, 1e-3), high=(1e3, 1e3), start=(1.0, 1.0)):
-    return [Parameter(n, s, lo, hi, scale) for n, s, lo, hi in zip("ab", start, low, high, strict=True)]
+    return [FitParameter(n, s, lo, hi, scale) for n, s, lo, hi in zip("ab", start, low, high, strict=True)]
 
 
 @pytest.mark.parametrize("scale", ["ratio", "log"])
@@ -62,7 +62,7 @@ def test_the_rosenbrock_valley_is_followed_to_its_end():
         x, y = theta
         return Residual(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
 
-    start = [Parameter("x", 0.1, 1e-3, 10.0), Parameter("y", 3.0, 1e-3, 10.0)]
+    start = [FitParameter("x", 0.1, 1e-3, 10.0), FitParameter("y", 3.0, 1e-3, 10.0)]
     fit = levenberg_marquardt(objective, start, tolerance=1e-6, max_iterations=200)
     np.testing.assert_allclose(fit.theta, (1.0, 1.0), rtol=1e-4)
 
@@ -121,4 +121,4 @@ def test_a_derivative_is_asked_for_only_at_accepted_points(rng):
 
 def test_a_start_value_outside_its_bounds_is_an_error():
     with pytest.raises(FitError, match="outside"):
-        Parameter("m", start=0.5, low=1.0, high=100.0)
+        FitParameter("m", start=0.5, low=1.0, high=100.0)

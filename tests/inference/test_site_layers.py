@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.inference.joint import JointProblem, JointTask, predict_site
-from limbcli.inference.prediction import Memory, Prediction
+from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from tests.inference.test_joint import C0, KNOTS, LOG_SPEED_0, SHAPE, STARTS, curve, measurement
 
@@ -22,8 +22,8 @@ def borders(m):
     return np.column_stack([1.5 * (1 - 0.2 * d), 7.0 * (1 - (0.6 + 0.05 * m) * d)])
 
 
-def layered(stand_in, *, speeds=True):
-    plain = curve(stand_in, graded_speed=True)
+def layered(simulated, *, speeds=True):
+    plain = curve(simulated, graded_speed=True)
 
     def answer(theta, wrt=()):
         found = plain(theta, wrt)
@@ -50,12 +50,12 @@ def with_layers(data, m, noise=None):
 
 
 @pytest.mark.parametrize("speeds", [True, False])
-def test_derivatives_of_layers_are_those_of_differences(stand_in, speeds):
-    data = with_layers(measurement(stand_in, c=C0, f_kappa=50.0, m=4.0), 4.0)
+def test_derivatives_of_layers_are_those_of_differences(simulated, speeds):
+    data = with_layers(measurement(simulated, c=C0, f_kappa=50.0, m=4.0), 4.0)
     if not speeds:
         none = np.zeros(0)
         data = replace(data, speed_force=none, log_speed=none, speed_deviation=none)
-    exact, shape = layered(stand_in, speeds=speeds), np.array([30.0, 3.0])
+    exact, shape = layered(simulated, speeds=speeds), np.array([30.0, 3.0])
 
     def at(c_ratio=1.1, gain=0.97, shape=shape):
         return predict_site(exact, data, shape, c_ratio=c_ratio, gain=gain, log_speed_0=LOG_SPEED_0).layers
@@ -74,9 +74,9 @@ def test_derivatives_of_layers_are_those_of_differences(stand_in, speeds):
         np.testing.assert_allclose(base.layers_slope[:, column], rise, rtol=2e-3, atol=2e-4)
 
 
-def test_residuals_of_the_joint_objective_have_the_derivatives_of_differences(stand_in):
-    data = with_layers(measurement(stand_in, c=C0, f_kappa=50.0, m=4.0), 4.0, np.random.default_rng(7))
-    memory = Memory(layered(stand_in))
+def test_residuals_of_the_joint_objective_have_the_derivatives_of_differences(simulated):
+    data = with_layers(measurement(simulated, c=C0, f_kappa=50.0, m=4.0), 4.0, np.random.default_rng(7))
+    memory = SolvedPoints(layered(simulated))
     for theta in ((100.0, 2.0), (100.0, 3.5), (20.0, 2.5)):
         memory(np.array(theta), (0, 1))
     problem = JointProblem(JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0]), STARTS)
@@ -100,8 +100,8 @@ def test_whitened_residuals_have_the_covariance_they_were_given():
     assert len(NO_LAYERS.whitened(np.zeros(0))) == 0
 
 
-def test_left_out_levels_take_their_layers_along(stand_in):
-    data = with_layers(measurement(stand_in, c=C0, f_kappa=50.0, m=4.0), 4.0)
+def test_left_out_levels_take_their_layers_along(simulated):
+    data = with_layers(measurement(simulated, c=C0, f_kappa=50.0, m=4.0), 4.0)
     left = np.isin(np.arange(len(data.force)), [2, 4])
     fewer = data.without(left).layers
     assert len(fewer) == len(data.layers) - 4

@@ -1,4 +1,4 @@
-"""The stand-in built from solved points."""
+"""The surrogate built from solved points."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from limbcli.inference.surrogate import Node, Surrogate
 KNOTS = np.array([2.0, 5.0, 8.0])
 
 
-def node(stand_in, theta, graded=True):
+def node(simulated, theta, graded=True):
     theta = np.array(theta)
-    answer = stand_in.curve(KNOTS, 0.008)(theta, (0, 1))
+    answer = simulated.curve(KNOTS, 0.008)(theta, (0, 1))
     slope = answer.jacobian * theta / answer.values[:, None]
     return Node(np.log(theta), np.log(answer.values), slope if graded else None)
 
@@ -17,8 +17,8 @@ def node(stand_in, theta, graded=True):
 THETAS = ((100.0, 2.0), (30.0, 3.0), (10.0, 5.0), (5.0, 2.0), (300.0, 4.0))
 
 
-def test_values_and_derivatives_at_the_nodes_are_reproduced(stand_in):
-    nodes = [node(stand_in, theta) for theta in THETAS]
+def test_values_and_derivatives_at_the_nodes_are_reproduced(simulated):
+    nodes = [node(simulated, theta) for theta in THETAS]
     surrogate = Surrogate(nodes)
     for each in nodes:
         y, slope = surrogate(each.x)
@@ -27,18 +27,18 @@ def test_values_and_derivatives_at_the_nodes_are_reproduced(stand_in):
         assert surrogate.deviation(each.x).max() < 1e-4
 
 
-def test_between_the_nodes_it_predicts_within_its_own_deviation(stand_in, rng):
-    surrogate = Surrogate([node(stand_in, theta) for theta in THETAS])
+def test_between_the_nodes_it_predicts_within_its_own_deviation(simulated, rng):
+    surrogate = Surrogate([node(simulated, theta) for theta in THETAS])
     errors = []
     for _ in range(40):
         theta = np.exp([rng.uniform(np.log(5), np.log(300)), rng.uniform(np.log(2), np.log(5))])
         y, _ = surrogate(np.log(theta))
-        errors.append(np.abs(y - node(stand_in, theta).y).max() / surrogate.deviation(np.log(theta)).max())
+        errors.append(np.abs(y - node(simulated, theta).y).max() / surrogate.deviation(np.log(theta)).max())
     assert np.quantile(errors, 0.9) < 3.0
 
 
-def test_its_derivative_is_that_of_differences(stand_in):
-    surrogate = Surrogate([node(stand_in, theta) for theta in THETAS])
+def test_its_derivative_is_that_of_differences(simulated):
+    surrogate = Surrogate([node(simulated, theta) for theta in THETAS])
     x, step = np.log(np.array([17.0, 2.7])), 1e-5
     for k in range(2):
         move = step * np.eye(2)[k]
@@ -46,17 +46,17 @@ def test_its_derivative_is_that_of_differences(stand_in):
         np.testing.assert_allclose(surrogate(x)[1][:, k], rise, rtol=1e-4, atol=1e-7)
 
 
-def test_nodes_without_derivatives_are_used_too(stand_in):
-    graded = [node(stand_in, theta) for theta in THETAS[:3]]
+def test_nodes_without_derivatives_are_used_too(simulated):
+    graded = [node(simulated, theta) for theta in THETAS[:3]]
     x = np.log(np.array(THETAS[3]))
-    before = abs(Surrogate(graded)(x)[0] - node(stand_in, THETAS[3]).y).max()
+    before = abs(Surrogate(graded)(x)[0] - node(simulated, THETAS[3]).y).max()
     after = abs(
-        Surrogate([*graded, node(stand_in, THETAS[3], graded=False)])(x)[0] - node(stand_in, THETAS[3]).y
+        Surrogate([*graded, node(simulated, THETAS[3], graded=False)])(x)[0] - node(simulated, THETAS[3]).y
     )
     assert after.max() < 1e-5 < before
 
 
-def test_doubt_grows_away_from_the_nodes(stand_in):
-    surrogate = Surrogate([node(stand_in, theta) for theta in THETAS])
+def test_doubt_grows_away_from_the_nodes(simulated):
+    surrogate = Surrogate([node(simulated, theta) for theta in THETAS])
     near, far = np.log(np.array([90.0, 2.1])), np.log(np.array([0.05, 20.0]))
     assert surrogate.deviation(far).max() > 10 * surrogate.deviation(near).max()

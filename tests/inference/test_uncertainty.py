@@ -3,10 +3,10 @@
 import numpy as np
 
 from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
-from limbcli.inference.parameter import Parameter
+from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 
-F_KAPPA = Parameter("f_kappa", 100.0, 0.01, 1000.0)
+F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
 
 
 def profile(low, high, open_low=False, open_high=False):
@@ -66,6 +66,6 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=1e9).flag == "weak"
     unknown = verdict(F_KAPPA, 100.0, None, influence=True, why_no_profile="the case states no noise")
     assert unknown.flag == "weak"
-    assert unknown.words == "f_kappa = 100; how sure that is cannot be told: the case states no noise."
+    assert unknown.words == "f_kappa = 100; how sure that is cannot be determined: the case states no noise."
     bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
     assert bound.words.endswith("the case states no noise.")

@@ -18,7 +18,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         shutil.copytree(here / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(cache, "__file__", str(tmp_path / "materials" / "cache.py"))
     cache.drop_stale_kernels()
-    for name in ("materials", "fem", "fem/multifrontal"):
+    for name in ("materials", "fem", "fem/elements", "fem/linear_solvers/multifrontal"):
         (tmp_path / name / "__pycache__").mkdir(exist_ok=True)
         (tmp_path / name / "__pycache__" / "old.nbi").touch()
     return tmp_path
@@ -30,11 +30,17 @@ def cached(package: Path) -> int:
 
 def test_what_is_unchanged_stays(package: Path) -> None:
     assert not cache.drop_stale_kernels()
-    assert cached(package) == 3
+    assert cached(package) == 4
 
 
 @pytest.mark.parametrize(
-    "name", ["materials/ogden.py", "materials/simd_rows.py", "fem/kernels.py", "fem/multifrontal/dense.py"]
+    "name",
+    [
+        "materials/ogden.py",
+        "materials/simd_rows.py",
+        "fem/elements/kernels.py",
+        "fem/linear_solvers/multifrontal/dense.py",
+    ],
 )
 def test_a_change_of_a_source_drops_them_all(package: Path, name: str) -> None:
     path = package / name

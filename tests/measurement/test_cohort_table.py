@@ -25,7 +25,7 @@ def good(n: int = 12) -> list[dict[str, str]]:
     return found
 
 
-def told(tmp_path, rows) -> str:
+def reported(tmp_path, rows) -> str:
     table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
     errors = [str(each) for each in problems if each.severity == "error"]
     assert (table is None) == bool(errors)
@@ -55,14 +55,14 @@ def test_a_good_table_has_no_problem_and_keeps_its_numbers(tmp_path):
 
 
 def test_layers_that_do_not_add_up(tmp_path):
-    words = told(tmp_path, changed(good(), thickness_mm=55.0))
+    words = reported(tmp_path, changed(good(), thickness_mm=55.0))
     assert "the layers add up to 42.50 mm, thickness_mm is 55.00" in words
     assert "line 5" in words
 
 
 def test_layers_without_skin(tmp_path):
     for value in ("", "0"):
-        assert "no skin" in told(tmp_path, changed(good(), skin_mm=value))
+        assert "no skin" in reported(tmp_path, changed(good(), skin_mm=value))
 
 
 def test_a_layer_that_grows_beyond_noise(tmp_path):
@@ -80,7 +80,7 @@ def test_a_layer_that_grows_beyond_noise(tmp_path):
         parts,
         float(grown["stiffness_mpa_per_mm"]),
     )
-    words = told(tmp_path, rows)
+    words = reported(tmp_path, rows)
     assert "the fat grows by 2.00 mm under load" in words
 
 
@@ -88,33 +88,33 @@ def test_growth_within_noise_is_no_error(tmp_path):
     rows = good()
     thickness = np.array([1.5, 8.0, 33.0])
     rows[3] = row("P03", "LL_P", 6.0, thickness, np.array([-0.1, 1.5, 6.0]), 6.0 / FACE / 7.4)
-    assert told(tmp_path, rows) == ""
+    assert reported(tmp_path, rows) == ""
 
 
 def test_interfaces_that_cross_at_rest_and_under_load(tmp_path):
-    assert "interfaces cross at first contact" in told(tmp_path, changed(good(), fat_mm=-2.0))
-    assert "interfaces cross under load: the fat" in told(tmp_path, changed(good(), fat_strain=1.1))
+    assert "interfaces cross at first contact" in reported(tmp_path, changed(good(), fat_mm=-2.0))
+    assert "interfaces cross under load: the fat" in reported(tmp_path, changed(good(), fat_strain=1.1))
 
 
 def test_layers_that_shorten_otherwise_than_the_whole(tmp_path):
-    assert "the layers shorten by" in told(tmp_path, changed(good(), total_strain=0.35))
+    assert "the layers shorten by" in reported(tmp_path, changed(good(), total_strain=0.35))
 
 
 def test_a_circumference_smaller_than_the_layers(tmp_path):
     rows = [{**each, "circumference_mm": "300"} for each in good()]
-    assert told(tmp_path, rows) == ""
-    assert "a circumference of 100 mm is smaller" in told(tmp_path, changed(rows, circumference_mm=100))
+    assert reported(tmp_path, rows) == ""
+    assert "a circumference of 100 mm is smaller" in reported(tmp_path, changed(rows, circumference_mm=100))
 
 
 @pytest.mark.parametrize("name", ["subject", "location", "skin_mm", "fat_strain", "stiffness_mpa_per_mm"])
 def test_a_missing_column_is_named_with_what_it_holds(tmp_path, name):
     rows = [{key: value for key, value in each.items() if key != name} for each in good()]
-    assert f"column {name!r} is missing" in told(tmp_path, rows)
+    assert f"column {name!r} is missing" in reported(tmp_path, rows)
 
 
 def test_a_missing_face(tmp_path):
     rows = [{key: value for key, value in each.items() if key != "face_mm2"} for each in good()]
-    assert "the probe's face is not known" in told(tmp_path, rows)
+    assert "the probe's face is not known" in reported(tmp_path, rows)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_missing_face(tmp_path):
     ],
 )
 def test_units_that_look_wrong(tmp_path, name, factor, words):
-    found = told(tmp_path, scaled(good(), name, factor))
+    found = reported(tmp_path, scaled(good(), name, factor))
     assert words in found
     assert "looks wrong" in found
     assert "more rows like these" in found
@@ -136,18 +136,18 @@ def test_centimetres_metres_and_percent_look_wrong(tmp_path):
     rows = good()
     for name in ("thickness_mm", "skin_mm", "fat_mm", "muscle_mm"):
         scaled(rows, name, 0.001)
-    assert "thickness_mm is 0.0" in told(tmp_path, rows)
+    assert "thickness_mm is 0.0" in reported(tmp_path, rows)
     rows = good()
     for name in ("total_strain", "skin_strain", "fat_strain", "muscle_strain"):
         scaled(rows, name, 100.0)
-    assert "a strain is" in told(tmp_path, rows)
+    assert "a strain is" in reported(tmp_path, rows)
 
 
 def test_duplicated_rows_and_numbered_trials(tmp_path):
     rows = [*good(), dict(good()[3])]
-    assert "person P03, site LL_P stands in line 5 already" in told(tmp_path, rows)
+    assert "person P03, site LL_P stands in line 5 already" in reported(tmp_path, rows)
     numbered = [{**each, "trial": "1"} for each in good()]
-    assert told(tmp_path, [*numbered, {**good()[3], "trial": "2"}]) == ""
+    assert reported(tmp_path, [*numbered, {**good()[3], "trial": "2"}]) == ""
 
 
 def test_incomplete_rows_are_left_out_and_unknown_columns_told(tmp_path):

@@ -33,7 +33,7 @@ def without(*names: str) -> tuple[str, list[str]]:
     ]
 
 
-def told(path: Path, noise: LayerNoise | None = NOISE) -> str:
+def reported(path: Path, noise: LayerNoise | None = NOISE) -> str:
     with pytest.raises(MeasurementError, match="fix: ") as caught:
         read_levels(path, noise=noise)
     return str(caught.value)
@@ -70,7 +70,7 @@ def test_good_layers_have_no_problems(tmp_path: Path):
     ],
 )
 def test_every_fault_has_its_own_message_with_its_line(tmp_path: Path, row, expected):
-    message = told(write(tmp_path, changed(2, row)))
+    message = reported(write(tmp_path, changed(2, row)))
     assert expected in message
     assert "line 4" in message
     faults = ("add up", "cross", "grows", "no skin_mm", "possible is")
@@ -79,25 +79,25 @@ def test_every_fault_has_its_own_message_with_its_line(tmp_path: Path, row, expe
 
 def test_layers_without_skin_are_refused(tmp_path: Path):
     header, rows = without("skin_mm")
-    assert "layers without skin: fat_mm and muscle_mm" in told(write(tmp_path, rows, header))
+    assert "layers without skin: fat_mm and muscle_mm" in reported(write(tmp_path, rows, header))
 
 
 def test_without_a_bone_distance_the_sum_is_held_against_the_depth(tmp_path: Path):
     header, rows = without("skin_bone_mm")
     rows[3] = "6,4.8,1.3,4.3,22"
-    assert "less depth_mm leave 25.2 mm" in told(write(tmp_path, rows, header))
+    assert "less depth_mm leave 25.2 mm" in reported(write(tmp_path, rows, header))
 
 
 def test_layers_that_end_beyond_the_bone_cross_it(tmp_path: Path):
     header, rows = without("muscle_mm")
     rows[3] = "6,4.8,5,1.3,5.3"
-    message = told(write(tmp_path, rows, header))
+    message = reported(write(tmp_path, rows, header))
     assert "the layers end 6.6 mm below the skin, beyond the bone at 5 mm" in message
 
 
 def test_growth_is_judged_by_the_stated_noise(tmp_path: Path):
     path = write(tmp_path, changed(1, "2,2,28,1.4,7.3,19.3"))
-    assert "grows under load" in told(path)
+    assert "grows under load" in reported(path)
     read_levels(path, noise=LayerNoise(thickness=0.2 * 1.3))
     read_levels(path)  # nobody states a noise
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.meshing.convergence import extrapolate
+from limbcli.meshing.mesh_extrapolation import extrapolate
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.3])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from limbcli.errors import MeshError
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.slab import LAYERS, Counts, Slab, slab_model
+from limbcli.meshing.slab import LAYERS, CellCounts, Slab, slab_model
 
 PROBE = ProbeShape(40.0, 10.0, 2.4)
 LAWS = {name: ogden_type(c=0.01, f_kappa=100.0, m=2.0) for name in LAYERS}
@@ -35,7 +35,7 @@ def test_layers_fill_the_quarter_and_no_cell_is_inverted(skin, fat, muscle, marg
 
 
 def test_axis_nodes_are_the_borders_under_the_middle_and_the_probe_starts_inside():
-    model = slab_model(Slab(1.5, 6.0, 20.0, PROBE, 30.0), LAWS, start=0.05, counts=Counts(fat=3))
+    model = slab_model(Slab(1.5, 6.0, 20.0, PROBE, 30.0), LAWS, start=0.05, counts=CellCounts(fat=3))
     borders = model.mesh.points[model.mesh.node_sets["axis"]]
     assert borders == pytest.approx(np.array([[0, 0, 0], [0, 0, -1.5], [0, 0, -7.5]]))
     assert model.bodies[0].center_of_mass[2] == -0.05

@@ -11,7 +11,7 @@ from limbcli.errors import MeshError, ToolError
 from limbcli.meshing import mesher_process
 from limbcli.meshing import site_mesher as volume
 from limbcli.meshing.distance import Field, Grid
-from limbcli.meshing.domain import CUT, SKIN, Domain, boundary
+from limbcli.meshing.domain import CUT, SKIN, TissueDomain, boundary
 from limbcli.meshing.mending import Plane
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
@@ -118,8 +118,8 @@ def test_site_whose_surface_tetgen_refuses_is_meshed_by_ftetwild(leg, monkeypatc
     assert np.abs(skin).max() < 0.5, "the skin is where it was"
 
 
-def empty_domain() -> Domain:
-    return Domain(None, None, (), ())  # type: ignore[arg-type]
+def empty_domain() -> TissueDomain:
+    return TissueDomain(None, None, (), ())  # type: ignore[arg-type]
 
 
 def test_every_way_is_tried_and_told(monkeypatch):
@@ -161,7 +161,7 @@ def test_turned_edges_on_a_cut_are_named_by_their_place():
     ours = np.array([[0, 1, 3], [1, 2, 3], *sides])
     grid = Grid(np.full(3, -20.0), 10.0, (5, 5, 5))
     far = Field(grid, np.full((5, 5, 5), -100.0))
-    domain = Domain(far, None, (Plane(np.array([0.0, 0, 1]), 0.0),), ())
+    domain = TissueDomain(far, None, (Plane(np.array([0.0, 0, 1]), 0.0),), ())
     graded = Boundary(Triangles(square, ours), np.array([CUT, CUT, SKIN, SKIN, SKIN, SKIN]))
     faces, labels = volume.labelled_boundary(Tetrahedra(square, cells, "TetGen"), graded, domain)
     assert len(faces) == 6

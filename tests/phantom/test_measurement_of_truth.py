@@ -12,9 +12,9 @@ from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.noise import measure
-from limbcli.phantom.protocol import Protocol, TrueLevels, depth_at_force
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
 
-PROTOCOL = Protocol(hold=2.0)
+PROTOCOL = LoadingProtocol(hold=2.0)
 
 
 def true_levels(n=6):

@@ -1,4 +1,4 @@
-"""FEBio is found, watched, stopped and judged by its log (a stand-in program replays stored logs)."""
+"""FEBio is found, watched, stopped and judged by its log (a surrogate program replays stored logs)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 
 @pytest.fixture
 def binary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The stand-in as a program that can be started."""
+    """The surrogate as a program that can be started."""
     path = tmp_path / "bin" / "febio4"
     path.parent.mkdir()
     path.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{DATA / 'fake_febio.py'}' \"$@\"\n")
@@ -148,7 +148,7 @@ def test_an_old_log_does_not_count(binary: Path, feb: Path, monkeypatch: pytest.
 
 
 def started_child(feb: Path) -> int | None:
-    """The process that the stand-in started, once it has."""
+    """The process that the surrogate started, once it has."""
     path = feb.parent / "child.pid"
     text = path.read_text() if path.is_file() else ""
     return int(text) if text else None

@@ -22,7 +22,7 @@ from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.indentation_model import indentation_model, with_penalty
+from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 
 PROBE = ProbeShape(20.0, 10.0, 3.0)
 _HEX_TO_TETS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]

@@ -14,19 +14,19 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import tube
-from limbcli.phantom.protocol import Protocol
+from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import read_result
-from limbcli.stages.assumed_geometry import assumed_limb
 from limbcli.stages.build_feb import build_feb
-from limbcli.stages.chain import Chain
 from limbcli.stages.check import check
+from limbcli.stages.diagnosis.mesh_doubt.geometry_gain import USUAL, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.geometry_gain import USUAL, assumed_gain
-from limbcli.stages.indent import KnownTissue
 from limbcli.stages.mesh import mesh
+from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
+from limbcli.stages.segmenting.assumed_geometry import assumed_limb
+from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.synth import SynthOptions, synth
 
 SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"
@@ -131,9 +131,9 @@ def test_changed_numbers_break_the_chain(chain, tmp_path):
 
 def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
     case, out = chain
-    gain, told = assumed_gain(case, case.sites[0], out)
+    gain, reported = assumed_gain(case, case.sites[0], out)
     assert gain == USUAL
-    assert "No fit has varied it" in told
+    assert "No fit has varied it" in reported
 
 
 def test_check_tells_it_as_a_warning(tmp_path):
@@ -207,7 +207,7 @@ def wide_over(doubt: dict, name: str) -> float:
 def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     """Simulated on the same numbers: m within its interval, which the varied shapes widen."""
     truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
-    plan = SynthOptions(tissue=truth, same_mesh=True, protocol=Protocol(step=0.75, max_force=4.0))
+    plan = SynthOptions(tissue=truth, same_mesh=True, protocol=LoadingProtocol(step=0.75, max_force=4.0))
     _, meshed = chain
     made, out = tmp_path / "made", tmp_path / "out"
     synth(chain[0], out=meshed, out_case=made, options=plan)

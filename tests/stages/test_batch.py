@@ -12,10 +12,10 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import fit_elements, fit_joint
-from limbcli.stages.asked import asked_of_options
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
+from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.run import RunOptions
 from tests.test_case_text import two_sites
 
@@ -44,13 +44,13 @@ def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **asked)
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Every stage replaced by one that leaves a result; mesh fails for site p2."""
     made: list[str] = []
-    told = TOLD
-    told.clear()
+    reported = TOLD
+    reported.clear()
 
     def fake(stage: str):
         def work(case: Case, *, out: Path, sites=(None,), options=None, **given):
             for site in sites:
-                told.setdefault(f"{stage} {site}" if site else stage, []).append(_told(options, given))
+                reported.setdefault(f"{stage} {site}" if site else stage, []).append(_told(options, given))
                 made.append(f"{stage} {site}" if site else stage)
                 if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
                     raise MeshError("no skin under the probe", where="site p2", fix="move it")

@@ -17,7 +17,7 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
-from limbcli.stages.indentation_model import start_at, starting_depth, touching_points
+from limbcli.stages.site_model.indentation_model import start_at, starting_depth, touching_points
 from tests.stages.block_case import make_case
 
 DEPTHS = np.array([0.8, 1.7, 3.25])

@@ -18,19 +18,19 @@ from limbcli.errors import CaseError, ToolError
 from limbcli.files import sha256
 from limbcli.results import open_stage, read_result
 from limbcli.stages import build_feb as build_feb_module
-from limbcli.stages import chain as chain_module
 from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages import fit as fit_module
 from limbcli.stages import mesh as mesh_module
 from limbcli.stages import run as run_module
 from limbcli.stages.batch import BatchOptions, batch
-from limbcli.stages.chain import Chain
 from limbcli.stages.diagnose import diagnose
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import fit_joint
-from limbcli.stages.measure_images import tissue_between
+from limbcli.stages.measuring.images import tissue_between
+from limbcli.stages.provenance import chain as chain_module
+from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.material import gather
 from limbcli.stages.segment import segment
 from tests.stages import chain_case
 
@@ -189,10 +189,12 @@ def test_every_changed_input_stops_every_stage_that_rests_on_it(root: Path, chan
         assert advice == (
             "name another --out; to replace the results of S1 for good" if "S1" in words else ""
         )
-        told = [shlex.split(each) for each in rest.split(" && ")]
-        assert [each[1] for each in told] == list(ORDER[ORDER.index(first) : ORDER.index(last) + 1]), stage
-        assert {each[2] for each in told} == {str(case.folder)}
-        assert {each[each.index("--out") + 1] for each in told} == {str(out)}
+        reported = [shlex.split(each) for each in rest.split(" && ")]
+        assert [each[1] for each in reported] == list(ORDER[ORDER.index(first) : ORDER.index(last) + 1]), (
+            stage
+        )
+        assert {each[2] for each in reported} == {str(case.folder)}
+        assert {each[each.index("--out") + 1] for each in reported} == {str(out)}
 
 
 @pytest.mark.parametrize("change", [name for name, (_, first, _) in CHANGES.items() if first])
@@ -200,8 +202,8 @@ def test_the_report_tells_every_change(root: Path, change: str):
     CHANGES[change][0](root)
     page = gather(Case.open(root / "case"), out=root / "out")
     words = CHANGES[change][2]
-    told = [*page.notices, *(each.failure.what for each in page.outcomes.failed if each.failure)]
-    assert any(words.lower() in each.lower() for each in told), told
+    reported = [*page.notices, *(each.failure.what for each in page.outcomes.failed if each.failure)]
+    assert any(words.lower() in each.lower() for each in reported), reported
 
 
 def test_a_bone_that_somebody_laid_beside_the_results_is_not_one_of_the_limb(root: Path, monkeypatch):
@@ -280,8 +282,8 @@ def test_a_label_map_edited_by_hand_stays_with_its_subject_and_its_series(
 def test_what_the_report_tells_is_among_its_warnings_with_the_commands(root: Path):
     in_file("case/levels.csv")(root)
     found = report(Case.open(root / "case"), out=root / "out")
-    (told,) = [each for each in found.warnings if "evels of site p1 changed" in each]
-    assert f"limbcli build-feb {root / 'case'} --site p1 --out {root / 'out'}" in told
+    (reported,) = [each for each in found.warnings if "evels of site p1 changed" in each]
+    assert f"limbcli build-feb {root / 'case'} --site p1 --out {root / 'out'}" in reported
 
 
 def test_another_subjects_results_are_not_on_the_page(root: Path):

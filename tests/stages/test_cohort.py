@@ -14,8 +14,8 @@ from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.stages.cohort import cohort
-from limbcli.stages.cohort_family import Member, solve_member
-from limbcli.stages.cohort_result import natural
+from limbcli.stages.cohorts.family import Member, solve_member
+from limbcli.stages.cohorts.result import natural
 from tests.cohort_rows import people, written
 
 MEAN = np.log([0.006, 0.010, 4.0])

@@ -18,7 +18,7 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from tests.stages import block_case as block
 
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")

@@ -10,9 +10,9 @@ import pytest
 from limbcli.effects import effect
 from limbcli.errors import SolveError
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from tests.stages import block_case
 
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
@@ -132,7 +132,7 @@ def iterate(work: Work, n: int, *, factors: int = 0) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"rubs": True}, 600)]
+    ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"has_friction": True}, 600)]
 )
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
     work = Work(usual=[2000, 4000])

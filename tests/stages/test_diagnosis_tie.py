@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_run
 from limbcli.stages.run import run
 from tests.stages import block_case as block

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.stages.diagnosis import written_model as written
 
 CURVES = Curves(np.array([0.0, 6.0, 12.0]), np.array([0.0, 2.0, 8.0]), np.zeros((3, 0)), np.zeros(0))
@@ -29,19 +29,19 @@ def test_a_contact_that_takes_of_the_force_is_told_by_its_own_mesh(monkeypatch, 
         written, "read_result", lambda *a, **k: SimpleNamespace(data={"size_under_probe_mm": edge})
     )
     mine = SimpleNamespace(
-        curves=SimpleNamespace(sinking=Sinks()),
+        curves=SimpleNamespace(penetration=Sinks()),
         site=SimpleNamespace(name="p1"),
         size=5.0,
         book=SimpleNamespace(model=SimpleNamespace(contacts=[SimpleNamespace(penalty=80.0)])),
     )
-    told = written._contact_takes(mine, CURVES, CURVES.force, 12.0, 20.0, out=Path("out"))
+    reported = written._contact_takes(mine, CURVES, CURVES.force, 12.0, 20.0, out=Path("out"))
     if takes is None:
-        assert told is None
+        assert reported is None
     else:
-        assert "contact penalty of the site's model, 20" in told
-        assert f"about {takes} of the force at 12.0 mm" in told
+        assert "contact penalty of the site's model, 20" in reported
+        assert f"about {takes} of the force at 12.0 mm" in reported
 
 
 def test_nothing_is_told_where_the_contact_was_not_tried():
-    mine = SimpleNamespace(curves=SimpleNamespace(sinking=None))
+    mine = SimpleNamespace(curves=SimpleNamespace(penetration=None))
     assert written._contact_takes(mine, CURVES, CURVES.force, 12.0, 20.0, out=Path("out")) is None

@@ -13,10 +13,10 @@ from packaging.requirements import Requirement
 from limbcli.cli.app import main
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages import doctor as module
-from limbcli.stages import doctor_libraries as libraries
-from limbcli.stages import self_test as test_module
 from limbcli.stages.doctor import doctor
-from limbcli.stages.self_test import HEIGHT, SIDE, indentation, nominal_stress, self_test
+from limbcli.stages.machine import libraries
+from limbcli.stages.machine import self_test as test_module
+from limbcli.stages.machine.self_test import HEIGHT, SIDE, indentation, nominal_stress, self_test
 
 
 @pytest.fixture(scope="module")

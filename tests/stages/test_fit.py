@@ -14,14 +14,14 @@ from scipy.io import loadmat
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
-from limbcli.inference.prediction import Memory
+from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import Progress
 from limbcli.results import StageResult
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
-from limbcli.stages.fit_curves import FileCurve, ReferenceCurve, shares
 from limbcli.stages.fit_joint import fit_joint
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, shares
 from tests.stages import block_case as block
 
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
@@ -112,8 +112,8 @@ def test_progress_and_summary_speak(fitted):
     result, seen = fitted
     kinds = [kind for kind, _ in seen]
     assert {"stage", "fit"} <= set(kinds)
-    told = result.data["steps"]["ogden"]["parameters"]["f_kappa"]["headline"]
-    assert any(line.startswith("f_kappa") and told in line for line in result.summary)
+    reported = result.data["steps"]["ogden"]["parameters"]["f_kappa"]["headline"]
+    assert any(line.startswith("f_kappa") and reported in line for line in result.summary)
     json.dumps(result.to_json(), allow_nan=False)
 
 
@@ -122,9 +122,9 @@ def test_headlines_of_a_good_fit_are_numbers_and_it_is_not_called_poor(fitted):
     assert not result.data["misfit"]["poor"]
     assert result.data["misfit"]["noise_rms_n"] > 0.05, "the depth's noise counts through the slope"
     assert not any("poor" in line for line in (*result.summary, *result.warnings))
-    told = result.data["steps"]["ogden"]["parameters"]["m"]
-    assert told["flag"] != "at bound"
-    assert told["value"] == pytest.approx(3.0, rel=0.01)
+    reported = result.data["steps"]["ogden"]["parameters"]["m"]
+    assert reported["flag"] != "at bound"
+    assert reported["value"] == pytest.approx(3.0, rel=0.01)
 
 
 def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
@@ -138,10 +138,10 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
     assert result.data["misfit"]["times_noise"] > 2.0
     for name in ("f_kappa", "m"):
         lines = [line for line in result.summary if line.startswith(name)]
-        told = result.data["steps"]["ogden"]["parameters"][name]
-        assert told["headline"] in lines[0]
-        if told["flag"] == "at bound":
-            assert f"{told['value']:.4g}" not in lines[0], "a bound of the search is no result"
+        reported = result.data["steps"]["ogden"]["parameters"][name]
+        assert reported["headline"] in lines[0]
+        if reported["flag"] == "at bound":
+            assert f"{reported['value']:.4g}" not in lines[0], "a bound of the search is no result"
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def test_a_solver_on_files_gives_the_same_curve_and_derivative(case, tmp_path):
     model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
     exact = ReferenceCurve(model, c=TRUTH["c"])
     files = FileCurve(ReferenceSolver(threads=1), model, c=TRUTH["c"])
-    one, other = exact(START), Memory(files.differentiable(relative_step=1e-3))(START, (0, 1))
+    one, other = exact(START), SolvedPoints(files.differentiable(relative_step=1e-3))(START, (0, 1))
     exact.close()
     np.testing.assert_allclose(other.values, one.values, rtol=1e-5)
     np.testing.assert_allclose(files.depths, exact.depths, rtol=1e-9)

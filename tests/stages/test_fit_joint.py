@@ -12,12 +12,12 @@ from limbcli.feb.settings import schedule
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import FitOptions, check_choice
-from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fit_laws import LAWS, law_named
-from limbcli.stages.indentation_model import indentation_model, with_penalty
-from limbcli.stages.numerical_error import gain_deviation
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS, law_named
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])

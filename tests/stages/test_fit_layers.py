@@ -15,10 +15,10 @@ from limbcli.reporting.sections.layers import layers
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fit_laws import LAWS
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])
@@ -87,11 +87,11 @@ def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
         case, out=tmp_path / "out", solver="reference",
         options=FitOptions(intervals=False, contact_check=False),
     )  # fmt: skip
-    told = result.data["layers"]
-    assert told["names"] == ["skin", "fat", "muscle"]
-    assert told["n_readings"] == 8
-    assert told["p"] > 0.5
-    assert told["measured_less_predicted"]["fat"]["rms_mm"] < 0.02
+    reported = result.data["layers"]
+    assert reported["names"] == ["skin", "fat", "muscle"]
+    assert reported["n_readings"] == 8
+    assert reported["p"] > 0.5
+    assert reported["measured_less_predicted"]["fat"]["rms_mm"] < 0.02
     with result.path("layers").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [float(row["fat_predicted_mm"]) for row in rows] == pytest.approx(
@@ -109,9 +109,9 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
         case, out=tmp_path / "out", solver="reference",
         options=FitOptions(intervals=False, contact_check=False),
     )  # fmt: skip
-    told = result.data["layers"]
-    assert told["p"] < 1e-6
-    assert told["measured_less_predicted"]["fat"]["last_mm"] == pytest.approx(-0.6, abs=0.05)
+    reported = result.data["layers"]
+    assert reported["p"] < 1e-6
+    assert reported["measured_less_predicted"]["fat"]["last_mm"] == pytest.approx(-0.6, abs=0.05)
     assert any("the layers do not move as in this model" in text for text in result.warnings)
     assert shown(result).mood == "warning"
     assert any(text.startswith("fat: measured less predicted") for text in shown(result).notes)

@@ -14,9 +14,9 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.model import ElementMap
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START, FitOptions, check_choice, fit
-from limbcli.stages.fit_curves import ReferenceCurve, with_tissue
-from limbcli.stages.fit_map import tissue_map
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.fitting.force_curves import ReferenceCurve, with_tissue
+from limbcli.stages.fitting.stiffness_map import tissue_map
+from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
@@ -118,11 +118,11 @@ def test_the_fitted_model_carries_the_map(fits):
 
 @pytest.mark.slow
 def test_the_result_tells_which_map_and_how_much_of_the_model_it_covers(fits):
-    told = fits["map"]["data"]["stiffness_map"]
-    assert told["map"] == "level_00.csv"
-    assert told["n_pixels"] == 21 * 15
-    assert 0 < told["n_elements_within_image"] < told["n_elements"] == 864
-    assert told["low_kpa"] < told["median_kpa"] <= told["high_kpa"]
+    reported = fits["map"]["data"]["stiffness_map"]
+    assert reported["map"] == "level_00.csv"
+    assert reported["n_pixels"] == 21 * 15
+    assert 0 < reported["n_elements_within_image"] < reported["n_elements"] == 864
+    assert reported["low_kpa"] < reported["median_kpa"] <= reported["high_kpa"]
     assert (fits["map"]["folder"] / "stiffness-map.png").stat().st_size > 0
     assert "swe_map_level_0" in fits["map"]["provenance"]["inputs_sha256"]
     json.dumps(fits["map"]["data"], allow_nan=False)

@@ -13,11 +13,11 @@ from limbcli.measurement.elastography import SweMap, read_map, write_map
 from limbcli.measurement.indentation import read_levels
 from limbcli.model import ElementMap
 from limbcli.results import open_stage, read_result
+from limbcli.shear_waves.speed import element_speeds
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fit_curves import with_tissue
-from limbcli.stages.fit_speeds import element_speeds
-from limbcli.stages.fit_swe import leave_speeds
-from limbcli.stages.indentation_model import indentation_model
+from limbcli.stages.fitting.force_curves import with_tissue
+from limbcli.stages.fitting.predicted_speeds import leave_speeds
+from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 DEPTHS = np.array([1.2, 2.4, 3.6])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from limbcli.results import open_stage, stage_folder
-from limbcli.stages.freshness import Memory, key_of
+from limbcli.stages.provenance.freshness import Memory, key_of
 
 
 def make(out: Path) -> None:

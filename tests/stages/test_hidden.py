@@ -9,7 +9,7 @@ from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import TrueLevels
-from limbcli.stages.hidden import hide
+from limbcli.stages.simulated_subjects.hidden_effects import hide
 
 
 def _true() -> TrueLevels:

@@ -10,11 +10,11 @@ import pytest
 
 from limbcli.effects import effect
 from limbcli.feb.read import read_feb
-from limbcli.measurement.swe_prediction import Window
 from limbcli.model import Surface
-from limbcli.phantom.protocol import Protocol
-from limbcli.stages.hidden import hide
-from limbcli.stages.indent import KnownTissue, _depth, indent
+from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.shear_waves.pixels import Window
+from limbcli.stages.simulated_subjects.hidden_effects import hide
+from limbcli.stages.simulated_subjects.indent import KnownTissue, _depth, indent
 from tests.stages.block_case import block_model
 
 
@@ -43,7 +43,7 @@ def test_a_hidden_change_of_the_thickness_shows_in_the_skin_bone_distance() -> N
     floor = Surface("bone", {"tri3": np.array([[low, high, left], [low, high, right]])})
     surfaces = {**model.mesh.surfaces, "skin": replace(top, name="skin"), "bone": floor}
     model = replace(model, mesh=replace(model.mesh, surfaces=surfaces))
-    protocol = Protocol(step=0.5, max_force=1.0)
+    protocol = LoadingProtocol(step=0.5, max_force=1.0)
     found = [
         indent(model, KnownTissue(), protocol=protocol, tolerance=1e-3, change=change,
                window=Window(depth_from=2.0, depth_to=10.0)).skin_bone

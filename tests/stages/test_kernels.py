@@ -12,7 +12,7 @@ import pytest
 
 from limbcli import ahead
 from limbcli.config import THREADS
-from limbcli.stages.kernels import PARTS, compile_ahead
+from limbcli.stages.machine.kernels import PARTS, compile_ahead
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_every_part_runs_to_its_end(part: str):
 
 
 def test_waiting_ends_when_they_do_and_a_failure_is_no_matter():
-    ahead.start("limbcli.stages.kernels", "no such part")
+    ahead.start("limbcli.stages.machine.kernels", "no such part")
     ahead.wait()
     assert not ahead.at_work()
 
@@ -68,10 +68,10 @@ def test_one_that_was_killed_leaves_nobody_at_work():
         "import os, signal; from limbcli import ahead; ahead.start('timeit', '-n1', '-r1', "
         "'import time; time.sleep(60)'); print(ahead.at_work()[0].pid, flush=True); os.kill(os.getpid(), 9)"
     )
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
     if not sys.platform.startswith("linux"):
         pytest.skip("only Linux tells children")
-    child, until = int(told), time.monotonic() + 20
+    child, until = int(output), time.monotonic() + 20
     while time.monotonic() < until and Path(f"/proc/{child}/stat").exists():
         if Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
             return

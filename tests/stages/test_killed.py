@@ -42,8 +42,8 @@ def start(case: Path, out: Path, stage: str, options: tuple[str, ...]) -> subpro
 
 def finished(process: subprocess.Popen[bytes]) -> float:
     begin = time.perf_counter()
-    _, told = process.communicate(timeout=300)
-    assert process.returncode == 0, told.decode()
+    _, reported = process.communicate(timeout=300)
+    assert process.returncode == 0, reported.decode()
     return time.perf_counter() - begin
 
 

@@ -17,8 +17,8 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
 from limbcli.results import read_result
 from limbcli.stages.mesh import mesh
-from limbcli.stages.mesh_checks import geometry_warnings
 from limbcli.stages.segment import segment
+from limbcli.stages.site_model.mesh_checks import geometry_warnings
 
 CASE = """format = 1
 [subject]

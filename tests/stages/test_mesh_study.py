@@ -1,4 +1,4 @@
-"""The refinement study with a stand-in for the solver, and once with the solver itself."""
+"""The refinement study with a surrogate for the solver, and once with the solver itself."""
 
 from __future__ import annotations
 
@@ -13,8 +13,14 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import open_stage, read_result
-from limbcli.stages.mesh_study import StudiedTissue, full_depth, reference_force, studied_tissue, study_site
-from limbcli.stages.numerical_error import studied_error
+from limbcli.stages.fitting.numerical_error import studied_error
+from limbcli.stages.site_model.mesh_study import (
+    StudiedTissue,
+    full_depth,
+    reference_force,
+    studied_tissue,
+    study_site,
+)
 
 CASE = """format = 1
 [subject]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import csv
-import importlib.util
 import json
 import re
 from html.parser import HTMLParser
@@ -20,8 +19,9 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
 from limbcli.stages.report import report
-from limbcli.stages.report_failure import report_failure
-from limbcli.stages.report_material import gather
+from limbcli.stages.report_pages.failure import report_failure
+from limbcli.stages.report_pages.material import gather
+from tests.stages import test_report_state
 
 CASE_TOML = """\
 format = 1
@@ -195,14 +195,8 @@ def whole(tmp_path_factory) -> tuple[Path, Page]:
 
 
 def write_run_of(out: Path, site: str) -> None:
-    folder = Path(__file__).parent / "test_report_state.py"
-    spec = importlib.util.spec_from_file_location("report_state_tests", folder)
-    assert spec is not None
-    assert spec.loader is not None
-    helper = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(helper)
     with open_stage(out, "run", subject="S1", site=site) as writer:
-        helper.write_run(writer.work, helper.box_model())
+        test_report_state.write_run(writer.work, test_report_state.box_model())
         writer.data.update(solver="febio", solver_version="4.11.0")
 
 

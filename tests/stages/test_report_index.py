@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
 from limbcli.results import open_stage
-from limbcli.stages.report_failure import report_failure
-from limbcli.stages.report_index import report_index
+from limbcli.stages.report_pages.failure import report_failure
+from limbcli.stages.report_pages.index import report_index
 
 
 def add_subject(folder: Path, name: str, *, fitted: bool = True, failure: str | None = None) -> None:

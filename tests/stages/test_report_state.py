@@ -24,7 +24,7 @@ from limbcli.model import (
     Surface,
 )
 from limbcli.results import StageResult
-from limbcli.stages.report_state import read_deformed, read_residuals
+from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 
 GRADIENT = tuple(f"F{i}{j}" for i in "xyz" for j in "xyz")
 _HEX_TO_TETS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]

@@ -111,11 +111,11 @@ def test_a_failed_run_keeps_its_log_and_the_last_good_result(
     assert str(out / "run-failed" / "model.log") in caught.value.where
     assert "E R R O R" in (out / "run-failed" / "model.log").read_text()
     assert (out / "run-failed" / "model.feb").is_file()
-    told = json.loads((out / "run-failed" / "run.json").read_text())
-    assert told["data"]["failed"] is True
-    assert "12 negative jacobians" in told["data"]["failure"]["what"]
-    assert told["provenance"]["inputs_sha256"]["model"]
-    assert all((out / "run-failed" / file).is_file() for file in told["files"].values())
+    reported = json.loads((out / "run-failed" / "run.json").read_text())
+    assert reported["data"]["failed"] is True
+    assert "12 negative jacobians" in reported["data"]["failure"]["what"]
+    assert reported["provenance"]["inputs_sha256"]["model"]
+    assert all((out / "run-failed" / file).is_file() for file in reported["files"].values())
     assert read_result(out, "run").data["max_force_n"] == 0.8
     assert not [each for each in out.iterdir() if each.name.startswith(".partial")]
 

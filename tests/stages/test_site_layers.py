@@ -18,8 +18,8 @@ from limbcli.results import StageResult, open_stage
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.indentation_model import indentation_model, window_cells
-from limbcli.stages.site_layers import (
+from limbcli.stages.site_model.indentation_model import indentation_model, window_cells
+from limbcli.stages.site_model.site_layers import (
     Layering,
     LayerLaw,
     layer_laws,

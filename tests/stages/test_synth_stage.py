@@ -12,18 +12,22 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels
-from limbcli.phantom.protocol import Protocol
+from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.indent import KnownTissue, depths_to
 from limbcli.stages.mesh import mesh
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.segment import segment
+from limbcli.stages.simulated_subjects.indent import KnownTissue, depths_to
 from limbcli.stages.synth import SynthOptions, synth, truth_file
 
 TISSUE = KnownTissue(c_kpa=6.0, f_kappa=20.0, m=6.0)
 EXACT = SynthOptions(
-    tissue=TISSUE, noise=0.0, same_mesh=True, element="tet4", protocol=Protocol(max_force=10.0, hold=1.0)
+    tissue=TISSUE,
+    noise=0.0,
+    same_mesh=True,
+    element="tet4",
+    protocol=LoadingProtocol(max_force=10.0, hold=1.0),
 )
 
 

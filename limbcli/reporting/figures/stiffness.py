@@ -72,8 +72,8 @@ def stiffness_figure(section: StiffnessSection) -> Figure:
 def _range(values: Array) -> Normalize:
     """The colours' ends; a uniform map lies in their middle."""
     low, high = float(values.min()), float(values.max())
-    room = 0.0 if high - low > 1e-3 * high else 0.05 * high
-    return Normalize(low - room, high + room)
+    margin = 0.0 if high - low > 1e-3 * high else 0.05 * high
+    return Normalize(low - margin, high + margin)
 
 
 def _ends(values: Array) -> tuple[float, float]:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.numbers import DASH, number, significant
-from limbcli.reporting.reportlet import Cell, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, head
 
 _NAMES = {"f_kappa": "f_κ", "m": "m"}
 
 
-def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[Table, ...]:
+def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Both parts of the 95 % intervals, and every variation; nothing where the geometry was imaged.
 
     data : of fit.json
@@ -22,7 +22,7 @@ def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[Table, ...]:
     return _parts(site, doubt), _variations(site, doubt)
 
 
-def _parts(site: str, doubt: Mapping[str, Any]) -> Table:
+def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
     rows = []
     for name, symbol in _NAMES.items():
         cells = [
@@ -34,20 +34,22 @@ def _parts(site: str, doubt: Mapping[str, Any]) -> Table:
     names = head(
         "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
     )
-    return Table(f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows))
+    return PageTable(
+        f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows)
+    )
 
 
-def _variations(site: str, doubt: Mapping[str, Any]) -> Table:
+def _variations(site: str, doubt: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in doubt.get("variations") or ():
         changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
         shifts = [number(each["log_shift"].get(name)) for name in _NAMES]
         reach = f"{100 * min(changes):+.1f} to {100 * max(changes):+.1f} %" if changes else DASH
-        told = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
-        rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *told))
+        reported = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
+        rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
     caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
-    return Table(caption, (names,), tuple(rows))
+    return PageTable(caption, (names,), tuple(rows))
 
 
 def _interval(found: Sequence[float | None] | None) -> str:

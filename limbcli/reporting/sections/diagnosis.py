@@ -8,7 +8,7 @@ from typing import Any
 from limbcli.errors import LimbError
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Mood, Picture, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head
 from limbcli.results import StageResult, read_result
 
 TITLE = "What is missing in the model, if anything?"
@@ -80,7 +80,7 @@ def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
     )  # fmt: skip
 
 
-def _candidates(data: Mapping[str, Any]) -> Table:
+def _candidates(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in data["candidates"]:
         size = ", ".join(f"{name} {value:.3g}" for name, value in each["estimate"].items())
@@ -89,10 +89,10 @@ def _candidates(data: Mapping[str, Any]) -> Table:
     for name, why in data["not_evaluated"].items():
         rows.append((Cell(name, lead=True), Cell(f"not evaluated: {why}"), Cell(DASH), Cell(DASH)))
     titles = head("candidate", "what it says", "adjusted p", "first-order estimate")
-    return Table("Candidates, the most telling first", (titles,), tuple(rows), numeric=False)
+    return PageTable("Candidates, the most telling first", (titles,), tuple(rows), numeric=False)
 
 
-def _shrunk(data: Mapping[str, Any]) -> Table:
+def _shrunk(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for stage in data["shrink"]:
         held = stage["held_out"].get("all")
@@ -109,7 +109,7 @@ def _shrunk(data: Mapping[str, Any]) -> Table:
     titles = head(
         "model", "chi2/nu", "held-out error (deviations)", "placebo percentile", "c (kPa), 95 %", "m, 95 %"
     )
-    return Table("How the gap shrank", (titles,), tuple(rows))
+    return PageTable("How the gap shrank", (titles,), tuple(rows))
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
@@ -120,7 +120,7 @@ def _interval(stage: Mapping[str, Any], name: str) -> str:
     return f"{stage['values'][name]:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
 
 
-def _blind(data: Mapping[str, Any]) -> Table:
+def _blind(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for spot in data["blind_spots"]:
         bias = ", ".join(f"{name} {value:+.1f}" for name, value in spot["bias_sd"].items())
@@ -132,10 +132,10 @@ def _blind(data: Mapping[str, Any]) -> Table:
         )
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "visible share", "size seen (plausible sizes)", "bias if unseen (deviations)")
-    return Table("What these data can see", (titles,), tuple(rows))
+    return PageTable("What these data can see", (titles,), tuple(rows))
 
 
-def _sizes(data: Mapping[str, Any]) -> tuple[Table, ...]:
+def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """How large each effect could be when it alone is added; nothing where an older result does not say."""
     rows = []
     for effect, sizes in data.get("sizes_95", {}).items():
@@ -143,7 +143,9 @@ def _sizes(data: Mapping[str, Any]) -> tuple[Table, ...]:
             texts = (effect, name, *("open" if end is None else f"{end:.3g}" for end in (low, high)))
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "size", "from", "to (95 %)")
-    return (Table("How large each effect could be, it alone added", (titles,), tuple(rows)),) if rows else ()
+    return (
+        (PageTable("How large each effect could be, it alone added", (titles,), tuple(rows)),) if rows else ()
+    )
 
 
 def _number(value: float | None) -> str:

@@ -8,7 +8,7 @@ from limbcli.reporting.curves import read_predicted_speeds
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_words, wave_speed
 from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 from limbcli.results import StageResult
 
 TITLE = "Does the tissue stiffen with load, as shear waves see it?"
@@ -43,7 +43,7 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     lines = (("force", "N", site.against_force), ("depth", "mm", site.against_depth))
     rows = tuple(_row(name, unit, line, site.why_no_line) for name, unit, line in lines)
     names = head("speed against", "slope", "standard error", "speed at zero [m/s]", "R² [–]", "levels")
-    table = Table(f"Straight lines through the speeds at site {site.name}", (names,), rows)
+    table = PageTable(f"Straight lines through the speeds at site {site.name}", (names,), rows)
     return Reportlet(
         key,
         TITLE,
@@ -95,10 +95,10 @@ def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
 
 def _notes(fit: StageResult | None) -> tuple[str, ...]:
     """How far the prediction is off, and what c was."""
-    told = fit.data.get("swe") if fit else None
+    reported = fit.data.get("swe") if fit else None
     notes = []
-    if isinstance(told, dict) and number(told.get("rmse_m_per_s")) is not None:
-        off = quantity(told["rmse_m_per_s"], "m/s", digits=2)
+    if isinstance(reported, dict) and number(reported.get("rmse_m_per_s")) is not None:
+        off = quantity(reported["rmse_m_per_s"], "m/s", digits=2)
         notes.append(f"Under load the predicted mean speed is off by {off} (root mean square over levels).")
     c = fit.data.get("stiffness_map") if fit else None
     if isinstance(c, dict):

@@ -8,7 +8,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
 from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
@@ -24,7 +24,7 @@ from limbcli.reporting.sections.segmentation import segmentation
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class SectionGroup:
     """A chapter: the subject's, or one site's."""
 
     key: str
@@ -38,25 +38,25 @@ SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], .
 )  # fmt: skip
 
 
-def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[Group, ...]:
+def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[SectionGroup, ...]:
     """Results first, then what they rest on, then where they come from."""
     sites = [_site(page, site) for site in page.sites]
     together = [each for make in (joint, laws) if (each := make(page)) is not None]
     return (
-        Group("chapter-parameters", "Parameters", (parameters(page), *together)),
+        SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
-        Group("chapter-segmentation", "Segmentation", (segmentation(page),)),
-        Group("chapter-provenance", "Provenance", (provenance(page, own),)),
+        SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
+        SectionGroup("chapter-provenance", "Provenance", (provenance(page, own),)),
     )
 
 
-def _site(page: ReportData, site: SiteMaterial) -> Group:
+def _site(page: ReportData, site: SiteMaterial) -> SectionGroup:
     reportlets = [each for make in SITE_REPORTLETS if (each := make(page, site)) is not None]
     shown = [each for each in reportlets if not _is_gap(each)]
     gaps = [each for each in reportlets if _is_gap(each)]
     if len(gaps) > 1:
         gaps = [_together(site, gaps)]
-    return Group(f"site-{site.name}", f"Site {site.name}", (*shown, *gaps))
+    return SectionGroup(f"site-{site.name}", f"Site {site.name}", (*shown, *gaps))
 
 
 def _is_gap(reportlet: Reportlet) -> bool:
@@ -74,5 +74,5 @@ def _together(site: SiteMaterial, gaps: list[Reportlet]) -> Reportlet:
         for each in gaps
     )
     caption = f"Questions without an answer yet at site {site.name}"
-    table = Table(caption, (head("question", "why not", "made by"),), rows, numeric=False)
+    table = PageTable(caption, (head("question", "why not", "made by"),), rows, numeric=False)
     return Reportlet(f"gaps-{site.name}", "What is still missing?", "missing", site.name, tables=(table,))

@@ -8,7 +8,7 @@ from typing import Any
 from limbcli.reporting.fit_view import EstimateView, read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
 
@@ -56,11 +56,11 @@ def _pictures(result: StageResult, sites: str) -> list[Picture]:
     ]
 
 
-def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: str) -> Table:
+def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: str) -> PageTable:
     rows = tuple(tuple(estimate_cells(each)) for each in estimates)
     law = data.get("law_words") or data.get("law") or DASH
     names = head("parameter", "value", "95 % interval", "verdict")
-    return Table(f"Joint fit of {sites}: {law}; c is free", (names,), rows, numeric=False)
+    return PageTable(f"Joint fit of {sites}: {law}; c is free", (names,), rows, numeric=False)
 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
@@ -91,7 +91,9 @@ def laws(page: ReportData) -> Reportlet | None:
     return Reportlet(
         "laws",
         LAWS_TITLE,
-        tables=(Table("Laws, best first, by the root-mean-square error of left-out levels", (names,), rows),),
+        tables=(
+            PageTable("Laws, best first, by the root-mean-square error of left-out levels", (names,), rows),
+        ),
         look_for="a law that is better by more than the noise of the depth; among equals the one with fewer "
         "parameters",
         bad="laws compared by R²: every law that rises has it near 1. Where all laws miss by the same, the "

@@ -14,36 +14,36 @@ TITLE = "Do skin, fat and muscle move as the model moves them?"
 def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """The layers measured and predicted, level by level; None where the site has none."""
     result = page.outcomes.of("fit", site.name).result
-    told = result.data.get("layers") if result else None
-    if result is None or not isinstance(told, dict) or "layers_picture" not in result.files:
+    layers = result.data.get("layers") if result else None
+    if result is None or not isinstance(layers, dict) or "layers_picture" not in result.files:
         return None
     path = result.path("layers_picture")
     if not path.is_file():
         return None
-    p = told.get("p")
+    p = layers.get("p")
     fits = not isinstance(p, int | float) or p >= 0.01
     return Reportlet(
         f"layers-{site.name}",
         TITLE,
         "fine" if fits else "warning",
         site.name,
-        pictures=(Picture(f"layers-{site.name}", _alt(told, site.name), source=path, vector=False),),
+        pictures=(Picture(f"layers-{site.name}", _alt(layers, site.name), source=path, vector=False),),
         look_for="points on the borders of the bands at every level: then one tissue moves as the layers do. "
         "The layer on the bone tells nothing beyond the depth",
         bad="a layer that gets thinner much faster than its band (fat is softer than the rest), or hardly "
         "thinner at all (skin, or something stiff above the bone)",
-        notes=_notes(told),
+        notes=_notes(layers),
         warned=() if fits else ("The layers do not move as in the fitted model: see the diagnosis.",),
     )
 
 
-def _alt(told: dict[str, Any], site: str) -> str:
-    names = ", ".join(map(str, told.get("names", [])))
+def _alt(layers: dict[str, Any], site: str) -> str:
+    names = ", ".join(map(str, layers.get("names", [])))
     return f"Borders of {names} below the probe at site {site}: measured points, predicted bands."
 
 
-def _notes(told: dict[str, Any]) -> tuple[str, ...]:
-    found = told.get("measured_less_predicted") or {}
+def _notes(layers: dict[str, Any]) -> tuple[str, ...]:
+    found = layers.get("measured_less_predicted") or {}
     notes = [
         f"{name}: measured less predicted {quantity(each.get('last_mm'), 'mm', digits=2)} at the last level "
         f"({quantity(each.get('last_deviations'), 'deviations', digits=2)})."
@@ -51,7 +51,7 @@ def _notes(told: dict[str, Any]) -> tuple[str, ...]:
         if isinstance(each, dict)
     ]
     notes.append(
-        f"Chi-square {quantity(told.get('chi_square'), '')} for {told.get('n_readings')} readings, with a "
-        f"deviation of {quantity(told.get('deviation_mm'), 'mm', digits=2)} of each thickness."
+        f"Chi-square {quantity(layers.get('chi_square'), '')} for {layers.get('n_readings')} readings, with "
+        f"a deviation of {quantity(layers.get('deviation_mm'), 'mm', digits=2)} of each thickness."
     )
     return tuple(notes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from limbcli.reporting.numbers import plain_rows
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Picture, Reportlet, Table, head, placeholder
+from limbcli.reporting.reportlet import PageTable, Picture, Reportlet, head, placeholder
 
 TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
 
@@ -22,7 +22,9 @@ def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
     )
     pictures = (Picture(f"mesh-{site.name}", alt, source=path, vector=False),) if path.is_file() else ()
     rows = tuple(plain_rows(result.data))
-    table = Table(f"Figures of the mesh at site {site.name}", (head("figure", "value"),), rows, numeric=False)
+    table = PageTable(
+        f"Figures of the mesh at site {site.name}", (head("figure", "value"),), rows, numeric=False
+    )
     return Reportlet(
         key,
         TITLE,

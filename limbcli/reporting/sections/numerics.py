@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, plain_rows
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import StageResult
 
 ELEMENTS_TITLE = "How much of f_κ is the element?"
@@ -36,7 +36,7 @@ def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         ELEMENTS_TITLE,
         site=site.name,
         pictures=_picture(result, f"elements-{site.name}", alt),
-        tables=(Table(f"The same mesh in two elements at site {site.name}", (names,), rows),),
+        tables=(PageTable(f"The same mesh in two elements at site {site.name}", (names,), rows),),
         look_for="dotted curves that lie together and right-hand curves that are flat: then the element "
         "does not matter",
         bad="a tet4 curve that rises with f_κ where tet10's is flat. It locks, and the f_κ fitted with it "
@@ -76,7 +76,7 @@ def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         "warning" if result.warnings or not isinstance(error, float) or error > _LARGE else "fine",
         site.name,
         pictures=_picture(result, f"mesh-study-{site.name}", alt),
-        more=(Table(f"Mesh study at site {site.name}", (head("figure", "value"),), rows, numeric=False),),
+        more=(PageTable(f"Mesh study at site {site.name}", (head("figure", "value"),), rows, numeric=False),),
         look_for="curves that level off towards small elements and wide margins, and a numerical error well "
         "below the noise of the measurement",
         bad="a force that still moves at the mesh in use: that share of it is the mesh, and no parameter "

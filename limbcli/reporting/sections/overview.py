@@ -76,9 +76,9 @@ def overview(page: ReportData) -> Overview:
     warnings = [Warned("report", text) for text in page.notices]
     warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
     warnings += [Warned("parameters", text) for text in parameter_warnings(page)]
-    told = {each.text for each in warnings}
+    reported = {each.text for each in warnings}
     of_levels = [(site.name, text) for site in page.sites for text in site.warnings]
-    warnings += [Warned(f"levels {name}", text) for name, text in of_levels if text not in told]
+    warnings += [Warned(f"levels {name}", text) for name, text in of_levels if text not in reported]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     if page.case.imaging.assumed:

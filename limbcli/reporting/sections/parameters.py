@@ -1,4 +1,4 @@
-"""Which parameters, how sure, and what cannot be told from these data."""
+"""Which parameters, how sure, and what cannot be determined from these data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitVi
 from limbcli.reporting.numbers import DASH, cell, quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Mood, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
@@ -65,7 +65,7 @@ def _mood(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Mood:
     return "fine" if sound and len(views) == len(outcomes) else "warning"
 
 
-def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Table:
+def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> PageTable:
     names = ("c [kPa]", "m [–]", "κ′ [kPa]", "R² [–]")
     top = (
         Cell("site", lead=True, down=2),
@@ -82,7 +82,7 @@ def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> T
     caption = (
         "Identified parameters. Ψ = c/(2m²) Σ(λᵢᵐ + λᵢ⁻ᵐ − 2) + κ′/2 (J − 1)²; c = 2µ from shear-wave speed"
     )
-    return Table(caption, (top, head(*names, *names)), tuple(rows))
+    return PageTable(caption, (top, head(*names, *names)), tuple(rows))
 
 
 def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
@@ -104,7 +104,7 @@ def said(shown: Cell, estimate: EstimateView | None) -> Cell:
     return replace(shown, text=estimate.headline.split(" (")[0], reason=f"{estimate.name}: {estimate.flag}")
 
 
-def _details(site: str, view: FitView) -> Table:
+def _details(site: str, view: FitView) -> PageTable:
     """Every parameter of every step: value, interval, flag and what was done to find it."""
     names = head("type", "parameter", "value", "95 % interval", "verdict")
     rows = []
@@ -113,7 +113,7 @@ def _details(site: str, view: FitView) -> Table:
             label = (Cell(step.label, lead=True, down=len(step.estimates)),) if k == 0 else ()
             rows.append((*label, *estimate_cells(each)))
     caption = f"Site {site}: intervals and what can be said of each parameter ({view.element}, {view.solver})"
-    return Table(caption, (names,), tuple(rows), numeric=False)
+    return PageTable(caption, (names,), tuple(rows), numeric=False)
 
 
 def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:

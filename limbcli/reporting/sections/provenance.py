@@ -8,7 +8,7 @@ from typing import Any
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
 
 KEY, TITLE = "provenance", "What made this page?"
 
@@ -29,7 +29,7 @@ def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
     )
 
 
-def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     rows = [
         (
             Cell(label, lead=True),
@@ -41,14 +41,14 @@ def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
         for label, made in _made(done, own)
     ]
     names = head("stage", "command", "limbcli", "finished (UTC)", "took")
-    return Table("Commands", (names,), tuple(rows), numeric=False)
+    return PageTable("Commands", (names,), tuple(rows), numeric=False)
 
 
 def _made(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     return [(each.label, each.result.provenance) for each in done if each.result] + [("report", own)]
 
 
-def _solvers(done: tuple[Outcome, ...]) -> Table:
+def _solvers(done: tuple[Outcome, ...]) -> PageTable:
     rows: list[tuple[Cell, ...]] = []
     for each in done:
         if each.result is None or each.stage not in ("run", "fit", "fit-joint"):
@@ -68,23 +68,23 @@ def _solvers(done: tuple[Outcome, ...]) -> Table:
     names = head("stage", "solver that ran", "version", "linear solver")
     if not rows:
         rows = [(Cell(DASH, lead=True, reason="no simulation has been run"), *[Cell(DASH)] * 3)]
-    return Table("Solver", (names,), tuple(rows), numeric=False)
+    return PageTable("Solver", (names,), tuple(rows), numeric=False)
 
 
 def _told(value: object, why_not: str) -> Cell:
     return Cell(str(value)) if value else Cell(DASH, reason=why_not)
 
 
-def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     rows = []
     for label, made in _made(done, own):
         for name, digest in (made.get("inputs_sha256") or {}).items():
             rows.append((Cell(label, lead=True), Cell(str(name)), Cell(str(digest))))
     names = head("stage", "input", "SHA-256")
-    return Table("Inputs", (names,), tuple(rows), numeric=False)
+    return PageTable("Inputs", (names,), tuple(rows), numeric=False)
 
 
-def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
+def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     versions: dict[str, dict[str, None]] = {}
     for _, made in _made(done, own):
         packages = made.get("packages") or {}
@@ -96,4 +96,4 @@ def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> Table:
             if version:
                 versions.setdefault(str(name), {})[str(version)] = None
     rows = tuple((Cell(name, lead=True), Cell(", ".join(found))) for name, found in versions.items())
-    return Table("Versions", (head("package", "version"),), rows, numeric=False)
+    return PageTable("Versions", (head("package", "version"),), rows, numeric=False)

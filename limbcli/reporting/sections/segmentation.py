@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, plain_rows
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Picture, Reportlet, Table, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 
 KEY, TITLE = "segmentation", "Are skin and bones outlined where they are?"
 TITLE_ASSUMED = "What is assumed of the limb's shape?"
@@ -42,7 +42,7 @@ def segmentation(page: ReportData) -> Reportlet:
     tables = tuple(each for each in (_markers(result.data.get("markers")),) if each)
     rest = {key: value for key, value in result.data.items() if key not in _HANDLED}
     figures = tuple(plain_rows(rest))
-    more = (Table("Figures of the segmentation", (head("figure", "value"),), figures, numeric=False),)
+    more = (PageTable("Figures of the segmentation", (head("figure", "value"),), figures, numeric=False),)
     look_for, bad = _CAPTION_ASSUMED if page.case.imaging.assumed else _CAPTION
     return Reportlet(
         KEY,
@@ -64,7 +64,7 @@ def _verdict(data: Mapping[str, Any]) -> str:
     return str(quality.get("verdict", "")) if isinstance(quality, Mapping) else ""
 
 
-def _markers(markers: object) -> Table | None:
+def _markers(markers: object) -> PageTable | None:
     if not isinstance(markers, list) or not markers:
         return None
     rows = []
@@ -77,4 +77,4 @@ def _markers(markers: object) -> Table | None:
             cells = [cell(value, digits=4) for value in place]
         rows.append((Cell(str(each.get("number", DASH)), lead=True), *cells))
     names = head("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")
-    return Table("Skin markers, patient frame (LPS)", (names,), tuple(rows))
+    return PageTable("Skin markers, patient frame (LPS)", (names,), tuple(rows))

@@ -28,20 +28,21 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.bench.site import SiteCurves
-from limbcli.stages.diagnosis.curves.curves import FIRST_M, CurveBook
-from limbcli.stages.diagnosis.data.data import SiteData, site_data
-from limbcli.stages.diagnosis.data.holds import HeldForces, held_forces
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
+from limbcli.stages.diagnosis.data.held_forces import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
-from limbcli.stages.diagnosis.data.rows import Extra
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
-from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, Numerics
-from limbcli.stages.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
 from limbcli.stages.mesh import read_limb, site_position
-from limbcli.stages.mesh_checks import measured_skin_bone
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.mesh_checks import measured_skin_bone
+from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -93,7 +94,7 @@ class Prepared:
 
 def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
-    extras: Sequence[Extra] = (), progress: Progress,
+    extras: Sequence[ExtraMeasurement] = (), progress: Progress,
 ) -> Prepared:  # fmt: skip
     """Mesh, solve without effects, try the numerical ones, and stack the data.
 
@@ -123,7 +124,7 @@ def turned_by_90(
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
-    curves = SiteCurves(known.site, book, known.effects, sinking=known.sinking, progress=progress)
+    curves = SiteCurves(known.site, book, known.effects, penetration=known.penetration, progress=progress)
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:2])
@@ -174,7 +175,7 @@ class _Preparation:
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
 
-    def all(self, effects: Mapping[str, Effect], extras: Sequence[Extra]) -> Prepared:
+    def all(self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement]) -> Prepared:
         book = self.book()
         try:
             for m in FIRST_M:
@@ -190,7 +191,9 @@ class _Preparation:
         except LimbError:
             book.close()
             raise
-        curves = SiteCurves(data, book, effects, tie=tie, sinking=numerics.sinking, progress=self.progress)
+        curves = SiteCurves(
+            data, book, effects, tie=tie, penetration=numerics.penetration, progress=self.progress
+        )
         return Prepared(self.site, self.size, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
@@ -270,7 +273,11 @@ class _Preparation:
         return load_model(kept)  # as it will be when the diagnosis is taken up again
 
     def _data(
-        self, numerics: Numerics, tie: Tie, interventions: Sequence[Intervention], extras: Sequence[Extra]
+        self,
+        numerics: Numerics,
+        tie: Tie,
+        interventions: Sequence[Intervention],
+        extras: Sequence[ExtraMeasurement],
     ) -> SiteData:
         if self.site.swe_maps is not None:
             self.notes.inputs["swe maps"] = self.site.swe_maps
@@ -280,11 +287,12 @@ class _Preparation:
             held, why = self._held()
             if held is None:
                 self.notes.data["holds_not_used"] = why
+        errors = ModelErrors(numerics)
         return site_data(
             self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
-            model_error=numerics.noise(tie, interventions), held=held, extras=extras,
-            usable=numerics.parts_seen(), thickness=numerics.thickness, map_share=tie.map_share,
-            map_slopes=numerics.map_slopes(), layers=self.layers,
+            model_error=errors.all(tie, interventions), held=held, extras=extras,
+            usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
+            map_slopes=errors.map_slopes(), layers=self.layers,
         )  # fmt: skip
 
     def _held(self) -> tuple[HeldForces | None, str]:

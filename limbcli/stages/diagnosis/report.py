@@ -9,21 +9,25 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnostics.localisation_tests import PREFIX
-from limbcli.diagnostics.nextstep import best_step
-from limbcli.diagnostics.score import Direction
-from limbcli.diagnostics.verdict import Diagnosis, Shrink
+from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Effect
-from limbcli.stages.diagnosis.bench.bench import SiteBench
-from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.joint import slices
-from limbcli.stages.diagnosis.sizes import told_sizes
+from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.sizes import reported_sizes
 
 
-def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[str, Any]:
+def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
     """Everything, with plain values; units in the keys."""
-    null = {slot.name: slot.parameter.null for name in bench.effects for slot in bench.slots((name,))}
+    null = {
+        slot.name: slot.parameter.null
+        for name in forward_model.effects
+        for slot in forward_model.slots((name,))
+    }
     family = found.family
     where = [
         {"part": t.name.removeprefix(PREFIX), "p": t.p, "p_adjusted": t.p_adjusted,
@@ -67,7 +71,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
             "power_for_its_worst_pair": best[1] if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": told_sizes(bench.effects, found.sizes, found.told.values["c_kpa"]),
+        "sizes_95": reported_sizes(forward_model.effects, found.sizes, found.estimates.values["c_kpa"]),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,
@@ -75,14 +79,14 @@ def diagnosis_json(found: Diagnosis, site: SiteData, bench: SiteBench) -> dict[s
 
 
 def _stage(stage: Shrink) -> dict[str, Any]:
-    told = stage.told
+    estimates = stage.estimates
     return {
         "explanation": list(stage.explanation), "chi2": stage.chi2, "nu": stage.nu,
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
-        "placebo_percentile": stage.placebo_percentile, "values": dict(told.values),
-        "intervals_95": {name: list(ends) for name, ends in told.intervals.items()},
-        "not_told_by_the_data": list(told.open), "values_without_prior": dict(told.best),
-        "prior": told.prior,
+        "placebo_percentile": stage.placebo_percentile, "values": dict(estimates.values),
+        "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
+        "not_told_by_the_data": list(estimates.open), "values_without_prior": dict(estimates.best),
+        "prior": estimates.prior,
     }  # fmt: skip
 
 

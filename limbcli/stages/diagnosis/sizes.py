@@ -44,8 +44,8 @@ def _cut_off(value: float, c_kpa: float) -> float:
     return float("inf") if value <= 0 else 100.0 / float(np.sqrt(value))
 
 
-# Parameter as it is fitted: its name as it is told, and how the one turns into the other.
-_TOLD: Mapping[str, tuple[str, _Turn]] = {
+# Parameter as it is fitted: its name as it is reported, and how the one turns into the other.
+_REPORTED: Mapping[str, tuple[str, _Turn]] = {
     "force_zero_n": ("f0_n", _same),
     "depth_zero_mm": ("d0_mm", _same),
     "preload_n": ("f0_n", _same),
@@ -68,10 +68,10 @@ _TOLD: Mapping[str, tuple[str, _Turn]] = {
 }
 
 
-def told_sizes(
+def reported_sizes(
     effects: Mapping[str, Effect], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
 ) -> Sizes:
-    """Intervals with the names and units in which they are told; None: open on that side.
+    """Intervals with the names and units in which they are reported; None: open on that side.
 
     found : by effect and parameter, the distance from its null value; effects that are not there are open
     """
@@ -83,7 +83,7 @@ def told_sizes(
             ends = [p.null + low, p.null + high]
             open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
             inside = [float(np.clip(each, p.low, p.high)) for each in ends]
-            label, turn = _TOLD.get(p.name, (p.name, _same))
+            label, turn = _REPORTED.get(p.name, (p.name, _same))
             values: list[float | None] = [
                 None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned
                 for each, is_open in zip(inside, open_ends, strict=True)

@@ -7,36 +7,38 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnostics.verdict import Diagnosis
-from limbcli.effects.reading import Curves, true_depth
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import true_depth
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.results import StageWriter, read_result
-from limbcli.stages.diagnosis.bench.bench import SiteBench
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty
 from limbcli.stages.diagnosis.prepare import Prepared
-from limbcli.stages.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
 
 _SOFT = 0.02  # of the force, what the written model's contact may take untold
 
 
 def write_diagnosed(
-    found: Diagnosis, bench: SiteBench, mine: Prepared, writer: StageWriter, *, out: Path, number: int,
+    found: Diagnosis, forward_model: SiteForwardModel, mine: Prepared, writer: StageWriter, *, out: Path,
+    number: int,
     templates: Path | None = None,
 ) -> None:  # fmt: skip
     """The site's own model with what was added and the refitted parameters, as diagnosed.feb.
 
-    number : of the site among those of the bench. What the written model does not hold to is warned of.
+    number : of the site among the forward model's. What the written model does not hold to is warned of.
     """
     path = out / "mesh" / mine.site.name / "model.npz"
     if not path.is_file():
         writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
         return
-    fitted = replace(found.final, values={**found.final.values, **found.told.values})
-    curves, reading = bench.curves_of(fitted, number)
+    fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
+    curves, reading = forward_model.curves_of(fitted, number)
     depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
     depths = [float(d) for d in depth if d > 2 * least_level()]
     meshed = load_model(path)
@@ -45,9 +47,9 @@ def write_diagnosed(
     penalty = contact_penalty(mine.site, out)
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
-    theta = bench.theta(fitted.values, fitted.explanation, number)
-    for name, point in zip(fitted.explanation, bench.points(fitted), strict=True):
-        each = bench.effects[name]
+    theta = forward_model.theta(fitted.values, fitted.explanation, number)
+    for name, point in zip(fitted.explanation, forward_model.points(fitted), strict=True):
+        each = forward_model.effects[name]
         model = each.apply(model, {**each.null, **theta, **each.without_onset(point)})
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(
@@ -55,8 +57,8 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(model, writer.file("feb", "diagnosed.feb"), templates)
-    told = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
-    writer.warnings.extend([told] if told else [])
+    warning = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
+    writer.warnings.extend([warning] if warning else [])
 
 
 def _contact_takes(
@@ -66,7 +68,7 @@ def _contact_takes(
 
     force (n,) : theirs at the reference stiffness
     """
-    known = mine.curves.sinking
+    known = mine.curves.penetration
     if known is None:
         return None
     # A penalty is taken for a facet of its size.

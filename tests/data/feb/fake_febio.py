@@ -1,4 +1,4 @@
-"""A stand-in for FEBio: replays a log and writes records, in the way FAKE_FEBIO says.
+"""A surrogate for FEBio: replays a log and writes records, in the way FAKE_FEBIO says.
 
 Run by the tests as a program: `fake_febio.py -i model.feb -o model.log`, or `-info`.
 """

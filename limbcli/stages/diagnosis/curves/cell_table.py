@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.effects.frozen import Kinematics, frozen_speed
+from limbcli.effects.curves import Curves
+from limbcli.effects.frozen import SolvedDeformation, frozen_speed
 from limbcli.effects.places import Stiffness
-from limbcli.effects.reading import Curves
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.stages.diagnosis.curves.cells import centers, volumes
@@ -36,7 +36,7 @@ class CellTable:
         """What a simulation must write."""
         return LogRecord("element", (*_CENTER, *_GRADIENT), FILE, self.cells)
 
-    def kinematics(self, model: LimbModel, depth: Array, values: Array) -> Kinematics:
+    def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
         """The deformation of every tissue cell at these depths (mm, n), the first of them 0."""
         n = len(self.cells)
         rest = centers(model, self.cells)
@@ -46,10 +46,10 @@ class CellTable:
             self.windows.seen(model, at, rest, gradient, depth=float(d))
             for at, gradient, d in zip(places, F, depth, strict=True)
         ]
-        return Kinematics(depth, F, volumes(model), tuple(seen))
+        return SolvedDeformation(depth, F, volumes(model), tuple(seen))
 
     def curves(
-        self, model: LimbModel, in_window: LimbModel, kinematics: Kinematics, forces: Array,
+        self, model: LimbModel, in_window: LimbModel, kinematics: SolvedDeformation, forces: Array,
         stiffness: Sequence[Stiffness] = (),
     ) -> Curves:  # fmt: skip
         """Forces (N, n) and speeds over depths; in_window: the model as the waves meet it, but for

@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.files import atomic_file
 from limbcli.model import Array
 from limbcli.solvers.restart import solved_arrays, solved_of
@@ -31,7 +31,7 @@ class KeptCurves:
 
 
 @dataclass(frozen=True)
-class Kept:
+class CurveStore:
     """folder : None where nothing is kept."""
 
     folder: Path | None

@@ -42,10 +42,10 @@ class Work:
     _allowed: float = math.inf
     _counted: tuple[int, int] = (0, 0)
 
-    def begin(self, *, candidate: bool, rubs: bool = False, fitted: bool = False) -> None:
-        """candidate : it has an effect in it; rubs : it has friction; fitted : its size is that of a fit"""
+    def begin(self, *, candidate: bool, has_friction: bool = False, fitted: bool = False) -> None:
+        """candidate : it has an effect in it; fitted : its size is that of a fit"""
         self.done, self._counted = 0, (0, 0)
-        times = _TIMES_WITH_FRICTION if rubs else _TIMES_FITTED if fitted else _TIMES_USUAL
+        times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
         self._allowed = limit if candidate else self.at_most
 
@@ -60,7 +60,7 @@ class Work:
 
     @property
     def spent(self) -> bool:
-        """All that a diagnosis may take: what is left is told without simulations of its own."""
+        """All that a diagnosis may take: what is left is reported without simulations of its own."""
         usual = _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
         return self.total > min(usual, _MOST_IN_ALL / max(self.n_cells, 1))
 

@@ -11,11 +11,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.diagnostics.forward_model import Data
-from limbcli.diagnostics.noise import Noise, NoisePart
+from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.noise import Noise, NoisePart
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.data import SiteData
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.site_data import SiteData
 
 
 def joined(sites: Sequence[SiteData]) -> Data:

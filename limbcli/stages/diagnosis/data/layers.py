@@ -11,16 +11,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.diagnostics.noise import NoisePart, common
+from limbcli.diagnostics.model.noise import NoisePart, common
 from limbcli.effects.base import Effect, Theta
+from limbcli.effects.curves import Curves
 from limbcli.effects.places import Places
-from limbcli.effects.reading import Curves, Protocol
+from limbcli.effects.reading import Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
 from limbcli.stages.diagnosis.data.rows import Row, Stacked
-from limbcli.stages.indentation_model import tissue_nodes
-from limbcli.stages.layer_readings import LayerReadings
+from limbcli.stages.site_model.indentation_model import tissue_nodes
+from limbcli.stages.site_model.layer_readings import LayerReadings
 
 CHANNEL = "layer"
 FIRST_TOUCH = "measurement: layers at first touch"
@@ -134,7 +135,7 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Eff
     Below the probe's middle the layers bear nearly the same pressure one after the other, as springs in
     series do: where the tissue is softer by a factor, it gives way more by that factor, and the probe's depth
     is shared out anew. Effects that are no field of stiffness leave the lines. A simulation at one size, and
-    at the fitted one, puts right what this misses (`bench.changes`, `SiteCurves.repair`).
+    at the fitted one, puts right what this misses (`forward_model.changes`, `SiteCurves.repair`).
 
     Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
     18(4):e0284721.

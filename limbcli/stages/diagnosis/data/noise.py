@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.case import Noise as StatedNoise
-from limbcli.diagnostics.noise import NoisePart, common, correlated, independent
+from limbcli.diagnostics.model.noise import NoisePart, common, correlated, independent
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise

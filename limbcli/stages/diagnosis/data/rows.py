@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import Noise as StatedNoise
-from limbcli.effects.reading import Curves, Protocol, Reading
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.holds import HeldForces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.windows import Windows
 
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
@@ -31,7 +32,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Extra:
+class ExtraMeasurement:
     """A further measurement: its name, what a model says of it, what was measured and one deviation (n,)."""
 
     name: str
@@ -104,7 +105,7 @@ def hold_rows(held: HeldForces | None) -> Stacked:
     return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
 
 
-def extra_rows(extras: Sequence[Extra]) -> Stacked:
+def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
     rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
     y = [float(value) for each in extras for value in each.y]
     return rows, y, [float(value) for each in extras for value in each.deviation]

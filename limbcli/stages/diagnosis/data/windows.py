@@ -14,8 +14,8 @@ import numpy as np
 from limbcli.effects.frozen import Seen
 from limbcli.effects.places import Places
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.swe_prediction import Window, pixel_averages
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.shear_waves.pixels import Window, pixel_averages
 
 _PART_MM = 4.0  # of a side of a part, about
 _USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map tells it

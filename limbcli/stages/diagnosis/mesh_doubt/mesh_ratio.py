@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Site
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0

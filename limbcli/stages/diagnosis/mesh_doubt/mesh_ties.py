@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from limbcli.case import Site
-from limbcli.effects.reading import Curves
+from limbcli.effects.curves import Curves
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.curves import CurveBook
+from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend, own_curves
 
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps

@@ -1,0 +1,108 @@
+"""What a diagnosis has to tell beside its verdict: what shrank, what stays unseen, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
+from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
+from limbcli.diagnostics.conclusions.verdict import Shrink
+from limbcli.diagnostics.model.forward_model import Facts, Fitted
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.selection.gap_closure import Closing
+from limbcli.diagnostics.selection.refits import Refits
+from limbcli.diagnostics.statistical_tests.heldout import held_out_error
+from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.errors import LimbError
+
+_MOST_COMPARED = 5  # members of the set, in looking for the next measurement
+
+
+@dataclass(frozen=True, eq=False)
+class Account:
+    """Reports what the baseline's data say beside the verdict."""
+
+    baseline: BaselineFit
+
+    def shrink(self, refit: Refit | None, refits: Refits | None) -> tuple[Shrink, ...]:
+        """The base, and the explanation's members added in turn."""
+        baseline = self.baseline
+        stages = [self._stage(baseline.base, baseline.state, None)]
+        if refit is None or refits is None:
+            return tuple(stages)
+        closing = Closing(baseline, len(refits.trials))
+        for size in range(1, len(refit.explanation)):
+            part = refits.of(refit.explanation[:size])
+            if part is not None:
+                stages.append(self._stage(part.fitted, part.state, closing.percentile(part)))
+        stages.append(self._stage(refit.fitted, refit.state, closing.percentile(refit)))
+        return tuple(stages)
+
+    def _stage(self, fitted: Fitted, state: LinearFit, percentile: float | None) -> Shrink:
+        data = self.baseline.data
+        z = (data.y - fitted.prediction) / data.deviation
+        rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
+        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
+        estimates = self.baseline.forward_model.reported(
+            fitted, scale=scale, besides=self.baseline.form_error(fitted)
+        )
+        return Shrink(
+            fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), estimates, percentile
+        )
+
+    def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
+        """Every candidate at a plausible size, the least visible first."""
+        spots = []
+        for tested in family.tests:
+            known = facts.get(tested.name)
+            direction = tested.score.direction
+            if known is None or not known.typical or not direction.names:
+                continue
+            typical = np.array([known.typical.get(name, 0.0) for name in direction.names])
+            spots.append(
+                blind_spot(self.baseline.state, tested.name, direction, typical, critical=tested.critical,
+                           base_names=self.baseline.base.base_names)
+            )  # fmt: skip
+        return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
+
+    def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
+        """Measurements that would tell the members of the set apart."""
+        if len(kept) < 2:
+            return ()
+        fits = [refit.fitted for refit in sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]]
+        try:
+            proposals = self.baseline.forward_model.proposals(fits)
+        except LimbError as error:
+            not_evaluated["next measurement"] = error.what
+            return ()
+        return tuple(rank_proposals(fits, proposals, self.baseline.whiten))
+
+    def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
+        """Cosines between what the members of the set do to the data, the fitted parameters aside."""
+        baseline = self.baseline
+        found = {}
+        changes = []
+        for refit in kept:
+            change = baseline.whiten(refit.fitted.prediction - baseline.base.prediction)
+            changes.append((" + ".join(refit.explanation), baseline.state.project(change)))
+        for i, (a, x) in enumerate(changes):
+            for b, y in changes[i + 1 :]:
+                size = float(np.linalg.norm(x) * np.linalg.norm(y))
+                found[f"{a} / {b}"] = float(x @ y) / size if size > 0 else 0.0
+        return found
+
+    def held_out_z(self) -> dict[str, tuple[float, float]]:
+        """Each part of the data predicted from the rest: (root mean square, largest) z."""
+        data, base = self.baseline.data, self.baseline.base
+        residual = data.y - base.prediction
+        found = {}
+        for name, mask in data.groups.items():
+            if 0 < mask.sum() < len(mask) - base.jacobian.shape[1]:
+                found[name] = predicted_without(residual, base.jacobian, data.noise.covariance, mask)
+        return found

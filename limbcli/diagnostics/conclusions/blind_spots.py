@@ -1,0 +1,72 @@
+"""What the data cannot see, and what that would cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.statistical_tests.score import visible_columns
+from limbcli.model import Array
+
+_Z = float(norm.ppf(thresholds.POWER))
+
+
+@dataclass(frozen=True)
+class BlindSpot:
+    """One effect, where its size is `typical` (a plausible one).
+
+    visible_fraction : |P H| / |H|, the share of its signature that no refit imitates
+    detectable_times_typical : the size found with 80 % power, in units of the typical
+    bias_sd : by base parameter, the shift that an unnoticed effect of typical size causes, in
+        standard deviations; bias_percent : the same in per cent (the parameters are logs)
+    """
+
+    name: str
+    point: str
+    visible_fraction: float
+    detectable_times_typical: float
+    bias_sd: Mapping[str, float]
+    bias_percent: Mapping[str, float]
+
+    @property
+    def is_undetectable(self) -> bool:
+        return self.detectable_times_typical > 1.0
+
+    @property
+    def matters(self) -> bool:
+        """An effect of typical size would go unseen and move a parameter by more than one deviation."""
+        return self.is_undetectable and any(
+            abs(each) > thresholds.BIAS_MATTERS_SD for each in self.bias_sd.values()
+        )
+
+
+def blind_spot(
+    state: LinearFit, name: str, direction: Direction, typical: Array, *,
+    critical: float, base_names: tuple[str, ...],
+) -> BlindSpot:  # fmt: skip
+    """
+    Parameters
+    ----------
+    typical : (q,) away from the null; critical : statistic that is just significant
+    """
+    moved = direction.columns @ typical
+    seen = visible_columns(state, direction) @ typical
+    size, visible = float(np.linalg.norm(moved)), float(np.linalg.norm(seen))
+    needed = float(np.sqrt(max(critical, 0.0))) + _Z
+    shift = state.estimator()[: len(base_names)] @ moved
+    covariance = np.linalg.pinv(state.jacobian.T @ state.jacobian)
+    deviation = np.sqrt(np.maximum(np.diag(covariance)[: len(base_names)], 1e-300))
+    return BlindSpot(
+        name,
+        direction.point,
+        visible / size if size > 0 else 0.0,
+        needed / visible if visible > 0 else float("inf"),
+        {key: float(value) for key, value in zip(base_names, shift / deviation, strict=True)},
+        dict(zip(base_names, (float(100 * np.expm1(np.clip(x, -5, 5))) for x in shift), strict=True)),
+    )

@@ -1,0 +1,75 @@
+"""What to measure next: the largest difference between two explanations that no refit removes.
+
+Source: Atkinson & Fedorov 1975, Biometrika 62:57 (T-optimality).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.model import Array
+
+_SIGNIFICANT = float(norm.ppf(thresholds.NEXT_SIGNIFICANT))
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """A proposal for a pair: distance in deviations before and with it, and the power to tell them apart."""
+
+    name: str
+    sentence: str
+    pair: tuple[str, str]
+    distance_before: float
+    distance: float
+    power: float
+
+
+def separation(a: Fitted, b: Fitted, whiten: Whitener, extra: Proposal | None = None) -> float:
+    """Smaller of the two distances |mu_a - (b refitted)|, in deviations of the noise."""
+    return min(_distance(a, b, whiten, extra), _distance(b, a, whiten, extra))
+
+
+def _distance(truth: Fitted, rival: Fitted, whiten: Whitener, extra: Proposal | None) -> float:
+    gap = whiten(truth.prediction - rival.prediction)
+    tangent = whiten(rival.jacobian)
+    if extra is not None:
+        plus = Whitener.of(extra.covariance)
+        difference = extra.predictions[truth.explanation] - extra.predictions[rival.explanation]
+        gap = np.concatenate([gap, plus(difference)])
+        tangent = np.vstack([tangent, plus(extra.jacobians[rival.explanation])])
+    left: Array = LinearFit.of(gap, tangent).left
+    return float(np.linalg.norm(left))
+
+
+def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten: Whitener) -> list[NextStep]:
+    """For every pair of the set, every proposal, the most separating first.
+
+    power : of the one-sided likelihood-ratio test between the two, 5 % wrong: Phi(D - 1.645)
+    """
+    steps = []
+    for i, a in enumerate(fits):
+        for b in fits[i + 1 :]:
+            before = separation(a, b, whiten)
+            for proposal in proposals:
+                if a.explanation not in proposal.predictions or b.explanation not in proposal.predictions:
+                    continue
+                distance = separation(a, b, whiten, proposal)
+                pair = (" + ".join(a.explanation), " + ".join(b.explanation))
+                power = float(norm.cdf(distance - _SIGNIFICANT))
+                steps.append(NextStep(proposal.name, proposal.sentence, pair, before, distance, power))
+    return sorted(steps, key=lambda step: -step.power)
+
+
+def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
+    """The proposal whose worst-separated pair is separated best: (name, that power)."""
+    worst: dict[str, float] = {}
+    for step in steps:
+        worst[step.name] = min(worst.get(step.name, 1.0), step.power)
+    return max(worst.items(), key=lambda item: item[1]) if worst else None

@@ -1,0 +1,160 @@
+"""The diagnosis in ten plain sentences."""
+
+from __future__ import annotations
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+
+_WORDS = {
+    "adequate": "ADEQUATE: the model explains the measurement within its noise.",
+    "named": "NAMED: one missing effect explains the gap, and no other that could be tried does.",
+    "ambiguous": "AMBIGUOUS: several explanations fit, and these data cannot tell them apart.",
+    "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
+    "untestable": "UNTESTABLE: no absolute test can be made of these data.",
+}
+_ALONE = "AMBIGUOUS: one explanation fits, but it may be another, or not all."
+
+
+def sentences(found: Diagnosis) -> list[str]:
+    """At most eight, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
+    alone = found.verdict == "ambiguous" and len(found.confidence_set) == 1
+    lines = [
+        f"{_ALONE if alone else _WORDS[found.verdict]} Why: {found.reason}.",
+        _fit(found),
+        f"{_where(found)} {_what(found)}".rstrip(),
+        _set(found),
+        _shrunk(found),
+        _blind(found),
+        _next(found),
+        _left(found),
+    ]
+    return [line for line in lines if line]
+
+
+def _fit(found: Diagnosis) -> str:
+    base = found.shrink[0] if found.shrink else None
+    if base is None:
+        return ""
+    values = base.estimates.values
+    level = "of unknown level" if found.relative else "as stated"
+    text = (
+        f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
+    )
+    return f"{text}chi2 {base.chi2:.1f} on {base.nu} degrees of freedom, noise {level}."
+
+
+def _where(found: Diagnosis) -> str:
+    if not found.flagged:
+        return "Where: no part of the data stands out by itself."
+    tests = {t.name.removeprefix("where: "): t.p_adjusted for t in found.family.tests}
+    listed = [f"{name} (adjusted p {tests[name]:.3g})" for name in found.flagged[:3]]
+    return "Where: " + "; ".join(listed) + "."
+
+
+def _what(found: Diagnosis) -> str:
+    ranked = ranking(found.family, set(found.facts))
+    listed = [f"{name} ({p:.3g})" for name, p in ranked[:3]]
+    return "Best candidates (adjusted p): " + ", ".join(listed) + "." if listed else ""
+
+
+def ranking(family: Family, names: set[str]) -> list[tuple[str, float]]:
+    """Candidates by adjusted p, then by what they explain."""
+    tests = [t for t in family.tests if t.name in names]
+    tests.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
+    return [(t.name, t.p_adjusted) for t in tests]
+
+
+def _set(found: Diagnosis) -> str:
+    if not found.confidence_set:
+        return ""
+    listed = "; ".join(" + ".join(each) for each in found.confidence_set)
+    if found.verdict == "named":
+        estimates = found.estimates
+        sizes = ", ".join(f"{name} {estimates.values[name]:.3g}" for name in found.final.effect_names)
+        return f"Added to the model: {listed} ({sizes}){_tissue(estimates)}."
+    if found.verdict == "ambiguous":
+        return f"It may be: {listed}."
+    return f"Fits, but is not believed: {listed}."
+
+
+def _tissue(estimates: Reported) -> str:
+    """c and m with it, and what the data do not tell of them.
+
+    >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
+    '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: the data do not tell it from below)'
+    """
+    if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
+        return ""
+    (c_low, c_high), (low, high) = estimates.intervals["c_kpa"], estimates.intervals["m"]
+    reach = f"{low:.2f} to {high:.2f}"
+    if len(estimates.open) == 2:
+        reach = "the data do not tell it"
+    elif "m below" in estimates.open:
+        reach = f"up to {high:.2f}: the data do not tell it from below"
+    elif "m above" in estimates.open:
+        reach = f"from {low:.2f}: the data do not tell it from above"
+    values = estimates.values
+    return f"; then c {values['c_kpa']:.2f} kPa ({c_low:.2f} to {c_high:.2f}), m {values['m']:.2f} ({reach})"
+
+
+def _shrunk(found: Diagnosis) -> str:
+    if len(found.shrink) < 2:
+        return ""
+    first, last = found.shrink[0], found.shrink[-1]
+    held = ""
+    both = [name for name in first.held_out if name in last.held_out and name != "all"]
+    if both:
+        before = (sum(first.held_out[name] ** 2 for name in both) / len(both)) ** 0.5
+        after = (sum(last.held_out[name] ** 2 for name in both) / len(both)) ** 0.5
+        held = f"; held-out error {before:.2f} to {after:.2f} deviations"
+    placebo = (
+        ""
+        if last.placebo_percentile is None
+        else f"; better than {last.placebo_percentile:.0f} % of placebos"
+    )
+    return (
+        f"With {' + '.join(last.explanation)}: chi2/nu from {first.chi2_per_nu:.2f} to "
+        f"{last.chi2_per_nu:.2f}{held}{placebo}."
+    )
+
+
+def _blind(found: Diagnosis) -> str:
+    hidden = [spot for spot in found.blind_spots if spot.matters]
+    if not hidden:
+        return "No effect of plausible size would stay unseen and move c or m by more than one deviation."
+    listed = []
+    for spot in sorted(hidden, key=lambda s: -max(abs(v) for v in s.bias_sd.values()))[:3]:
+        name, bias = max(spot.bias_sd.items(), key=lambda item: abs(item[1]))
+        listed.append(
+            f"{spot.name} (would move {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)"
+        )
+    return "These data could not reveal, at plausible size: " + "; ".join(listed) + "."
+
+
+def _next(found: Diagnosis) -> str:
+    if found.verdict != "ambiguous" or len(found.confidence_set) < 2:
+        return ""
+    best = best_step(found.next_steps)
+    useful = [
+        step
+        for step in found.next_steps
+        if best is not None and step.name == best[0] and step.power >= thresholds.NEXT_POWER
+    ]
+    if not useful:
+        return "Next measurement: nothing on the menu would tell the explanations apart."
+    best_pair, worst = useful[0], useful[-1]
+    text = (
+        f"Next measurement: {best_pair.sentence}; it tells {best_pair.pair[0]} from {best_pair.pair[1]} with "
+        f"{100 * best_pair.power:.0f} % power"
+    )
+    if worst.pair != best_pair.pair:
+        text += f", {worst.pair[0]} from {worst.pair[1]} with {100 * worst.power:.0f} %"
+    return text + "."
+
+
+def _left(found: Diagnosis) -> str:
+    parts = [f"{name} ({why})" for name, why in found.not_evaluated.items()]
+    return "Not evaluated: " + "; ".join(parts) + "." if parts else ""

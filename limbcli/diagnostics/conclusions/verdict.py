@@ -1,0 +1,90 @@
+"""What the diagnosis concludes, and everything behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
+from limbcli.diagnostics.conclusions.next_measurement import NextStep
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.roughness import Roughness
+
+Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shrink:
+    """One stage of the model, from the base to the last addition.
+
+    chi2_per_nu; rms : by channel, of residual / deviation; held_out : by block and "all";
+    placebo_percentile : of what the last addition explains
+    told : its parameters with their intervals; chi2, rms and held_out are of the best fit
+    """
+
+    explanation: Explanation
+    chi2: float
+    nu: int
+    rms: Mapping[str, float]
+    held_out: Mapping[str, float]
+    estimates: Reported
+    placebo_percentile: float | None = None
+
+    @property
+    def chi2_per_nu(self) -> float:
+        return self.chi2 / max(self.nu, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The verdict and its grounds.
+
+    relative : the noise's level is not known (assumed, or contradicted by the scatter)
+    chosen : the explanation that was added to the model (empty where none)
+    confidence_set : explanations that cannot be told apart with these data
+    closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
+    not_evaluated : candidate -> why
+    left_out : refits dropped -> why
+    sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added
+    angles : cosines between members of the set and their look-alikes
+    """
+
+    verdict: Word
+    reason: str
+    relative: bool
+    base: Fitted
+    family: Family
+    flagged: tuple[str, ...]
+    refits: tuple[Refit, ...]
+    confidence_set: tuple[Explanation, ...]
+    chosen: Explanation
+    closed: bool
+    shrink: tuple[Shrink, ...]
+    blind_spots: tuple[BlindSpot, ...]
+    next_steps: tuple[NextStep, ...]
+    angles: Mapping[str, float] = field(default_factory=dict)
+    not_evaluated: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    roughness: Roughness | None = None
+    facts: Mapping[str, Facts] = field(default_factory=dict)
+    seed: int = 0
+    held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+
+    @property
+    def estimates(self) -> Reported:
+        """The parameters of the model as it stands in the end: with what was added, if anything was."""
+        return next(
+            (s.estimates for s in self.shrink if s.explanation == self.chosen), self.shrink[0].estimates
+        )
+
+    @property
+    def final(self) -> Fitted:
+        for refit in self.refits:
+            if refit.explanation == self.chosen:
+                return refit.fitted
+        return self.base

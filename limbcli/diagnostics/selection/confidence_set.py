@@ -1,0 +1,166 @@
+"""The confidence set of explanations: every one that fits by itself and is not beaten beyond chance."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import unit_errors
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial, narrowed, score, statistics
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """An explanation after its full refit.
+
+    chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
+    the largest gap that chance allows it (None before the comparison)
+    form_allowances : deviance that the error of its form may leave, by the name of a test of `family`
+    """
+
+    fitted: Fitted
+    state: LinearFit
+    family: Family
+    gap: float | None = None
+    gap_allowed: float | None = None
+    form_allowances: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def left_p(self) -> float:
+        """Smallest adjusted p of what it leaves beyond its form."""
+        beyond = [
+            each.p_adjusted
+            for each in self.family.tests
+            if each.score.statistic > self.form_allowances.get(each.name, 0.0)
+        ]
+        return min([*beyond, *([self.family.overall.p_adjusted] if self.family.overall else [])], default=1.0)
+
+    @property
+    def explanation(self) -> Explanation:
+        return self.fitted.explanation
+
+    @property
+    def is_adequate(self) -> bool:
+        return self.left_p >= thresholds.ADEQUATE
+
+    @property
+    def in_set(self) -> bool:
+        return not self.fitted.at_bound and self.fits
+
+    @property
+    def fits(self) -> bool:
+        """Adequate, and not beaten beyond chance; perhaps with a parameter on a bound."""
+        return self.is_adequate and not self._is_beaten
+
+    def is_close_to(self, members: Sequence[Refit]) -> bool:
+        """Just not adequate, but as good a fit as a member: both leave the same scatter, and its level is no
+        evidence for one of them."""
+        if self.fitted.at_bound or self.is_adequate or self.left_p < thresholds.BARELY * thresholds.ADEQUATE:
+            return False
+        return not self._is_beaten and any(
+            self.state.chi2 < m.state.chi2 + thresholds.AS_WELL for m in members
+        )
+
+    @property
+    def _is_beaten(self) -> bool:
+        """By another, beyond what chance allows."""
+        if self.gap is None or self.gap_allowed is None:
+            return False
+        return self.gap > self.gap_allowed + thresholds.SLACK
+
+
+def compare(
+    refits: Sequence[Refit], base: Fitted, state: LinearFit, trials: Mapping[Explanation, Trial],
+    whiten: Whitener, form_error: Callable[[Fitted], Array], *, rng: np.random.Generator, relative: bool,
+) -> list[Refit]:  # fmt: skip
+    """Give each refit its deviance gap and the quantile of that gap were it the truth.
+
+    Under explanation k the whitened data are mu_k + f_k + e, mu_k its prediction, f_k the error of its
+    form (covariance `form_error(fitted)`, the same that the tests of what it leaves allow for). The gap is
+    k's deviance over the best one's, each linear round its own fit (for rivals also round the base). The
+    best is of those that leave nothing, if there are such: what leaves something is no better answer.
+    """
+    eligible = [each for each in refits if not each.fitted.at_bound]
+    if not eligible:
+        return list(refits)
+    eligible = [each for each in eligible if each.is_adequate] or eligible
+    best = min(each.state.chi2 for each in eligible)
+    scale = best / max(min(each.state.nu for each in eligible), 1) if relative else 1.0
+    done = []
+    for each in refits:
+        allowed = _allowed(each, eligible, base, state, trials, whiten, form_error(each.fitted), rng, scale)
+        done.append(replace(each, gap=each.state.chi2 - best, gap_allowed=allowed))
+    return done
+
+
+def _allowed(
+    truth: Refit, rivals: Sequence[Refit], base: Fitted, state: LinearFit,
+    trials: Mapping[Explanation, Trial], whiten: Whitener, form_error: Array, rng: np.random.Generator,
+    scale: float,
+) -> float:  # fmt: skip
+    form = _root(whiten(whiten(form_error).T))
+    n = len(form)
+    errors = (
+        unit_errors(rng, (thresholds.N_DRAWS_OF_GAPS, n)) * np.sqrt(scale)
+        + rng.standard_normal((thresholds.N_DRAWS_OF_GAPS, n)) @ form
+    )
+    own = _deviance(truth.state, errors)
+    seen = state.project((errors + whiten(truth.fitted.prediction - base.prediction)).T).T
+    best = own.copy()
+    for rival in rivals:
+        if rival.explanation == truth.explanation:
+            continue
+        apart = whiten(truth.fitted.prediction - rival.fitted.prediction)
+        best = np.minimum(best, _deviance(rival.state, errors + apart))
+        trial = trials.get(rival.explanation)
+        if trial is not None:
+            best = np.minimum(best, np.sum(seen**2, axis=1) - statistics(state, trial, seen))
+        if set(truth.explanation) < set(rival.explanation):  # what it has more, beside its own parameters
+            more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
+            left = truth.state.project(errors.T).T
+            best = np.minimum(best, own - statistics(truth.state, joint_trial(more), left))
+    return float(np.quantile(own - best, 1 - thresholds.BEATEN))
+
+
+def _deviance(state: LinearFit, errors: Array) -> Array:
+    """(n_draws,) that a fit leaves of errors (n_draws, n) round it."""
+    return np.asarray(np.sum(state.project(errors.T) ** 2, axis=0))
+
+
+def _root(covariance: Array) -> Array:
+    """Symmetric square root of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def joint_trial(trials: Sequence[Trial]) -> Trial:
+    """Several effects at once: every combination of their grid points."""
+    directions = []
+    for several in itertools.product(*(trial.directions for trial in trials)):
+        directions.append(
+            Direction(
+                np.hstack([each.columns for each in several]),
+                tuple(sign for each in several for sign in each.signs),
+                ", ".join(each.point for each in several if each.point),
+                tuple(name for each in several for name in each.names),
+                {name: value for each in several for name, value in each.at.items()},
+            )
+        )
+    return Trial(" + ".join(trial.name for trial in trials), tuple(directions))
+
+
+def best_pairs(state: LinearFit, trials: Sequence[Trial]) -> list[tuple[str, str]]:
+    """Pairs of effects in the order of what they explain together, to first order; the best few."""
+    found = []
+    for a, b in itertools.combinations([narrowed(state, each) for each in trials], 2):
+        found.append((score(state, joint_trial([a, b])).statistic, (a.name, b.name)))
+    found.sort(key=lambda item: -item[0])
+    return [pair for _, pair in found[: thresholds.PAIRS_KEPT]]

@@ -1,0 +1,56 @@
+"""Is the gap closed: better than any smooth curve would close it, and does the model predict?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.confidence_set import Refit
+from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error
+from limbcli.diagnostics.statistical_tests.placebo import library_percentile, placebo_percentile
+
+
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """n_candidates : how many an explanation by several effects was picked from."""
+
+    baseline: BaselineFit
+    n_candidates: int
+
+    def is_closed(self, refit: Refit) -> bool:
+        data = self.baseline.data
+        before, after = held_out_error(data, self.baseline.base), held_out_error(data, refit.fitted)
+        if not fell(before, after) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
+            return False
+        if len(refit.explanation) == 1:
+            return True
+        if len(refit.explanation) > thresholds.MOST_NAMED:  # three effects bend to almost any smooth gap
+            return False
+        return self._library_percentile(refit) > thresholds.CLOSED_BY_SEVERAL_PERCENTILE
+
+    def percentile(self, refit: Refit) -> float:
+        """Percent of arbitrary smooth directions, as many as were added, that explain less."""
+        baseline = self.baseline
+        return placebo_percentile(
+            baseline.state, baseline.whiten, self._explained(refit), n_parameters=max(self._added(refit), 1),
+            channels=baseline.data.channels(), order=baseline.data.order, deviation=baseline.data.deviation,
+            rng=baseline.rng(3),
+        )  # fmt: skip
+
+    def _library_percentile(self, refit: Refit) -> float:
+        """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
+        baseline = self.baseline
+        n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), thresholds.MOST_PICKED)
+        return library_percentile(
+            baseline.state, baseline.whiten, self._explained(refit), n_parameters=self._added(refit),
+            n_tried=n_tried, channels=baseline.data.channels(), order=baseline.data.order,
+            deviation=baseline.data.deviation, rng=baseline.rng(4),
+        )  # fmt: skip
+
+    def _explained(self, refit: Refit) -> float:
+        return self.baseline.state.chi2 - refit.state.chi2
+
+    def _added(self, refit: Refit) -> int:
+        return refit.fitted.jacobian.shape[1] - self.baseline.base.jacobian.shape[1]

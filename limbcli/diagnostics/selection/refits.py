@@ -1,0 +1,152 @@
+"""Refits of explanations: first on the forward model's surrogate, then, near the best, simulated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.selection.confidence_set import Refit, compare, joint_trial
+from limbcli.diagnostics.selection.form_error import form_allowances
+from limbcli.diagnostics.statistical_tests.score import Trial, narrowed, score
+from limbcli.errors import LimbError
+
+
+@dataclass(eq=False)
+class Refits:
+    """All refits of a diagnosis so far. What has no answer goes into `not_evaluated`, what is dropped into
+    `left_out`, each with its reason."""
+
+    baseline: BaselineFit
+    trials: dict[str, Trial]
+    not_evaluated: dict[str, str]
+    left_out: dict[str, str]
+    known: dict[Explanation, Refit] = field(default_factory=dict)
+    _few: dict[str, Trial] = field(default_factory=dict)
+
+    def compared(self, several: Sequence[Explanation]) -> list[Refit]:
+        """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
+        baseline, several = self.baseline, [self._in_order(each) for each in several]
+        joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
+        joint |= {each: self._joint(each) for each in several}
+        found = self._refitted(several)
+        relative = all(baseline.is_relative(each.state) for each in found)
+        refits = compare(
+            found, baseline.base, baseline.state, joint, baseline.whiten, baseline.form_error,
+            rng=baseline.rng(2), relative=relative,
+        )  # fmt: skip
+        self.known.update({each.explanation: each for each in refits})
+        return refits
+
+    def of(self, explanation: Explanation) -> Refit | None:
+        """One refit, made now if it was not; None where it has no answer."""
+        explanation = self._in_order(explanation)
+        if explanation not in self.known:
+            fitted = self._draft(explanation)
+            if fitted is not None:
+                best = self.best()
+                limit = math.inf if best is None else best.state.chi2 + thresholds.HOPELESS
+                self._settle(explanation, fitted, simulated=self.baseline.linearised(fitted).chi2 <= limit)
+        return self.known.get(explanation)
+
+    def tried(self, explanation: Explanation) -> bool:
+        """Whether it was refitted, or drafted and dropped, its effects in any order."""
+        explanation = self._in_order(explanation)
+        label = " + ".join(explanation)
+        return explanation in self.known or label in self.left_out or label in self.not_evaluated
+
+    def best(self) -> Refit | None:
+        """The one that leaves least, none of its parameters on a bound."""
+        usable = [refit for refit in self.known.values() if not refit.fitted.at_bound]
+        return min(usable, key=lambda refit: refit.state.chi2) if usable else None
+
+    # ------------------------------------------------------------
+
+    def _in_order(self, explanation: Explanation) -> Explanation:
+        """The same effects in the candidates' order, so that none is refitted twice."""
+        return tuple(name for name in self.trials if name in explanation)
+
+    def _refitted(self, several: Sequence[Explanation]) -> list[Refit]:
+        drafts = [(each, self._draft(each)) for each in several if each not in self.known]
+        found = [(each, fitted) for each, fitted in drafts if fitted is not None]
+        chi2 = {each: self.baseline.linearised(fitted).chi2 for each, fitted in found}
+        usable = [chi2[each] for each, fitted in found if not fitted.at_bound]
+        limit = min(usable, default=math.inf) + thresholds.HOPELESS
+        n_simulated = 0
+        for each, fitted in sorted(found, key=lambda one: chi2[one[0]]):
+            why = "; ".join(fitted.at_bound)
+            if chi2[each] > limit:
+                self.left_out[" + ".join(each)] = why or "explains far less than others"
+            elif len(each) > 1 and not why and n_simulated == thresholds.MOST_SIMULATED:
+                self.left_out[" + ".join(each)] = (
+                    f"not simulated: {thresholds.MOST_SIMULATED} that fit better were"
+                )
+            else:
+                n_simulated += not why
+                self._settle(each, fitted)
+        return [self.known[each] for each in several if each in self.known]
+
+    def _joint(self, explanation: Explanation) -> Trial:
+        """Of several effects the few points of their grids that say most; all of a single one's."""
+        if len(explanation) == 1:
+            return self.trials[explanation[0]]
+        return joint_trial([self._narrowed(name) for name in explanation])
+
+    def _narrowed(self, name: str) -> Trial:
+        if name not in self._few:
+            self._few[name] = narrowed(self.baseline.state, self.trials[name])
+        return self._few[name]
+
+    def _draft(self, explanation: Explanation) -> Fitted | None:
+        """The refit on the surrogate; None (and why) where it has no answer."""
+        found = score(self.baseline.state, self._joint(explanation))
+        start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
+        start |= found.direction.at
+        try:
+            return self.baseline.forward_model.fit(explanation, start)
+        except LimbError as error:
+            self.not_evaluated[" + ".join(explanation)] = error.what
+            return None
+
+    def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
+        """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
+        label = " + ".join(explanation)
+        self.baseline.progress.event("note", text=f"refit with {label}")
+        refit = self._judged(draft)
+        if simulated and refit.left_p >= thresholds.UNFIT:
+            try:
+                fitted = self.baseline.forward_model.verified(draft)
+            except LimbError as error:
+                self.not_evaluated[label] = error.what
+                return
+            if fitted is not draft:
+                refit = self._judged(fitted)
+        if refit.fitted.at_bound:
+            self.left_out[label] = "; ".join(refit.fitted.at_bound)
+        self.known[explanation] = refit
+
+    def _judged(self, fitted: Fitted) -> Refit:
+        """With tests of what it leaves, which allow for the error of the effect's form: models are rough."""
+        baseline = self.baseline
+        whiten = Whitener.of(baseline.data.noise.covariance + baseline.form_error(fitted))
+
+        def anew(direction: Direction) -> Direction:
+            return replace(direction, columns=whiten(baseline.whiten.undo(direction.columns)))
+
+        others = [
+            Trial(name, tuple(map(anew, trial.directions)))
+            for name, trial in self.trials.items() if name not in fitted.explanation
+        ]  # fmt: skip
+        state = baseline.linearised(fitted)
+        family = baseline.family(
+            LinearFit.of(whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian)),
+            [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
+            relative=baseline.is_relative(state),
+        )  # fmt: skip
+        explained = baseline.state.chi2 - state.chi2
+        allowances = form_allowances(baseline.data, fitted, family, whiten, explained)
+        return Refit(fitted, state, family, form_allowances=allowances)

@@ -1,0 +1,161 @@
+"""Score tests: how much of what is left would one more effect explain, to first order?
+
+A `Direction` holds the whitened sensitivities H of an effect at its null value; a
+`Trial` is an effect with one direction for each point of its grid (a relaxation time,
+a place), and its statistic is the largest of theirs. Parameters that can only go one way
+confine the explanation to a cone; the statistic is the squared length of the residual's
+projection onto it.
+
+Source: Silvapulle & Sen 2005, Constrained Statistical Inference, sections 3.3 and 4.3
+(one-sided score tests); Davies 1987, Biometrika 74:33 (parameters present only off the null).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.model import Array
+
+_INVISIBLE = 1e-6
+_RCOND = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """An effect (or a group of data) to be tested; the statistic is the largest over its directions."""
+
+    name: str
+    directions: tuple[Direction, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """statistic; the direction it came from; eta (q,) to first order there."""
+
+    statistic: float
+    direction: Direction
+    eta: Array
+
+
+def visible_columns(state: LinearFit, direction: Direction) -> Array:
+    """A = P H (n, q), with columns that the fitted parameters imitate fully set to zero."""
+    A = state.project(direction.columns)
+    size, full = np.linalg.norm(A, axis=0), np.linalg.norm(direction.columns, axis=0)
+    A[:, size <= _INVISIBLE * np.maximum(full, 1e-300)] = 0.0
+    return A
+
+
+def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Array, Array]:
+    """Squared length of the projection of every draw onto the cone A eta, and eta.
+
+    Parameters
+    ----------
+    A : (n, q); signs : (q,); draws : (n_draws, n)
+
+    Returns
+    -------
+    (n_draws,), (n_draws, q)
+
+    The projection onto a polyhedral cone is that onto the span of one of its faces, and
+    among the faces whose solution keeps the signs it is the longest.
+
+    >>> cone_projection(np.array([[1.0], [0.0]]), (1,), np.array([[2.0, 5.0], [-2.0, 5.0]]))[0]
+    array([4., 0.])
+    """
+    q = A.shape[1]
+    best, eta = np.zeros(len(draws)), np.zeros((len(draws), q))
+    if not np.any(A):
+        return best, eta
+    free = [k for k in range(q) if signs[k] == 0]
+    bound = [k for k in range(q) if signs[k] != 0]
+    if not bound:
+        return _span_projection(A, draws)
+    sign = np.array(signs, dtype=float)
+    for size in range(len(bound) + 1):
+        for chosen in itertools.combinations(bound, size):
+            active = [*free, *chosen]
+            if not active:
+                continue
+            solved = draws @ np.linalg.pinv(A[:, active], rcond=_RCOND).T
+            value = np.einsum("bi,bi->b", solved @ A[:, active].T, draws)
+            held = list(chosen)
+            keeps = np.ones(len(draws), dtype=bool)
+            if held:
+                inside = solved[:, len(free) :] * sign[held]
+                keeps = np.all(inside >= 0.0, axis=1)
+            better = keeps & (value > best)
+            best[better] = value[better]
+            eta[better] = 0.0
+            eta[np.ix_(better, active)] = solved[better]
+    return best, eta
+
+
+def _span_projection(A: Array, draws: Array) -> tuple[Array, Array]:
+    """The same onto the whole span of A."""
+    u, s, vt = np.linalg.svd(A, full_matrices=False)
+    kept = s > _RCOND * s[0]
+    inside = draws @ u[:, kept]
+    return np.einsum("bi,bi->b", inside, inside), (inside / s[kept]) @ vt[kept]
+
+
+def narrowed(state: LinearFit, trial: Trial, n: int = 2) -> Trial:
+    """The trial with the few of its directions that explain most of the residual."""
+    if len(trial.directions) <= n:
+        return trial
+    left = state.left[None]
+    value = [
+        float(cone_projection(visible_columns(state, each), each.signs, left)[0][0])
+        for each in trial.directions
+    ]
+    best = np.argsort(value)[::-1][:n]
+    return Trial(trial.name, tuple(trial.directions[k] for k in best))
+
+
+def statistics(state: LinearFit, trial: Trial, draws: Array) -> Array:
+    """(n_draws,) of the trial's statistic; draws (n_draws, n) already projected by P."""
+    found = np.zeros(len(draws))
+    for direction in trial.directions:
+        value, _ = cone_projection(visible_columns(state, direction), direction.signs, draws)
+        found = np.maximum(found, value)
+    return found
+
+
+def score(state: LinearFit, trial: Trial) -> Score:
+    """The statistic of the residual itself, with the direction and the estimate behind it."""
+    left = state.left[None]
+    best: Score | None = None
+    for direction in trial.directions:
+        value, eta = cone_projection(visible_columns(state, direction), direction.signs, left)
+        if best is None or float(value[0]) > best.statistic:
+            best = Score(float(value[0]), direction, eta[0])
+    assert best is not None, "a trial has at least one direction"
+    return best
+
+
+def cosine(state: LinearFit, first: Direction, second: Direction) -> float:
+    """Largest cosine between the spans of two directions, after the fitted parameters took their part.
+
+    Near 1: the two effects look the same in these data.
+    """
+    bases = []
+    for direction in (first, second):
+        A = visible_columns(state, direction)
+        u, s, _ = np.linalg.svd(A, full_matrices=False)
+        bases.append(u[:, s > _RCOND * max(float(s[0]), 1e-300)] if s.size and s[0] > 0 else u[:, :0])
+    if not bases[0].shape[1] or not bases[1].shape[1]:
+        return 0.0
+    if bases[0].shape[1] == bases[1].shape[1] == 1 and first.signs == second.signs == (1,):
+        return float(bases[0][:, 0] @ bases[1][:, 0] * _orientation(state, first, second, bases))
+    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
+
+
+def _orientation(state: LinearFit, first: Direction, second: Direction, bases: list[Array]) -> float:
+    """Sign that turns singular vectors back into the columns' own senses."""
+    a = visible_columns(state, first)[:, 0] @ bases[0][:, 0]
+    b = visible_columns(state, second)[:, 0] @ bases[1][:, 0]
+    return float(np.sign(a) * np.sign(b))

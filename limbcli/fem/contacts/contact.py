@@ -1,0 +1,153 @@
+"""The contacts of a model, made ready: patches of soft facets against the facets of a rigid body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limbcli.bodies import Contact
+from limbcli.errors import SolveError
+from limbcli.fem.contacts.contact_points import FACET, N_STATE
+from limbcli.fem.contacts.friction import FrictionPair
+from limbcli.fem.contacts.pairs import Pair, rim_widths
+from limbcli.fem.contacts.patch import Patch
+from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.groups import Group
+from limbcli.fem.elements.quadrature import rule
+from limbcli.fem.motion.rigid import Body
+from limbcli.model import IntArray, LimbModel, Surface
+
+_CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
+
+
+def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]) -> list[Pair]:
+    """The model's contacts; whatever cannot be computed is refused."""
+    pairs: list[Pair] = []
+    for contact in model.contacts:
+        _refuse(contact)
+        secondary = _surface(model, contact.secondary)
+        primary = _surface(model, contact.primary)
+        body, facets2 = _rigid_side(secondary, bodies, contact)
+        patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
+        if contact.friction:  # a point that sticks does not slide off
+            sharp = np.zeros(facets2.shape)
+            pairs.append(FrictionPair(contact, body, facets2, patches, sharp, bodies[body]))
+        else:
+            rim = rim_widths(model.mesh.points, facets2, patches)
+            pairs.append(Pair(contact, body, facets2, patches, rim))
+    return pairs
+
+
+def _surface(model: LimbModel, name: str) -> Surface:
+    if name not in model.mesh.surfaces:
+        raise SolveError(
+            f"there is no surface {name!r}", where="contact", fix=f"use one of {sorted(model.mesh.surfaces)}"
+        )
+    return model.mesh.surfaces[name]
+
+
+_IGNORED = {
+    "seg_up",
+    "minaug",
+    "maxaug",
+    "smooth_aug",
+    "ptol",
+    "pressure_penalty",
+    "contact_frac",
+    "node_reloc",
+}
+
+
+def _refuse(contact: Contact) -> None:
+    wrong = ""
+    if contact.two_pass:
+        wrong = "two_pass"
+    elif contact.update_penalty:
+        wrong = "update_penalty"
+    elif contact.friction and contact.augmented:
+        wrong = "laugon with fric_coeff"
+    for tag, value in contact.more.items():
+        on = str(value).strip() not in ("", "0", "0.0", "false")
+        if on and tag not in _IGNORED:
+            wrong = tag
+    if wrong:
+        raise SolveError(
+            f"<{wrong}> of contact {contact.name!r} is not supported by the reference solver",
+            where=f"contact {contact.name!r}",
+            fix=f"switch {wrong} off, or run FEBio",
+        )
+
+
+def _rigid_side(surface: Surface, bodies: Sequence[Body], contact: Contact) -> tuple[int, IntArray]:
+    parts = []
+    for kind, facets in surface.facets.items():
+        if kind not in ("tri3", "quad4"):
+            raise SolveError(
+                f"{kind} facets on the rigid side are not supported",
+                where=f"contact {contact.name!r}",
+                fix="use tri3 or quad4 facets for the probe",
+            )
+        full = np.full((len(facets), 4), -1, dtype=np.int64)
+        full[:, : facets.shape[1]] = facets
+        parts.append(full)
+    facets2 = np.concatenate(parts) if parts else np.zeros((0, 4), dtype=np.int64)
+    used = np.unique(facets2[facets2 >= 0])
+    for k, body in enumerate(bodies):
+        if len(used) and np.isin(used, body.points).all():
+            return k, facets2
+    raise SolveError(
+        f"the secondary surface {contact.secondary!r} is not part of one rigid body",
+        where=f"contact {contact.name!r}",
+        fix="make the probe a rigid body and the skin the primary surface",
+    )
+
+
+def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group], contact: Contact) -> Patch:
+    if kind not in _CORNERS:
+        raise SolveError(
+            f"{kind} facets are not supported", where=f"contact {contact.name!r}", fix="use tri3"
+        )
+    points, weights = rule(kind)
+    N, dN = shape(kind, points)
+    facets = np.ascontiguousarray(facets, dtype=np.int64)
+    X = model.mesh.points[facets]
+    tangents = np.einsum("fni,gnd->fgdi", X, dN)
+    area_vectors = np.cross(tangents[:, :, 0], tangents[:, :, 1])
+    area = np.linalg.norm(area_vectors, axis=2) @ weights
+    normals = np.einsum("fgi,g->fi", area_vectors, weights)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    group, cell = _cells_behind(facets[:, : _CORNERS[kind]], groups, contact)
+    volume = np.empty(len(facets))
+    for k, each in enumerate(groups):
+        mine = group == k
+        volume[mine] = each.weight[cell[mine]].sum(axis=1)
+    shape_of_state = (len(facets), len(weights))
+    state = np.zeros((*shape_of_state, N_STATE))
+    state[..., FACET] = -1
+    return Patch(
+        facets, N, dN, weights, group, cell, area, area / volume, normals,
+        np.zeros(len(facets)), np.zeros(shape_of_state), state,
+    )  # fmt: skip
+
+
+def _cells_behind(corners: IntArray, groups: Sequence[Group], contact: Contact) -> tuple[IntArray, IntArray]:
+    group = np.full(len(corners), -1, dtype=np.int64)
+    cell = np.full(len(corners), -1, dtype=np.int64)
+    for k, each in enumerate(groups):
+        touching: dict[int, set[int]] = {}
+        for row in np.flatnonzero(np.isin(each.cells, corners).any(axis=1)):
+            for node in each.cells[row]:
+                touching.setdefault(int(node), set()).add(int(row))
+        for f, nodes in enumerate(corners):
+            if group[f] < 0:
+                found = set.intersection(*(touching.get(int(n), set()) for n in nodes))
+                if found:
+                    group[f], cell[f] = k, min(found)
+    if (group < 0).any():
+        raise SolveError(
+            f"{int((group < 0).sum())} facets of {contact.primary!r} have no cell behind them",
+            where=f"contact {contact.name!r}",
+            fix="the primary surface must be faces of the tissue's cells",
+        )
+    return group, cell

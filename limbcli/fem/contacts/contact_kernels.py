@@ -1,0 +1,156 @@
+"""Compiled loops of the contact between a soft surface and a rigid one: force and tangent.
+
+The soft side takes the traction t = eps g (plus a multiplier) against its normal, per current
+area, where it was found to touch (see `contact_search`; columns and symbols in `contact_points`).
+
+Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.fem.contacts.contact_points import (
+    GAP,
+    NORMAL,
+    OTHER,
+    POINT,
+    SLIDE,
+    TRACTION,
+    WEIGHT,
+    cross,
+    normal_change,
+    point_change,
+    point_geometry,
+    push,
+)
+
+
+@njit(cache=True, nogil=True)
+def force(facets, N, weights, state, center, out, body):
+    """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
+    f3 = np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            for i in range(3):
+                f3[i] = weights[k] * row[TRACTION] * row[NORMAL + i]
+            push(f3, row, center, facets[f], N[k], out, body)
+
+
+@njit(cache=True, nogil=True)
+def scaled_force(facets, N, weights, state, deps, center, out, body):
+    """Derivative of `force` where eps changes by deps (n_facets,), the positions held."""
+    f3 = np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            for i in range(3):
+                f3[i] = weights[k] * deps[f] * row[WEIGHT] * row[GAP] * row[NORMAL + i]
+            push(f3, row, center, facets[f], N[k], out, body)
+
+
+@njit(cache=True)
+def _gap_change(row, gap, nu, dr, dnu, slip):
+    """Change of the gap as the point moves by dr, its normal turns and the rigid facet moves by `slip`."""
+    top, bottom = 0.0, 0.0
+    for i in range(3):
+        top += row[OTHER + i] * (dr[i] - gap * dnu[i] - slip[i])
+        bottom += row[OTHER + i] * nu[i]
+    return top / bottom
+
+
+@njit(cache=True, nogil=True)
+def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
+    """Derivative of `force` along v (n_points, 3) and the body's motion (6).
+
+    motion: translation of the centre and small rotation vector about it.
+    turning: 1 for the derivative, 0 to leave out what the traction does as the normal turns.
+    """
+    r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    slip, f3, df, arm, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            t, gap = turning * row[TRACTION], turning * row[GAP]
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
+            length = normal_change(g1, g2, n, d1, d2, dn, dnu)
+            for i in range(3):
+                nu[i] = n[i] / length
+                arm[i] = row[POINT + i] - center[i]
+            cross(motion[3:6], arm, slip)
+            for i in range(3):
+                slip[i] += motion[i]
+            dg = _gap_change(row, gap, nu, dr, dnu, slip)
+            dt = row[WEIGHT] * eps[f] * dg
+            for i in range(3):
+                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i]  # change of the point of contact
+                dt += t / row[WEIGHT] * row[SLIDE + i] * (arm[i] - slip[i])
+            for i in range(3):
+                df[i] = weights[k] * (dt * n[i] + t * dn[i])
+                f3[i] = weights[k] * t * n[i]
+                arm[i] -= motion[i]
+            push(df, row, center, facets[f], N[k], out, body)
+            cross(arm, f3, w)
+            for i in range(3):
+                body[3 + i] += w[i]
+
+
+@njit(cache=True, nogil=True)
+def blocks(x, facets, N, dN, weights, eps, state, turning, out):
+    """Contact tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do.
+
+    The block of nodes a, b is w N_a (n dt_b + t dn_b) with dn_b = -[c_b]x,
+    c_b = dN_b,1 g2 - dN_b,2 g1 and dt_b as in `times`, as is `turning`.
+    """
+    nodes = facets.shape[1]
+    r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    D, dt, dnu = np.empty((nodes, 3, 3)), np.empty((nodes, 3)), np.empty(3)
+    touched = np.zeros(facets.shape[0], dtype=np.bool_)
+    for f in range(facets.shape[0]):
+        K = out[f]
+        K[:] = 0.0
+        for k in range(N.shape[0]):
+            if state[f, k, TRACTION] == 0.0:
+                continue
+            t = turning * state[f, k, TRACTION]
+            touched[f] = True
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+            gap = turning * state[f, k, GAP]
+            m = state[f, k, OTHER : OTHER + 3]
+            mnu = (m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / length
+            for b in range(nodes):
+                for i in range(3):
+                    c[i] = dN[k, b, 0] * g2[i] - dN[k, b, 1] * g1[i]
+                D[b, 0, 0] = D[b, 1, 1] = D[b, 2, 2] = 0.0
+                D[b, 0, 1], D[b, 0, 2], D[b, 1, 2] = c[2], -c[1], c[0]
+                D[b, 1, 0], D[b, 2, 0], D[b, 2, 1] = -c[2], c[1], -c[0]
+                for j in range(3):
+                    along = (n[0] * D[b, 0, j] + n[1] * D[b, 1, j] + n[2] * D[b, 2, j]) / length
+                    turn, slides = 0.0, 0.0
+                    for i in range(3):
+                        dnu[i] = (D[b, i, j] - n[i] / length * along) / length
+                        turn += m[i] * dnu[i]
+                    dg = (N[k, b] * m[j] - gap * turn) / mnu
+                    for i in range(3):
+                        slides -= state[f, k, SLIDE + i] * (dg * n[i] / length + gap * dnu[i])
+                    slides += state[f, k, SLIDE + j] * N[k, b]
+                    dt[b, j] = state[f, k, WEIGHT] * eps[f] * dg + t / state[f, k, WEIGHT] * slides
+            for a in range(nodes):
+                for i in range(3):
+                    left = weights[k] * N[k, a] * n[i]
+                    right = weights[k] * N[k, a] * t
+                    for b in range(nodes):
+                        for j in range(3):
+                            K[a, i, b, j] += left * dt[b, j] + right * D[b, i, j]
+    return touched

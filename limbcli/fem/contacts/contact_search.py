@@ -1,0 +1,245 @@
+"""Compiled search of contact: where the normals of soft facets meet a rigid surface.
+
+Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic); the same law is
+used here point by point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.fem.contacts.contact_points import (
+    FACET,
+    GAP,
+    NORMAL,
+    OTHER,
+    POINT,
+    SLIDE,
+    TRACTION,
+    WEIGHT,
+    cross,
+    point_geometry,
+)
+
+_PLACE, _ALONG = 7, 9  # in what a hit gives, behind g, m, q: natural coordinates, and their gradients
+
+
+@njit(cache=True)
+def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
+    """Where the line r - g nu meets a flat facet. False: it does not.
+
+    out (15) : g, m (3), q (3), natural coordinates s, t and their gradients along the facet (3 each)
+    """
+    a, b, c = x2[first], x2[second], x2[third]
+    e1, e2, m, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        e1[i] = b[i] - a[i]
+        e2[i] = c[i] - a[i]
+    cross(e1, e2, m)
+    mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
+    mnu = m[0] * nu[0] + m[1] * nu[1] + m[2] * nu[2]
+    if mnu >= 0.0 or mnu * mnu < 1e-20 * mm:
+        return False  # the facets must face each other
+    g = (m[0] * (r[0] - a[0]) + m[1] * (r[1] - a[1]) + m[2] * (r[2] - a[2])) / mnu
+    for i in range(3):
+        p[i] = r[i] - g * nu[i] - a[i]
+    d11 = e1[0] * e1[0] + e1[1] * e1[1] + e1[2] * e1[2]
+    d12 = e1[0] * e2[0] + e1[1] * e2[1] + e1[2] * e2[2]
+    d22 = e2[0] * e2[0] + e2[1] * e2[1] + e2[2] * e2[2]
+    p1 = p[0] * e1[0] + p[1] * e1[1] + p[2] * e1[2]
+    p2 = p[0] * e2[0] + p[1] * e2[1] + p[2] * e2[2]
+    det = d11 * d22 - d12 * d12
+    if det <= 0.0:
+        return False
+    s = (d22 * p1 - d12 * p2) / det
+    t = (d11 * p2 - d12 * p1) / det
+    if s < -tolerance or t < -tolerance or s + t > 1.0 + tolerance:
+        return False
+    _tell(g, m, r, nu, s, t, e1, e2, out)
+    return True
+
+
+@njit(cache=True)
+def _tell(g, m, r, nu, s, t, along_s, along_t, out):
+    """out of a hit; along_s, along_t : how the place moves with s and t."""
+    out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
+    cross(along_t, m, out[_ALONG : _ALONG + 3])
+    cross(m, along_s, out[_ALONG + 3 : _ALONG + 6])
+    mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
+    for i in range(3):
+        out[1 + i] = m[i]
+        out[4 + i] = r[i] - g * nu[i]
+        out[_ALONG + i] /= mm
+        out[_ALONG + 3 + i] /= mm
+
+
+@njit(cache=True)
+def _hit_quad(x2, nodes, r, nu, tolerance, out):
+    """The same for a bilinear facet: its two triangles first, then Newton's method in its coordinates."""
+    if not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out) and not _hit_triangle(
+        x2, nodes[2], nodes[3], nodes[1], r, nu, tolerance, out
+    ):
+        return False
+    s, t, g = 0.0, 0.0, out[0]
+    xs, xt, m, res = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    ok = False
+    for _ in range(12):
+        n0, n1 = 0.25 * (1 - s) * (1 - t), 0.25 * (1 + s) * (1 - t)
+        n2, n3 = 0.25 * (1 + s) * (1 + t), 0.25 * (1 - s) * (1 + t)
+        for i in range(3):
+            a, b, c, d = x2[nodes[0], i], x2[nodes[1], i], x2[nodes[2], i], x2[nodes[3], i]
+            xs[i] = 0.25 * ((b - a) * (1 - t) + (c - d) * (1 + t))
+            xt[i] = 0.25 * ((d - a) * (1 - s) + (c - b) * (1 + s))
+            res[i] = n0 * a + n1 * b + n2 * c + n3 * d + g * nu[i] - r[i]
+        cross(xs, xt, m)
+        det = m[0] * nu[0] + m[1] * nu[1] + m[2] * nu[2]
+        if det * det < 1e-20 * (m[0] ** 2 + m[1] ** 2 + m[2] ** 2) or det == 0.0:
+            return False
+        dg = -(m[0] * res[0] + m[1] * res[1] + m[2] * res[2]) / det
+        w = np.empty(3)
+        cross(xt, nu, w)
+        ds = -(w[0] * res[0] + w[1] * res[1] + w[2] * res[2]) / det
+        cross(nu, xs, w)
+        dt = -(w[0] * res[0] + w[1] * res[1] + w[2] * res[2]) / det
+        s += ds
+        t += dt
+        g += dg
+        if abs(ds) + abs(dt) < 1e-13:
+            ok = True
+            break
+        if abs(s) > 50.0 or abs(t) > 50.0:
+            return False
+    if not ok and abs(ds) + abs(dt) > 1e-9:
+        return False
+    if abs(s) > 1.0 + tolerance or abs(t) > 1.0 + tolerance:
+        return False
+    _tell(g, m, r, nu, s, t, xs, xt, out)
+    return True
+
+
+@njit(cache=True)
+def _hit(x2, nodes, rim, r, nu, tolerance, out):
+    """out of the line's meeting with a facet; rim (4) : as in `search`."""
+    quad = nodes[3] >= 0
+    wide = max(tolerance, rim[0], rim[1], rim[2], rim[3])
+    if quad:
+        met = _hit_quad(x2, nodes, r, nu, wide, out)
+    else:
+        met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
+    if met and wide > tolerance:  # beyond the other edges no further than anywhere
+        for edge in range(4 if quad else 3):
+            if rim[edge] == 0.0 and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
+                return False
+    return met
+
+
+@njit(cache=True)
+def _beyond(edge, quad, s, t):
+    """How far (s, t) is outside of an edge, in natural coordinates; edges go from each node to the next."""
+    if quad:
+        return (-1.0 - t, s - 1.0, t - 1.0, -1.0 - s)[edge]
+    return (-t, s + t - 1.0, -s)[edge]
+
+
+@njit(cache=True)
+def _fade(out, quad, rim, row):
+    """Weight of the traction at a hit, and how it changes as the place slides (see `contact_points`)."""
+    weight = 1.0
+    row[SLIDE] = row[SLIDE + 1] = row[SLIDE + 2] = 0.0
+    for edge in range(4 if quad else 3):
+        width = rim[edge]
+        if width == 0.0:
+            continue
+        h = _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) / width
+        if h <= -1.0:
+            continue
+        if h >= 1.0:
+            return 0.0
+        part = 0.5 - 0.25 * h * (3.0 - h * h)
+        slope = -0.75 * (1.0 - h * h) / width
+        ds, dt = 0.0, 0.0
+        if quad:
+            ds, dt = ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0))[edge]
+        else:
+            ds, dt = ((0.0, -1.0), (1.0, 1.0), (-1.0, 0.0))[edge]
+        for i in range(3):
+            along = ds * out[_ALONG + i] + dt * out[_ALONG + 3 + i]
+            row[SLIDE + i] = row[SLIDE + i] * part + weight * slope * along
+        weight *= part
+    return weight
+
+
+@njit(cache=True, nogil=True)
+def search(
+    start, stop, x, facets, N, dN, x2, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
+):
+    """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
+
+    A point stays with the rigid facet that it touched when it was searched last, as long as its
+    line meets that facet. Any other point takes, of the facing facets that its line meets within
+    the radius, the nearest. So does FEBio.
+
+    rim (n_facets2, 4): for edges that end the rigid surface, how far to either side of them tractions
+    fade, in the facet's natural coordinates; 0 for other edges
+    spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.
+    """
+    r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    out, best = np.empty(15), np.empty(15)
+    count = 0
+    for f in range(start, stop):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            hint = int(row[FACET])
+            row[TRACTION] = 0.0
+            row[FACET] = -1.0
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            far = False
+            for i in range(3):
+                if r[i] < box[0, i] - radius or r[i] > box[1, i] + radius:
+                    far = True
+            if far:
+                continue
+            length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+            for i in range(3):
+                nu[i] = n[i] / length
+            found = False
+            if hint >= 0 and _hit(x2, facets2[hint], rim[hint], r, nu, tolerance, out):
+                for i in range(15):
+                    best[i] = out[i]
+                found = True
+                place = hint
+            if not found:
+                for j in range(facets2.shape[0]):
+                    d2, along = 0.0, 0.0
+                    for i in range(3):
+                        d = spheres[j, i] - r[i]
+                        d2 += d * d
+                        along += d * nu[i]
+                    reach = spheres[j, 3]
+                    if d2 - along * along > reach * reach or abs(along) > radius + reach:
+                        continue
+                    if not _hit(x2, facets2[j], rim[j], r, nu, tolerance, out):
+                        continue
+                    if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
+                        for i in range(15):
+                            best[i] = out[i]
+                        found = True
+                        place = j
+            if not found:
+                continue
+            gap = best[0]
+            weight = _fade(best, facets2[place, 3] >= 0, rim[place], row)
+            traction = weight * (multiplier[f, k] + eps[f] * gap)
+            if gap > radius or traction <= 0.0:
+                continue
+            count += 1
+            row[GAP] = gap
+            for i in range(3):
+                row[NORMAL + i] = n[i]
+                row[OTHER + i] = best[1 + i]
+                row[POINT + i] = best[4 + i]
+            row[TRACTION] = traction
+            row[FACET] = place
+            row[WEIGHT] = weight
+    return count

@@ -1,0 +1,93 @@
+"""Contact with Coulomb friction: FEBio's `sliding-elastic` with `fric_coeff`.
+
+The answer depends on the way: a step is measured from the converged one before it, and a point that
+comes into contact within a step slips. See `friction_kernels` for the law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.fem.contacts import friction_kernels
+from limbcli.fem.contacts.contact_points import FACET
+from limbcli.fem.contacts.pairs import Pair
+from limbcli.fem.motion.rigid import AT_REST, Body, BodyState
+from limbcli.model import Array
+
+
+@dataclass(eq=False)
+class FrictionPair(Pair):
+    """A contact with friction; it remembers the last converged step.
+
+    rigid : the body it touches; was, now : where that was at the converged step, and is
+    """
+
+    rigid: Body
+    was: BodyState = AT_REST
+    now: BodyState = AT_REST
+    before: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for patch in self.patches:
+            shape = patch.state.shape[:2]
+            patch.state = np.zeros((*shape, friction_kernels.N_STATE))
+            patch.state[..., FACET] = -1
+        self.before = [np.zeros((*p.state.shape[:2], friction_kernels.N_BEFORE)) for p in self.patches]
+        for each in self.before:
+            each[..., friction_kernels.HELD] = -1
+
+    @property
+    def mu(self) -> float:
+        return self.contact.friction
+
+    @property
+    def move(self) -> Array:
+        """(4, 3): rotation since the converged step, in rows, and translation."""
+        turn = self.now.turn @ self.was.turn.T
+        center = self.rigid.center
+        return np.concatenate([turn, (center + self.now.shift - turn @ (center + self.was.shift))[None]])
+
+    def remember(self, x: Array, at: BodyState) -> None:
+        """Take a converged step as the one that the next is measured from."""
+        super().search(x, at)
+        for p, before in zip(self.patches, self.before, strict=True):
+            friction_kernels.remember(x, p.facets, p.N, p.dN, p.state, before)
+        self.was = self.now = at
+
+    def forget(self) -> None:
+        super().forget()
+        self.was = self.now = AT_REST
+        for each in self.before:
+            each[..., friction_kernels.HELD] = -1
+
+    def search(self, x: Array, at: BodyState) -> int:
+        count = super().search(x, at)
+        self.now = at
+        for p, before in zip(self.patches, self.before, strict=True):
+            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, p.state)
+        return count
+
+    def force(self, center: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            friction_kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
+
+    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
+        for p, before in zip(self.patches, self.before, strict=True):
+            friction_kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center, v,
+                motion, out, body,
+            )  # fmt: skip
+
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
+        center = self.rigid.center + self.now.shift
+        found = []
+        for p, before in zip(self.patches, self.before, strict=True):
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = friction_kernels.blocks(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, before, self.move, p.state, center, out
+            )
+            found.append((out, touched))
+        return found

@@ -1,0 +1,276 @@
+"""Compiled loops of Coulomb friction between a soft surface and a rigid one.
+
+Every integration point of the soft facets remembers, from the last converged step, where it was, its
+tangents, and where its normal met the rigid body (its anchor, which moves with the body). With
+d = r - anchor, in the current configuration, and the normal pressure p = eps g of frictionless contact:
+
+    stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
+    slip    T = p (nu + mu s)          elsewhere, and where the point has no anchor
+    s = y/max(|y|, mu g),  y = (1 - nu nu)(dx1 - dx2 - g c),  c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
+
+T is what the skin pushes with, per current area; dx1, dx2, dg1, dg2 are changes since the last
+converged step of the point, of the rigid body's matter now opposite to it, and of the tangents. FEBio
+has s = y/|y|, which jumps where a point that has just come into contact turns back; a slip shorter than
+that of a sticking point is taken here to be resisted by the same penalty.
+
+Columns of `state` beyond those of `contact_points`: whether it sticks, T. Columns of `before`: the point,
+its tangents g1 and g2, the anchor, the anchor's facet (or -1), all of the last converged step. `move` (4, 3):
+the rotation of the body since then, in rows, and its translation: place now = move[:3] place + move[3].
+
+Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
+J Biomech Eng 140:081013.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from limbcli.fem.contacts.contact_points import (
+    FACET,
+    GAP,
+    NORMAL,
+    OTHER,
+    POINT,
+    TRACTION,
+    cross,
+    normal_change,
+    point_change,
+    point_geometry,
+    push,
+)
+from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
+
+STICKS, PUSH = N_NORMAL, N_NORMAL + 1
+N_STATE = N_NORMAL + 4
+PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 12
+N_BEFORE = 13
+
+
+@njit(cache=True)
+def remember(x, facets, N, dN, state, before):
+    """Fill `before` from a converged step, whose contact was searched for along the normals."""
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            row = before[f, k]
+            for i in range(3):
+                row[PLACE + i] = r[i]
+                row[TANGENTS + i] = g1[i]
+                row[TANGENTS + 3 + i] = g2[i]
+                row[ANCHOR + i] = state[f, k, POINT + i]
+            row[HELD] = state[f, k, FACET]
+
+
+@njit(cache=True)
+def _slip(row, before, move, r, g1, g2, n, y, c, m):
+    """y, c and m of a point in contact (see above); returns |n|."""
+    size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+    old, w = np.empty(3), np.empty(3)
+    cross(before[TANGENTS : TANGENTS + 3], g2, m)
+    cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
+    along = 0.0
+    for i in range(3):
+        m[i] = 2.0 * n[i] - m[i] - w[i]
+        along += n[i] * m[i] / size
+        old[i] = 0.0
+        for j in range(3):  # where the body's matter at q was
+            old[i] += move[j, i] * (row[POINT + j] - move[3, j])
+    total = 0.0
+    for i in range(3):
+        c[i] = (m[i] - along * n[i] / size) / size
+        y[i] = r[i] - before[PLACE + i] - (row[POINT + i] - old[i]) - row[GAP] * c[i]
+        total += y[i] * n[i] / size
+    for i in range(3):
+        y[i] -= total * n[i] / size
+    return size
+
+
+@njit(cache=True, nogil=True)
+def resist(x, facets, N, dN, eps, mu, before, move, state):
+    """Take stick or slip of every point that touches, and its push; returns how many stick."""
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    sticking = 0
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            row[STICKS] = 0.0
+            if row[TRACTION] == 0.0:
+                continue
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+            if before[f, k, HELD] >= 0.0:
+                normal, shear = 0.0, 0.0
+                for i in range(3):
+                    anchor[i] = move[3, i]
+                    for j in range(3):
+                        anchor[i] += move[i, j] * before[f, k, ANCHOR + j]
+                    thrust[i] = eps[f] * (r[i] - anchor[i])
+                    normal += thrust[i] * n[i] / size
+                for i in range(3):
+                    shear += (thrust[i] - normal * n[i] / size) ** 2
+                if normal > 0.0 and np.sqrt(shear) < mu * normal:
+                    row[STICKS] = 1.0
+                    row[TRACTION] = normal
+                    row[FACET] = before[f, k, HELD]
+                    for i in range(3):
+                        row[PUSH + i] = thrust[i]
+                        row[POINT + i] = anchor[i]
+                    sticking += 1
+                    continue
+            _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
+            drag = min(mu * row[TRACTION] / length, eps[f]) if length > 0.0 else 0.0
+            for i in range(3):
+                row[PUSH + i] = row[TRACTION] * n[i] / size + drag * y[i]
+    return sticking
+
+
+@njit(cache=True, nogil=True)
+def force(facets, N, weights, state, center, out, body):
+    """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
+    f3 = np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            size = np.sqrt(row[NORMAL] ** 2 + row[NORMAL + 1] ** 2 + row[NORMAL + 2] ** 2)
+            for i in range(3):
+                f3[i] = weights[k] * size * row[PUSH + i]
+            push(f3, row, center, facets[f], N[k], out, body)
+
+
+@njit(cache=True)
+def _change(row, before, move, eps, mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
+    """Change of |n| T, and of the arm from the body's centre, for changes of the point and the body.
+
+    y, c, m : of `_slip`, where the point slips
+    """
+    dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    size = normal_change(g1, g2, n, d1, d2, dn, dnu)
+    dsize = 0.0
+    for i in range(3):
+        dsize += n[i] * dn[i] / size
+        v[i] = row[POINT + i] - center[i]
+    cross(motion[3:6], v, w)  # turning of the body
+    if row[STICKS] > 0.0:
+        for i in range(3):
+            df[i] = size * eps * (dr[i] - motion[i] - w[i]) + dsize * row[PUSH + i]
+            darm[i] = w[i]
+        return
+    nu, dq, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    top, bottom = 0.0, 0.0
+    for i in range(3):
+        nu[i] = n[i] / size
+        top += row[OTHER + i] * (dr[i] - row[GAP] * dnu[i] - w[i] - motion[i])
+        bottom += row[OTHER + i] * nu[i]
+    dg = top / bottom
+    for i in range(3):
+        dq[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i]
+        darm[i] = dq[i] - motion[i]
+        v[i] = darm[i] - w[i]  # the touching point's way over the body
+    length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
+    p, dp = row[TRACTION], eps * dg
+    if length > 0.0:
+        u = np.empty(3)
+        cross(before[TANGENTS : TANGENTS + 3], d2, u)
+        cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
+        along, turn, mnu = 0.0, 0.0, 0.0
+        for i in range(3):
+            dm[i] = 2.0 * dn[i] - u[i] - w[i]
+            along += nu[i] * dm[i]
+            mnu += nu[i] * m[i]
+            turn += dnu[i] * m[i]
+        for i in range(3):
+            dc[i] = (dm[i] - along * nu[i] - turn * nu[i] - mnu * dnu[i] - dsize * c[i]) / size
+        # y is (1 - nu nu) z; only z along the normal is missing in y
+        znu, zdnu, dz_nu = 0.0, 0.0, 0.0
+        for i in range(3):
+            back = 0.0
+            for j in range(3):
+                back += move[j, i] * v[j]
+            dy[i] = dr[i] - dq[i] + back - dg * c[i] - row[GAP] * dc[i]
+            old = 0.0
+            for j in range(3):
+                old += move[j, i] * (row[POINT + j] - move[3, j])
+            z = r[i] - before[PLACE + i] - row[POINT + i] + old - row[GAP] * c[i]
+            znu += z * nu[i]
+            zdnu += z * dnu[i]
+            dz_nu += dy[i] * nu[i]
+        along = 0.0  # the length of y
+        for i in range(3):
+            dy[i] -= dz_nu * nu[i] + zdnu * nu[i] + znu * dnu[i]
+            along += dy[i] * y[i] / length
+    else:
+        dy[:] = 0.0
+    full = mu * p < eps * length
+    for i in range(3):
+        shear = eps * dy[i]
+        if full:
+            shear = mu * (dp * y[i] + p * (dy[i] - along * y[i] / length)) / length
+        df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
+
+
+@njit(cache=True, nogil=True)
+def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, motion, out, body):
+    """Derivative of `force` along v (n_points, 3) and the body's motion (6); stick and slip held."""
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, f3, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            size = _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
+            _change(
+                row, before[f, k], move, eps[f], mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
+                darm,
+            )  # fmt: skip
+            for i in range(3):
+                df[i] *= weights[k]
+                f3[i] = weights[k] * size * row[PUSH + i]
+            push(df, row, center, facets[f], N[k], out, body)
+            cross(darm, f3, w)
+            for i in range(3):
+                body[3 + i] += w[i]
+
+
+@njit(cache=True, nogil=True)
+def blocks(x, facets, N, dN, weights, eps, mu, before, move, state, center, out):
+    """Tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do."""
+    nodes = facets.shape[1]
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m = np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    still = np.zeros(6)
+    touched = np.zeros(facets.shape[0], dtype=np.bool_)
+    for f in range(facets.shape[0]):
+        K = out[f]
+        K[:] = 0.0
+        for k in range(N.shape[0]):
+            row = state[f, k]
+            if row[TRACTION] == 0.0:
+                continue
+            touched[f] = True
+            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
+            _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            for b in range(nodes):
+                for j in range(3):
+                    dr[:] = 0.0
+                    d1[:] = 0.0
+                    d2[:] = 0.0
+                    dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
+                    _change(
+                        row, before[f, k], move, eps[f], mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, still,
+                        df, darm,
+                    )  # fmt: skip
+                    for a in range(nodes):
+                        for i in range(3):
+                            K[a, i, b, j] += weights[k] * N[k, a] * df[i]
+    return touched

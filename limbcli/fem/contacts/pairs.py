@@ -1,0 +1,139 @@
+"""A soft surface against a rigid one: FEBio's frictionless `sliding-elastic` law.
+
+The compiled loops, and the law itself, are in `contact_kernels`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from limbcli.bodies import Contact
+from limbcli.fem.contacts import contact_kernels as kernels
+from limbcli.fem.contacts.contact_points import FACET, TRACTION, WEIGHT
+from limbcli.fem.contacts.contact_search import search
+from limbcli.fem.contacts.patch import Patch
+from limbcli.fem.contacts.penalty import penalties
+from limbcli.fem.elements.assembly import Threads
+from limbcli.fem.elements.groups import Group
+from limbcli.fem.motion.rigid import BodyState
+from limbcli.materials.program import CurveAt
+from limbcli.model import Array, IntArray
+
+_FADE, _MOST_FADE = 0.03, 0.2  # to either side of a rim: of the soft facets' size, of the rigid facet's
+
+
+@dataclass(eq=False)
+class Pair:
+    """One contact of the model: soft patches against the facets of a body.
+
+    rim (n_facets2, 4) : where tractions fade, at the edges that end the rigid surface (see `rim_widths`)
+    turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
+        equilibrium they are many times what they will be, and that part of the tangent leads astray
+    """
+
+    contact: Contact
+    body: int
+    facets2: IntArray
+    patches: list[Patch]
+    rim: Array
+    turning: float = field(default=1.0, kw_only=True)
+    threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
+
+    def search(self, x: Array, at: BodyState) -> int:
+        """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
+        many touch."""
+        spheres, box = _bounds(x, self.facets2)
+        return sum(
+            sum(self.threads.run(partial(self._search, p, x, spheres, box), len(p.facets)))
+            for p in self.patches
+        )
+
+    def _search(
+        self, p: Patch, x: Array, spheres: Array, box: Array, worker: int, begin: int, end: int
+    ) -> int:
+        c = self.contact
+        found = search(
+            begin, end, x, p.facets, p.N, p.dN, x, self.facets2, self.rim, spheres, box,
+            c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
+        )  # fmt: skip
+        return int(found)
+
+    def force(self, center: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
+
+    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
+        for p in self.patches:
+            kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, center, v, motion, out, body
+            )  # fmt: skip
+
+    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
+        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch."""
+        found = []
+        for p in self.patches:
+            n = p.facets.shape[1]
+            out = np.empty((len(p.facets), n, 3, n, 3))
+            touched = kernels.blocks(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, out)
+            found.append((out, touched))
+        return found
+
+    def remember(self, x: Array, at: BodyState) -> None:
+        """Take a converged step over; without friction nothing is remembered."""
+
+    def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
+        for p in self.patches:
+            p.eps = penalties(self.contact, p, groups, curve, dt)
+
+    def forget(self) -> None:
+        """As before any load: no facet touched, no multiplier."""
+        for p in self.patches:
+            p.state[:] = 0.0
+            p.state[..., FACET] = -1
+            p.multiplier[:] = 0.0
+
+    def augment(self) -> float:
+        """Take the tractions over as multipliers; the relative change of their sum of squares."""
+        before = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        for p in self.patches:
+            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
+        after = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        return abs(after - before) / after if after else 0.0
+
+
+def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Array:
+    """(n, 4) half-widths over which tractions fade at edges that belong to one rigid facet only.
+
+    In the facet's natural coordinates; 0 at other edges.
+
+    facets2 (n, 4) : nodes; triangles end in -1. An edge goes from each node to the next.
+    """
+    following = np.roll(facets2, -1, axis=1)
+    triangles = facets2[:, 3] < 0
+    following[triangles, 2] = facets2[triangles, 0]
+    there = np.ones(facets2.shape, dtype=bool)
+    there[triangles, 3] = False
+    ends = np.sort(np.stack([facets2, following], axis=2), axis=2)[there]
+    _, which, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    found = np.zeros(facets2.shape)
+    found[there] = counts[which.ravel()] == 1
+    a, b, c, d = (points[facets2[:, k]] for k in (0, 1, 2, 3))
+    d[triangles] = a[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # of triangles as well
+    length = np.linalg.norm(points[following] - points[facets2], axis=2)
+    across = np.where(triangles, 2.0, 1.0)[:, None] * area[:, None] / np.maximum(length, 1e-300)
+    soft = np.concatenate([np.sqrt(each.areas) for each in patches])
+    part = np.minimum(_FADE * soft.mean() / np.maximum(across, 1e-300), _MOST_FADE)
+    return np.asarray(found * part * np.where(triangles, 1.0, 2.0)[:, None])
+
+
+def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:
+    corners = x[np.where(facets2 < 0, facets2[:, :1], facets2)]
+    center = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1) * 1.05
+    box = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
+    return np.concatenate([center, reach[:, None]], axis=1), box

@@ -1,0 +1,194 @@
+"""Derivatives of everything that can be logged by a parameter, from a sensitivity.
+
+Cell fields follow the changes at the integration points (`point_changes`) by the chain rule; node and
+body fields those of displacements, reactions and motions. Derivatives of the spatial tangent are
+differences of the law alone, right to about nine digits; all others are exact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from limbcli.fem.derivatives.fields import (
+    _CENTER,
+    _F,
+    _STRAIN,
+    _STRESS,
+    BODY_FIELDS,
+    NODE_FIELDS,
+    TANGENT_FIELDS,
+    _component,
+    check_record,
+    pair_push,
+    pushed,
+)
+from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, Shape
+from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
+from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
+from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.state import State
+from limbcli.fem.system import System
+from limbcli.model import Array, IntArray, LogRecord
+
+_SAME = 1e-9  # principal stresses closer than this, of the largest, count as equal
+
+
+def record_derivatives(
+    system: System, state: State, record: LogRecord, parameter: Parameter, sensitivity: Sensitivity
+) -> tuple[IntArray, Array]:
+    """(ids from 0, d(field)/d(theta) (n_items, n_fields)) of one record at a converged state.
+
+    Raises
+    ------
+    SolveError
+        Where the record has a field that cannot be given.
+    """
+    check_record(record)
+    if record.kind == "rigid_body":
+        b = [body.name for body in system.bodies].index(str(record.items))
+        values = body_field_derivatives(system, state, b, record.fields, parameter, sensitivity)
+        return np.array([b], dtype=np.int64), values[None]
+    if record.kind == "node":
+        values = node_field_derivatives(system, state, record.fields, parameter, sensitivity)
+    else:
+        values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
+        for number, group in enumerate(system.groups):
+            rows = cell_field_derivatives(system, state, number, record.fields, parameter, sensitivity)
+            values[group.first : group.first + len(group.cells)] = rows
+    items = np.arange(len(values)) if record.items is None else np.asarray(record.items)
+    return items, values[items]
+
+
+def cell_field_derivatives(
+    system: System,
+    state: State,
+    number: int,
+    fields: tuple[str, ...],
+    parameter: Parameter,
+    sensitivity: Sensitivity,
+) -> Array:
+    """d(field)/d(theta) (n_cells, n_fields) of a group's cells.
+
+    Where principal stresses are equal, theirs are those towards growing theta, in the order that they
+    have there; towards falling theta the same values belong to them in the opposite order.
+    """
+    tangent = bool(set(TANGENT_FIELDS) & set(fields))
+    at = point_changes(system, state, number, parameter, sensitivity.displacement, tangent=tangent)
+    spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
+    principal = np.zeros(0)
+    if {"s1", "s2", "s3"} & set(fields):
+        principal = principal_changes(at.stress.mean(axis=1), at.d_stress.mean(axis=1))
+    columns = []
+    for name in fields:
+        if name in TANGENT_FIELDS:
+            columns.append(spatial[:, *divmod(TANGENT_FIELDS.index(name), 6)])
+        elif name in ("J", "sed"):
+            columns.append((at.d_volume if name == "J" else at.d_energy).mean(axis=1))
+        elif name in _F:
+            columns.append(at.dF[:, :, *_F[name]].mean(axis=1))
+        elif name in _STRESS:
+            columns.append(_component(at.d_stress, _STRESS[name]))
+        elif name in _STRAIN:
+            columns.append(_component(at.d_strain, _STRAIN[name]))
+        elif name in _CENTER:
+            moves, rest = _node_changes(system, state, parameter, sensitivity)
+            of_cells = (moves + rest)[system.groups[number].cells]
+            columns.append(of_cells[:, :, _CENTER.index(name)].mean(axis=1))
+        else:
+            columns.append(principal[:, int(name[1]) - 1])
+    return np.stack(columns, axis=1)
+
+
+def principal_changes(stress: Array, change: Array) -> Array:
+    """Changes (n, 3) of the principal values, largest first, of stress (n, 3, 3) along `change`.
+
+    dl_i = n_i . dS n_i. Of equal values: the principal values of dS within their plane (or in space),
+    largest first, which is right for a step forward.
+
+    >>> equal, change = np.diag([1.0, 1.0, -1.0])[None], np.diag([-3.0, 2.0, 0.5])[None]
+    >>> principal_changes(equal, change)
+    array([[ 2. , -3. ,  0.5]])
+    """
+    values, n = np.linalg.eigh(stress)
+    values, n = values[:, ::-1], n[:, :, ::-1]
+    turned = np.swapaxes(n, 1, 2) @ change @ n
+    out = np.diagonal(turned, axis1=1, axis2=2).copy()
+    near = values[:, :-1] - values[:, 1:] <= _SAME * abs(values).max(axis=1, initial=0.0)[:, None]
+    for first, last in ((0, 2), (1, 3), (0, 3)):
+        whole = near[:, first : last - 1].all(axis=1)
+        block = turned[whole, first:last, first:last]
+        out[whole, first:last] = np.linalg.eigvalsh(block)[:, ::-1]
+    return out
+
+
+def _tangent_change(at: PointChanges) -> Array:
+    """Change (n_cells, n_gauss, 6, 6) of the spatial tangent."""
+    F, dF = at.law_F, at.law_dF
+    push, turn = pair_push(F, F), pair_push(dF, F) + pair_push(F, dF)
+    J = np.linalg.det(F)[..., None, None]
+    growth = np.trace(np.linalg.solve(F, dF), axis1=-2, axis2=-1)[..., None, None]
+    half = turn @ at.CC @ np.swapaxes(push, -1, -2)
+    whole = half + np.swapaxes(half, -1, -2) + push @ at.d_tangent @ np.swapaxes(push, -1, -2)
+    return np.asarray(whole / J - growth * pushed(F, at.CC))
+
+
+def _node_changes(
+    system: System, state: State, parameter: Parameter, sensitivity: Sensitivity
+) -> tuple[Array, Array]:
+    """Changes (n_points, 3) of the nodes' displacements and of their places at rest; of bodies' own too."""
+    moves, rest = sensitivity.displacement.copy(), np.zeros_like(system.X)
+    if isinstance(parameter, Shape):
+        rest += parameter.directions
+    for b, body in enumerate(system.bodies):
+        turn, arm = state.bodies[b].turn, system.X[body.points] - body.center
+        shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
+        moves[body.points] += shift + np.cross(spin, arm @ turn.T)
+        if isinstance(parameter, BodyMotion) and parameter.body == body.name:
+            begin = np.cross(parameter.motion[3:], arm)
+            rest[body.points] += parameter.motion[:3] + begin
+            moves[body.points] += begin @ turn.T - begin
+    return moves, rest
+
+
+def node_field_derivatives(
+    system: System, state: State, fields: tuple[str, ...], parameter: Parameter, sensitivity: Sensitivity
+) -> Array:
+    """d(field)/d(theta) (n_points, n_fields) of places, displacements and reactions."""
+    reactions = np.zeros(0)
+    if {"Rx", "Ry", "Rz"} & set(fields):
+        reactions = reaction_changes(system, state, parameter, sensitivity)
+    moves, rest = _node_changes(system, state, parameter, sensitivity)
+    each = {"x": moves + rest, "u": moves, "R": reactions}
+    columns = [each[name[0] if name in NODE_FIELDS[3:] else "x"] for name in fields]
+    return np.stack(
+        [c[:, NODE_FIELDS.index(name) % 3] for c, name in zip(columns, fields, strict=True)], axis=1
+    )
+
+
+def body_field_derivatives(
+    system: System,
+    state: State,
+    b: int,
+    fields: tuple[str, ...],
+    parameter: Parameter,
+    sensitivity: Sensitivity,
+) -> Array:
+    """d(field)/d(theta) (n_fields,) of a body's centre, rotation vector, forces and moments."""
+    shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
+    if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
+        shift = shift + np.asarray(parameter.motion[:3])
+    turn = _vector_change(rotation_vector(state.bodies[b].turn), spin)
+    values = np.concatenate([shift, turn, sensitivity.bodies[b]])
+    return np.asarray(values[[BODY_FIELDS.index(name) for name in fields]])
+
+
+def _vector_change(vector: Array, spin: Array) -> Array:
+    """Change of the rotation vector of a body that turns on by `spin` (rad), about axes fixed in space.
+
+    >>> _vector_change(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0]))
+    array([0., 0., 1.])
+    """
+    angle = float(np.linalg.norm(vector))
+    across = np.cross(vector, spin)
+    part = 1 / 12 if angle < 1e-3 else (1 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    return np.asarray(spin - 0.5 * across + part * np.cross(vector, across))

@@ -1,0 +1,175 @@
+"""What the records ask for: fields of nodes, cells and bodies at a converged state.
+
+Cell fields are means over the integration points, as in FEBio's log. A rigid shell has
+J = 1, F = 1 and no stress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem.elements import kernels
+from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.state import Forces, State
+from limbcli.fem.system import System
+from limbcli.materials.energy import energy_density
+from limbcli.materials.tensors import FIRST, SECOND, VOIGT
+from limbcli.model import Array, IntArray, LogRecord
+
+_TENSOR = {"x": 0, "y": 1, "z": 2, "xy": 3, "yz": 4, "xz": 5}
+_F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
+_STRESS = {f"s{name}": k for name, k in _TENSOR.items()}
+_STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
+_CENTER = ("x", "y", "z")
+# FEBio 4.11 hands out the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz
+# xy yz xz) under these names, whatever they say; the same is done here, to give the same file.
+TANGENT_FIELDS = (
+    "cxxxx", "cxxyy", "cyyyy", "cxxzz", "cyyzz", "czzzz", "cxxxy", "cyyxy", "czzxy", "cxyxy", "cxxyz",
+    "cyyyz", "czzyz", "cxyyz", "cyzyz", "cxxxz", "cyyxz", "czzxz", "cxyxz", "cyzxz", "cxzxz",
+)  # fmt: skip
+CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F, *TANGENT_FIELDS)
+NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
+BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
+_KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS}
+
+
+def check_record(record: LogRecord) -> None:
+    """Refuse a record with a field that cannot be given."""
+    for name in record.fields:
+        if name not in _KNOWN[record.kind]:
+            raise SolveError(
+                f"the log variable {name!r} is not supported by the reference solver",
+                where=f"record {record.file!r}",
+                fix=f"use {', '.join(_KNOWN[record.kind])}, or run FEBio",
+            )
+
+
+def record_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
+    """(ids from 0, values (n_items, n_fields)) of one record."""
+    if record.kind == "rigid_body":
+        return _body_rows(system, state, forces, record)
+    if record.kind == "node":
+        return _node_rows(system, state, forces, record)
+    return _cell_rows(system, state, record)
+
+
+def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
+    names = [body.name for body in system.bodies]
+    if record.items not in names:
+        raise SolveError(
+            f"there is no rigid body {record.items!r}",
+            where=f"record {record.file!r}",
+            fix=f"use one of {names}",
+        )
+    b = names.index(str(record.items))
+    at = state.bodies[b]
+    values = np.concatenate([system.bodies[b].center + at.shift, rotation_vector(at.turn), forces.bodies[b]])
+    columns = [BODY_FIELDS.index(name) for name in record.fields]
+    return np.array([b], dtype=np.int64), values[None, columns]
+
+
+def _node_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
+    reactions = np.where(system.driven, forces.nodal, 0.0)
+    values = np.concatenate([system.X + state.u, state.u, reactions], axis=1)
+    items = np.arange(len(values)) if record.items is None else np.asarray(record.items)
+    return items, values[items][:, [NODE_FIELDS.index(name) for name in record.fields]]
+
+
+def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArray, Array]:
+    n_cells = sum(len(block.cells) for block in system.model.mesh.blocks)
+    values = np.zeros((n_cells, len(record.fields)))
+    for k, name in enumerate(record.fields):
+        if name == "J" or (name in _F and _F[name][0] == _F[name][1]):
+            values[:, k] = 1.0
+    for number, group in enumerate(system.groups):
+        rows = cell_fields(system, state, number, record.fields)
+        values[group.first : group.first + len(group.cells)] = rows
+    items = np.arange(n_cells) if record.items is None else np.asarray(record.items)
+    return items, values[items]
+
+
+def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
+    """F (n_cells, n_gauss, 3, 3), of the mesh, and Cauchy stress (n_cells, n_gauss, 3, 3) of a group."""
+    o = system.operands[number]
+    shape = (*o.weight.shape, 3, 3)
+    F, S = np.empty(shape), np.empty((*o.weight.shape, 6))
+    nothing = np.zeros((0, 1, 6, 6))
+    args = o.arguments()
+    system.threads.run(
+        lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, nothing), len(o.cells)
+    )
+    J = np.linalg.det(F)
+    stress = F @ S[..., VOIGT] @ np.swapaxes(F, -1, -2) / J[..., None, None]
+    return F @ np.linalg.inv(o.base), stress
+
+
+def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:
+    """(n_cells, n_fields): means over the integration points of a group's cells."""
+    group = system.groups[number]
+    F, stress = gauss_fields(system, state, number)
+    x = (system.X + state.u)[group.cells].mean(axis=1)
+    getters: dict[str, Callable[[], Array]] = {
+        "J": lambda: np.linalg.det(F).mean(axis=1),
+        "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
+    }
+    principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
+    strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
+    columns = []
+    spatial = (
+        spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
+    )
+    for name in fields:
+        if name in TANGENT_FIELDS:
+            assert spatial is not None
+            row, column = divmod(TANGENT_FIELDS.index(name), 6)
+            columns.append(spatial[:, row, column])
+        elif name in getters:
+            columns.append(getters[name]())
+        elif name in _F:
+            columns.append(F[:, :, _F[name][0], _F[name][1]].mean(axis=1))
+        elif name in _STRESS:
+            columns.append(_component(stress, _STRESS[name]))
+        elif name in _STRAIN:
+            columns.append(_component(strain, _STRAIN[name]))
+        elif name in _CENTER:
+            columns.append(x[:, _CENTER.index(name)])
+        else:
+            assert principal is not None
+            columns.append(principal[:, 3 - int(name[1])])
+    return np.stack(columns, axis=1)
+
+
+def spatial_tangent(system: System, state: State, number: int) -> Array:
+    """Spatial tangent c_ijkl = F_iI F_jJ F_kK F_lL CC_IJKL / J as (n_cells, n_gauss, 6, 6), Voigt order."""
+    o = system.operands[number]
+    shape = o.weight.shape
+    F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
+    args = o.arguments()
+    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, CC), len(o.cells))
+    return pushed(F, CC)
+
+
+def pushed(F: Array, CC: Array) -> Array:
+    """Push-forward (..., 6, 6) of CC by F (..., 3, 3), over det F."""
+    push = pair_push(F, F)
+    return np.asarray(push @ CC @ np.swapaxes(push, -1, -2) / np.linalg.det(F)[..., None, None])
+
+
+def pair_push(A: Array, B: Array) -> Array:
+    """(..., 6, 6): component (ij) of A T B' by those (IJ) of a symmetric T, in Voigt order."""
+    push = np.zeros((*A.shape[:-2], 6, 6))
+    for p in range(6):
+        for q in range(6):
+            i, j, k, l = FIRST[p], SECOND[p], FIRST[q], SECOND[q]
+            push[..., p, q] = A[..., i, k] * B[..., j, l]
+            if k != l:
+                push[..., p, q] += A[..., i, l] * B[..., j, k]
+    return push
+
+
+def _component(tensor: Array, k: int) -> Array:
+    i, j = np.argwhere(k == VOIGT)[0]
+    return np.asarray(tensor[:, :, i, j].mean(axis=1))

@@ -1,0 +1,271 @@
+"""What the response can be differentiated by, and how the residual depends on it.
+
+`partial` gives dR/dtheta at held displacements: nodal forces (n_points, 3) and forces and moments
+on the bodies (n_bodies, 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem.contacts import contact_kernels
+from limbcli.fem.contacts.penalty import penalty_derivative
+from limbcli.fem.elements import simd_kernels
+from limbcli.fem.elements.groups import Group, Operands
+from limbcli.fem.motion.state import State
+from limbcli.fem.system import System
+from limbcli.materials import Program
+from limbcli.materials.program import CurveAt
+from limbcli.model import Array, Curved
+
+
+@dataclass(frozen=True, eq=False)
+class LawParameter:
+    """A number of a material: "c1" of "tissue" ("0.mu" in a mixture's first part).
+
+    block : only where the region is this block (a region's own stiffness)
+    weights (n_cells,) : where given, cell e of the block moves by weights[e] theta (a map coefficient)
+    """
+
+    material: str
+    name: str
+    block: str | None = None
+    weights: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tied:
+    """Numbers of materials that move together: each by its rate times theta."""
+
+    parts: tuple[tuple[LawParameter, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """Where a body starts: `motion` (6) per unit theta, a translation (mm) and a rotation vector
+    about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y.
+    What turns it later turns this as well; the rotation that is logged counts from the start."""
+
+    body: str
+    motion: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Places of nodes in the reference state: node n moves by directions[n] theta (a layer's
+    thickness). The residual's dependence on the places is taken by central differences of `step` mm,
+    the response's dependence on the residual exactly."""
+
+    directions: Array
+    step: float = 1e-4
+    _systems: dict[float, tuple[list[Group], System]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Prestrain:
+    """The prestrain of a material's regions: F0 moves by `direction` (3, 3) per unit theta; without a
+    direction its ramp by one (before its load curve, where it follows one). The residual's dependence is
+    taken by central differences of `step`, the response's dependence on the residual exactly."""
+
+    material: str
+    direction: Array | None = None
+    step: float = 1e-5
+
+
+Parameter = LawParameter | Tied | BodyMotion | Shape | Prestrain
+
+
+def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
+    """dR/dtheta at held displacements."""
+    if isinstance(parameter, LawParameter):
+        return _law(system, state, parameter)
+    if isinstance(parameter, Tied):
+        found = [(_law(system, state, each), rate) for each, rate in parameter.parts]
+        return (
+            np.asarray(sum(rate * nodal for (nodal, _), rate in found)),
+            np.asarray(sum(rate * bodies for (_, bodies), rate in found)),
+        )
+    if isinstance(parameter, BodyMotion):
+        return _motion(system, state, parameter)
+    if isinstance(parameter, Prestrain):
+        return _prestrain(system, state, parameter)
+    return _shape(system, state, parameter)
+
+
+def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
+    """Derivative programs by group; raises where no region is made of the material."""
+    where = f"derivative with respect to {parameter.material}.{parameter.name}"
+    found = {}
+    for number, group in enumerate(system.groups):
+        if group.material.name != parameter.material or parameter.block not in (None, group.block):
+            continue
+        n, weights = len(group.cells), parameter.weights
+        if weights is not None and len(weights) != n:
+            raise SolveError(
+                f"{len(weights)} weights for the {n} cells of block {group.block!r}",
+                where=where,
+                fix="give a weight to each cell of one block, and name the block",
+            )
+        found[number] = group.material.derivative(parameter.name, n, system.curve, weights=weights)
+    if not found:
+        raise SolveError(
+            f"no region is made of {parameter.material!r}",
+            where=where,
+            fix=f"use one of {sorted({g.material.name for g in system.groups})}",
+        )
+    return found
+
+
+def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, Array]:
+    nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
+    dt = system.model.steps[0].step_size
+
+    def at_first(name: str) -> float:
+        return system.curve_at(name, system.start.time)  # when penalties are set
+
+    for number, found in programs(system, parameter).items():
+        _add_internal(system, state, number, found, nodal)
+        group = system.groups[number]
+        change = group.material.change(parameter.name, len(group.cells), at_first, weights=parameter.weights)
+        for pair in system.pairs:
+            for patch in pair.patches:
+                deps = penalty_derivative(pair.contact, patch, system.groups, number, at_first, change, dt)
+                if not deps.any():
+                    continue
+                on_body = np.zeros(6)
+                contact_kernels.scaled_force(
+                    patch.facets, patch.N, patch.weights, patch.state, deps,
+                    system.center(pair.body, state), nodal, on_body,
+                )  # fmt: skip
+                bodies[pair.body] -= on_body
+    system.gather_tied(state, nodal, bodies)
+    return nodal, bodies
+
+
+def _add_internal(system: System, state: State, number: int, found: list[Program], out: Array) -> None:
+    operands = system.operands[number]
+    for program in found:
+        args = operands.with_program(program).arguments()
+        parts = [np.zeros_like(out) for _ in range(system.threads.n)]
+
+        def task(worker: int, start: int, stop: int, args: Any = args, parts: Any = parts) -> None:
+            simd_kernels.internal_force(start, stop, state.u, *args, parts[worker])
+
+        system.threads.run(task, len(operands.cells))
+        for each in parts:
+            out += each
+
+
+def given_motions(system: System, state: State, parameter: Parameter) -> Array:
+    """Motions (n_bodies, 6) that a BodyMotion gives its body, as it stands now."""
+    motions = np.zeros((len(system.bodies), 6))
+    if not isinstance(parameter, BodyMotion):
+        return motions
+    names = [body.name for body in system.bodies]
+    if parameter.body not in names:
+        raise SolveError(
+            f"there is no rigid body {parameter.body!r}", where="derivative", fix=f"use one of {names}"
+        )
+    b = names.index(parameter.body)
+    motions[b, :3] = parameter.motion[:3]
+    motions[b, 3:] = state.bodies[b].turn @ np.asarray(parameter.motion[3:], dtype=float)
+    return motions
+
+
+def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array, Array]:
+    motions = given_motions(system, state, parameter)
+    v = system.follow(state, motions)
+    nodal, bodies = system.contact_times(state, v, motions)
+    if v.any():
+        nodal += system.tangent_times(state, v)
+    system.gather_tied(state, nodal, bodies)
+    if v.any():
+        b = int(np.flatnonzero(motions.any(axis=1))[0])
+        bodies[b, 3:] += system.tied_turning(state, _nodal_forces(system, state), b) @ motions[b, 3:]
+    if system.model.springs:
+        bodies += (system.spring_stiffness(state) @ motions.ravel()).reshape(-1, 6)
+    return nodal, bodies
+
+
+def _nodal_forces(system: System, state: State) -> Array:
+    """Internal and contact forces (n_points, 3), the contact as searched last."""
+    nodal, _, _ = system.internal(state)
+    for pair in system.pairs:
+        pair.force(system.center(pair.body, state), nodal, np.zeros(6))
+    return nodal
+
+
+def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array]:
+    sides = []
+    for sign in (1.0, -1.0):
+        moved = moved_system(system, parameter, sign)
+        moved.recall(state.hints or system.hints())
+        moved.at(state.time)
+        forces = moved.forces(state)
+        sides.append((forces.nodal, forces.bodies))
+    (n1, b1), (n0, b0) = sides
+    return (n1 - n0) / (2 * parameter.step), (b1 - b0) / (2 * parameter.step)
+
+
+def moved_system(system: System, parameter: Shape, sign: float) -> System:
+    groups, moved = parameter._systems.get(sign, (None, None))
+    if moved is None or groups is not system.groups:  # other laws, or another model
+        mesh = system.model.mesh
+        points = mesh.points + sign * parameter.step * parameter.directions
+        model = replace(system.model, mesh=replace(mesh, points=points))
+        moved = System(model, supports=system.supports, drives=system.drives, threads=system.threads.n)
+        parameter._systems[sign] = (system.groups, moved)
+    return moved
+
+
+def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Array, Array]:
+    mine = [
+        k
+        for k, group in enumerate(system.groups)
+        if group.material.name == parameter.material and group.material.prestrain is not None
+    ]
+    if not mine:
+        raise SolveError(
+            f"no region of {parameter.material!r} has a prestrain",
+            where="derivative with respect to a prestrain",
+            fix=f"use one of {sorted({g.material.name for g in system.groups if g.material.prestrain})}",
+        )
+    nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
+    for k in mine:
+        for sign in (1.0, -1.0):
+            o = nudged(system, k, parameter, sign * parameter.step)
+            part = np.zeros_like(nodal)
+            simd_kernels.internal_force(0, len(o.cells), state.u, *o.arguments(), part)
+            nodal += sign * part / (2.0 * parameter.step)
+    system.gather_tied(state, nodal, bodies)
+    return nodal, bodies
+
+
+def prestrain_change(group: Group, parameter: Prestrain, curve: CurveAt) -> Array:
+    """Change (3, 3) of the prestrain (1 - r) 1 + r F0 of a group that has one."""
+    assert group.material.prestrain is not None
+    F0, ramp = group.material.prestrain
+    on_curve = curve(ramp.curve) if isinstance(ramp, Curved) else 1.0
+    if parameter.direction is None:
+        return np.asarray(on_curve * (F0 - np.eye(3)))
+    r = ramp.value * on_curve if isinstance(ramp, Curved) else float(ramp)  # type: ignore[arg-type]
+    return np.asarray(r * np.asarray(parameter.direction, dtype=float))
+
+
+def nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:
+    """A group's operands with its prestrain moved."""
+    group = system.groups[number]
+    assert group.material.prestrain is not None
+    F0, ramp = group.material.prestrain
+    if parameter.direction is not None:
+        F0 = F0 + change * np.asarray(parameter.direction, dtype=float)
+    elif isinstance(ramp, Curved):
+        ramp = replace(ramp, value=ramp.value + change)
+    else:
+        ramp = float(ramp) + change  # type: ignore[arg-type]
+    moved = group.with_material(replace(group.material, prestrain=(F0, ramp)))
+    return moved.at(system.curve, scale=system.scales[number], history=system.histories[number])

@@ -1,0 +1,147 @@
+"""How deformation, stress, energy and tangent at the points of a group change along a parameter.
+
+With v = du/dtheta the mesh's F = 1 + grad u moves by grad v. Besides, at held u:
+
+- places at rest that move with velocities V (a layer's thickness) change F by -(F - 1) grad V;
+- a prestrain G that moves changes F G, the deformation that the law sees;
+- a number of the law changes what the law answers, by its derivative programs.
+
+Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule: exact, apart from the tangent,
+see `materials.differences`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.fem.derivatives.parameters import (
+    LawParameter,
+    Parameter,
+    Prestrain,
+    Shape,
+    Tied,
+    prestrain_change,
+    programs,
+)
+from limbcli.fem.elements import kernels
+from limbcli.fem.elements.groups import Group, Operands
+from limbcli.fem.motion.state import State
+from limbcli.fem.system import System
+from limbcli.materials.differences import tangent_change
+from limbcli.materials.energy import program_energy_change
+from limbcli.materials.tensors import VOIGT
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointChanges:
+    """Values and changes at the points of a group, all (n_cells, n_gauss, 3, 3).
+
+    F : of the mesh; law_F : what the law sees (F times its prestrain); stress : Cauchy's, MPa
+    dpar (1 or n_cells, n_numbers) : change of the law's numbers
+    """
+
+    operands: Operands
+    F: Array
+    dF: Array
+    law_F: Array
+    law_dF: Array
+    S: Array
+    dS: Array
+    CC: Array
+    dpar: Array
+
+    @property
+    def stress(self) -> Array:
+        return np.asarray(self.law_F @ self.S @ _t(self.law_F) / np.linalg.det(self.law_F)[..., None, None])
+
+    @property
+    def d_stress(self) -> Array:
+        F, dF = self.law_F, self.law_dF
+        half = dF @ self.S @ _t(F)
+        J = np.linalg.det(F)[..., None, None]
+        growth = np.trace(np.linalg.solve(F, dF), axis1=-2, axis2=-1)[..., None, None]
+        return np.asarray((half + _t(half) + F @ self.dS @ _t(F)) / J - growth * self.stress)
+
+    @property
+    def d_volume(self) -> Array:
+        """Change (n_cells, n_gauss) of det F of the mesh."""
+        return np.asarray(
+            np.linalg.det(self.F) * np.trace(np.linalg.solve(self.F, self.dF), axis1=-2, axis2=-1)
+        )
+
+    @property
+    def d_strain(self) -> Array:
+        half = _t(self.dF) @ self.F
+        return np.asarray(0.5 * (half + _t(half)))
+
+    @property
+    def d_energy(self) -> Array:
+        """Change (n_cells, n_gauss) of the energy that is logged."""
+        o = self.operands
+        return program_energy_change(o.ops, o.par, self.law_F, self.law_dF, self.dpar)
+
+    @property
+    def d_tangent(self) -> Array:
+        """Change (n_cells, n_gauss, 6, 6) of CC = dS/dE."""
+        o, (n_cells, n_gauss) = self.operands, self.operands.weight.shape
+        par, dpar = (np.repeat(p, n_gauss, axis=0) if len(p) > 1 else p for p in (o.par, self.dpar))
+        F, dF = (each.reshape(-1, 3, 3) for each in (self.law_F, self.law_dF))
+        change = tangent_change(o.ops, par, F, dF, dpar)
+        return np.asarray(o.scale * change.reshape(n_cells, n_gauss, 6, 6))
+
+
+def point_changes(
+    system: System, state: State, number: int, parameter: Parameter, v: Array, *, tangent: bool = False
+) -> PointChanges:
+    """At a converged state of a group, for du/dtheta = v (n_points, 3). tangent : CC is asked for as well."""
+    group, o = system.groups[number], system.operands[number]
+    shape = o.weight.shape
+    law_F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
+    args = o.sloped().arguments()
+    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, law_F, S, CC), len(o.cells))
+    F = law_F @ np.linalg.inv(o.base)
+    dF = _gradient(group, v)
+    if isinstance(parameter, Shape):
+        dF -= (F - np.eye(3)) @ _gradient(group, parameter.directions)
+    law_dF = dF @ o.base
+    if isinstance(parameter, Prestrain) and group.material.name == parameter.material:
+        law_dF += F @ prestrain_change(group, parameter, system.curve)
+    half = _t(law_F) @ law_dF
+    E = 0.5 * (half + _t(half))[..., [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]] * [1, 1, 1, 2, 2, 2]
+    dS = np.einsum("egpq,egq->egp", CC, E)
+    direct, dpar = _of_the_law(system, state, number, parameter)
+    if tangent and o.jumps:
+        args = o.arguments()
+        kernels.stress_state(0, len(o.cells), state.u, *args, law_F, S, CC)
+    return PointChanges(o, F, dF, law_F, law_dF, S[..., VOIGT], (dS + direct)[..., VOIGT], CC, dpar)
+
+
+def _of_the_law(system: System, state: State, number: int, parameter: Parameter) -> tuple[Array, Array]:
+    """Change of S (n_cells, n_gauss, 6) at held deformation, and of the law's numbers."""
+    group, o = system.groups[number], system.operands[number]
+    dS, dpar = np.zeros((*o.weight.shape, 6)), np.zeros((1, o.par.shape[1]))
+    parts = parameter.parts if isinstance(parameter, Tied) else ()
+    parts = ((parameter, 1.0),) if isinstance(parameter, LawParameter) else parts
+    F, S, nothing = np.empty((*o.weight.shape, 3, 3)), np.empty_like(dS), np.zeros((0, 1, 6, 6))
+    for part, rate in parts:
+        if number not in (found := programs(system, part)):
+            continue
+        dpar = dpar + rate * group.material.change(
+            part.name, len(group.cells), system.curve, weights=part.weights
+        )
+        for program in found[number]:
+            own = o.with_program(program).arguments()
+            kernels.stress_state(0, len(o.cells), state.u, *own, F, S, nothing)
+            dS += rate * (S if program.factor is None else S * program.factor[:, None, None])
+    return dS, dpar
+
+
+def _gradient(group: Group, v: Array) -> Array:
+    return np.einsum("eai,egaj->egij", v[group.cells], group.grad, optimize=True)
+
+
+def _t(A: Array) -> Array:
+    return np.swapaxes(A, -1, -2)

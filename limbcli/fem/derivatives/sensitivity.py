@@ -1,0 +1,144 @@
+"""Exact derivatives of the response at a converged state, by direct differentiation.
+
+At equilibrium R(u(theta), theta) = 0, hence K du/dtheta = -dR/dtheta at held u, and a force
+F(u, theta) changes by dF/dtheta = dF/dtheta|u + dF/du du/dtheta. One linear solve per parameter and
+level, with the factor that is already there; K is the exact tangent of the converged state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial as partial_function
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem.derivatives.parameters import (
+    BodyMotion,
+    LawParameter,
+    Parameter,
+    Prestrain,
+    Shape,
+    given_motions,
+    partial,
+)
+from limbcli.fem.equilibrium.newton import Newton
+from limbcli.fem.linear_solvers.krylov import gmres
+from limbcli.fem.motion.state import Forces, State
+from limbcli.fem.system import System
+from limbcli.model import Array
+
+__all__ = [
+    "BodyMotion",
+    "LawParameter",
+    "Parameter",
+    "Prestrain",
+    "Sensitivity",
+    "Shape",
+    "partial",
+    "sensitivities",
+]
+
+_TOLERANCE = 1e-7
+_ENOUGH = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What an answer changes by.
+
+    displacement (n_points, 3) : du/dtheta; bodies (n_bodies, 6) : of the forces that hold the bodies
+    motions (n_bodies, 6) : of bodies that are free to move, translation and rotation
+    """
+
+    displacement: Array
+    bodies: Array
+    motions: Array
+
+
+def sensitivities(
+    newton: Newton, state: State, forces: Forces, parameters: list[Parameter]
+) -> list[Sensitivity]:
+    """Derivatives at a converged state by each parameter.
+
+    Raises
+    ------
+    SolveError
+        Under friction, where the state is not a function of its load alone.
+    """
+    system = newton.system
+    if any(pair.contact.friction for pair in system.pairs):
+        raise SolveError(
+            "a response with friction depends on the way to it: it has no derivative at a state",
+            where="derivatives",
+            fix="difference whole solves, as a session does",
+        )
+    if any(pair.contact.augmented for pair in system.pairs) or any(h.any() for h in system.histories):
+        raise SolveError(
+            "the response depends on the way to it (augmented contact, or steps of a viscoelastic law)",
+            where="derivatives",
+            fix="difference whole solves, as a session does",
+        )
+    loads = [partial(system, state, each) for each in parameters]
+    newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces.nodal)
+    found = [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
+    given = [system.follow(state, given_motions(system, state, each)) for each in parameters]
+    return [replace(a, displacement=a.displacement + v) for a, v in zip(found, given, strict=True)]
+
+
+def reaction_changes(system: System, state: State, parameter: Parameter, sensitivity: Sensitivity) -> Array:
+    """Changes (n_points, 3) of the reactions at driven nodes."""
+    nodal, _ = partial(system, state, parameter)
+    v = sensitivity.displacement - system.follow(state, given_motions(system, state, parameter))
+    contact, _ = system.contact_times(state, v, sensitivity.motions)
+    return np.where(system.driven, nodal + system.tangent_times(state, v) + contact, 0.0)
+
+
+def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Array) -> Sensitivity:
+    system = newton.system
+    rhs = -np.concatenate([nodal[system.free], [bodies[k] for k in system.rigid]])
+    step = _solve(newton, state, forces, rhs)
+    motions = system.motions(step)
+    v = system.follow(state, motions)
+    v[system.free] = step[: system.n_tissue]
+    return Sensitivity(v, bodies + _force_change(system, state, forces, v, motions), motions)
+
+
+def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
+    reached, linearised = 1.0, newton.linearised
+    for attempt in range(2):
+        if linearised.tangent is None or linearised.inverse is None or attempt:
+            linearised.refresh(state, forces.nodal)
+        tangent, inverse = linearised.tangent, linearised.inverse
+        assert tangent is not None
+        assert inverse is not None
+        inverse.follow(state)
+        step, n, reached = gmres(
+            partial_function(tangent.times, state),
+            inverse,
+            rhs,
+            tolerance=_TOLERANCE,
+            max_iterations=80,
+        )
+        newton.counts.krylov += n
+        if reached <= _ENOUGH:
+            return step
+    raise SolveError(
+        f"the linear system of a derivative was solved to {reached:.1e} only",
+        where=f"time {state.time:g}",
+        fix="the state is close to an instability: use smaller levels, or finite differences",
+    )
+
+
+def _force_change(system: System, state: State, forces: Forces, v: Array, motions: Array) -> Array:
+    """Change (n_bodies, 6) of the bodies' forces along nodal and body motions."""
+    nodal, bodies = system.contact_times(state, v, motions)
+    if any(len(body.tied) for body in system.bodies):
+        nodal += system.tangent_times(state, v)
+        system.gather_tied(state, nodal, bodies)
+        for b, each in enumerate(system.bodies):
+            if len(each.tied) and motions[b, 3:].any():
+                bodies[b, 3:] += system.tied_turning(state, forces.nodal, b) @ motions[b, 3:]
+    if system.model.springs:
+        bodies += (system.spring_stiffness(state) @ motions.ravel()).reshape(-1, 6)
+    return bodies

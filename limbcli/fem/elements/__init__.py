@@ -1,0 +1,1 @@
+"""The tissue's elements: shape functions, groups of cells, compiled loops over them, the matrix's pattern."""

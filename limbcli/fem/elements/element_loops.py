@@ -1,0 +1,98 @@
+"""Loops over the tissue's cells: internal forces, volume ratios, tangent; shared by a few threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from limbcli.fem.elements import kernels, simd_kernels
+from limbcli.fem.elements.assembly import Pattern, Threads, total
+from limbcli.fem.elements.groups import Group, Operands
+from limbcli.fem.elements.halves import Halves
+from limbcli.fem.motion.state import State
+from limbcli.model import Array
+
+_NO_VOLUMES = np.zeros((0, 1))
+
+
+class ElementLoops:
+    """The tissue's cells in groups, with the numbers of the time that was set last.
+
+    X (n_points, 3) : places at rest; scales, histories : of viscoelastic stresses, by group
+    """
+
+    X: Array
+    threads: Threads
+    pattern: Pattern
+    groups: list[Group]
+    halves: list[Halves]
+    operands: list[Operands]
+    scales: list[float]
+    histories: list[Array]
+
+    def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
+        """Internal nodal forces, smallest det F and where."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        worst, place = np.inf, (-1, -1)
+        for k, o in enumerate(self.operands):
+            found = self._add(simd_kernels.internal_force, state, o, o.arguments(), parts)
+            low, cell = min(found)
+            if low < worst:
+                worst, place = low, (k, cell)
+        return total(parts), worst, place
+
+    def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
+        """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
+        out = tuple(np.empty(o.weight.shape) for o in self.operands)
+        for o, J in zip(self.operands, out, strict=True):
+            self._add(kernels.linear_volumes, state, o, (v, o.cells, o.grad, o.base), [J] * self.threads.n)
+        return out
+
+    def volume_force(self, state: State) -> Array:
+        """What pressures at the state's own volume ratios add to the internal forces (n_points, 3)."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        for o, volumes in zip(self.operands, state.volumes, strict=True):
+            args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
+            self._add(kernels.volume_force, state, o, args, parts)
+        return total(parts)
+
+    def stiffness(self, state: State) -> Array:
+        """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
+        contact; its symmetric part."""
+        n_pairs = len(self.pattern.high)
+        blocks = np.zeros((n_pairs + max((len(h.shared) for h in self.halves), default=0), 3, 3))
+        for k, (o, halves) in enumerate(zip(self.operands, self.halves, strict=True)):
+            args = (*o.arguments(), *self._mixed(state, k), halves.order, halves.pairs, blocks)
+
+            def task(_: int, begin: int, end: int, args: tuple[Any, ...] = args) -> None:
+                simd_kernels.tangent(begin, end, state.u, *args)
+
+            self.threads.run_halves(task, len(o.cells))
+            extra = blocks[n_pairs : n_pairs + len(halves.shared)]
+            blocks[halves.shared] += extra
+            extra[:] = 0.0
+        return blocks[:n_pairs]
+
+    def tangent_times(self, state: State, v: Array) -> Array:
+        """Elastic tangent of all nodes times v (n_points, 3); with the slope of a stress that jumps."""
+        parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
+        for k, o in enumerate(self.operands):
+            args = (*o.sloped().arguments(), *self._mixed(state, k), v)
+            self._add(kernels.tangent_times, state, o, args, parts)
+        return total(parts)
+
+    def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
+        volumes = state.volumes[group] if state.volumes else _NO_VOLUMES
+        return self.operands[group].lame, volumes
+
+    def _add(
+        self, kernel: Callable[..., Any], state: State, o: Operands, args: tuple[Any, ...], parts: list[Array]
+    ) -> list[Any]:
+        """Run a kernel over a group's cells, each thread into its own part."""
+
+        def task(worker: int, begin: int, end: int) -> Any:
+            return kernel(begin, end, state.u, *args, parts[worker])
+
+        return self.threads.run(task, len(o.cells))

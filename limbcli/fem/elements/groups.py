@@ -1,0 +1,188 @@
+"""Groups of cells that share a kind and a material: what the element kernels run over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from limbcli.errors import MeshError, SolveError
+from limbcli.fem.elements.element import reference_gradients
+from limbcli.fem.elements.quadrature import rule
+from limbcli.fem.elements.simd_kernels import WIDTH
+from limbcli.materials import Compiled, Program, compile_material
+from limbcli.materials.laws import UNCOUPLED_LAWS
+from limbcli.materials.program import CurveAt, jumping
+from limbcli.materials.simd import LANES
+from limbcli.materials.stress import _evaluate
+from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
+
+_NO_HISTORY = np.zeros((0, 1, 6))
+_RULES = {"tet10": ("TET10G8", "TET10G4"), "tet4": ("TET4G1",), "hex8": ("HEX8G8",), "penta6": ("PENTA6G6",)}
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Cells of one domain.
+
+    first : number of its first cell, counted over all blocks in order
+    grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : reference configuration
+    """
+
+    block: str
+    kind: str
+    first: int
+    cells: IntArray
+    grad: Array
+    weight: Array
+    material: Compiled
+    _cache: dict[str, Any] = field(default_factory=dict)
+
+    def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
+        """What the kernels take, for the time at which `curve` reads the load curves."""
+        if self.material.varies or "program" not in self._cache:
+            self._cache["program"] = self.material.program(len(self.cells), curve)
+        program: Program = self._cache["program"]
+        grad, weight, base = self._prestrained(curve)
+        return Operands(
+            self.cells, grad, weight, program.ops, program.par, base, scale, history, *self._moduli(program)
+        )
+
+    def _moduli(self, program: Program) -> tuple[Array, Array]:
+        """Lame's lambda (pressure per volume change) and mu at rest, of the whole law (1 or n_cells)."""
+        if self._cache.get("lame_of") is not program:
+            F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
+            S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
+            _evaluate(F, program.ops, program.par, S, CC, True)
+            self._cache["lame"] = (CC[:, 0, 1] + CC[:, 1, 2] + CC[:, 0, 2]) / 3.0
+            self._cache["shear"] = (CC[:, 3, 3] + CC[:, 4, 4] + CC[:, 5, 5]) / 3.0
+            self._cache["lame_of"] = program
+        return np.asarray(self._cache["lame"]), np.asarray(self._cache["shear"])
+
+    def with_material(self, material: Compiled) -> Group:
+        return replace(self, material=material, _cache={})
+
+    def _prestrained(self, curve: CurveAt) -> tuple[Array, Array, Array]:
+        if self.material.prestrain is None:
+            return self.grad, self.weight, np.eye(3)
+        F0, ramp = self.material.prestrain
+        r = ramp.value * curve(ramp.curve) if isinstance(ramp, Curved) else float(ramp)  # type: ignore[arg-type]
+        if self._cache.get("ramp") != r:
+            G = (1.0 - r) * np.eye(3) + r * F0
+            self._cache["ramp"] = r
+            self._cache["prestrained"] = (
+                np.ascontiguousarray(self.grad @ G),
+                self.weight / np.linalg.det(G),
+                G,
+            )
+        grad, weight, G = self._cache["prestrained"]
+        return grad, weight, G
+
+
+@dataclass(frozen=True, eq=False)
+class Operands:
+    """The arrays of one group in the order in which the kernels take them."""
+
+    cells: IntArray
+    grad: Array
+    weight: Array
+    ops: IntArray
+    par: Array
+    base: Array
+    scale: float
+    history: Array
+    lame: Array
+    shear: Array
+
+    def arguments(self) -> tuple[Any, ...]:
+        return (self.cells, self.grad, self.weight, self.ops, self.par, self.base, self.scale, self.history)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the stress jumps with the deformation, so that its tangent is not symmetric."""
+        return bool(jumping(self.ops, self.par).any())
+
+    def sloped(self) -> Operands:
+        """With the slope of the jumps in the tangent."""
+        if not self.jumps:
+            return self
+        ops = self.ops.copy()
+        ops[jumping(self.ops, self.par), 2] = 1
+        return replace(self, ops=ops)
+
+    def with_program(self, program: Program) -> Operands:
+        """The same cells with another law (a derivative's), weighted by its factor; no history."""
+        weight = self.weight if program.factor is None else self.weight * program.factor[:, None]
+        return replace(self, weight=weight, ops=program.ops, par=program.par, history=_NO_HISTORY)
+
+
+def make_groups(model: LimbModel) -> list[Group]:
+    """One group per domain, in the order of the model's domains."""
+    firsts = _first_cells(model.mesh.blocks)
+    by_name = {block.name: block for block in model.mesh.blocks}
+    groups = []
+    for domain in model.domains:
+        block = by_name.get(domain.block)
+        if block is None or not block.is_solid:
+            raise SolveError(
+                f"domain {domain.block!r} names no solid block",
+                where="domains of the model",
+                fix=f"use one of {[b.name for b in model.mesh.blocks if b.is_solid]}",
+            )
+        groups.append(_group(model, domain, block, firsts[block.name]))
+    return groups
+
+
+def _first_cells(blocks: tuple[Block, ...]) -> dict[str, int]:
+    firsts, total = {}, 0
+    for block in blocks:
+        firsts[block.name] = total
+        total += len(block.cells)
+    return firsts
+
+
+def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
+    compiled = compile_material(model.materials[domain.material], domain.material)
+    if block.kind in ("hex8", "penta6") and any(leaf.name in UNCOUPLED_LAWS for leaf in compiled.leaves):
+        raise SolveError(
+            f"an uncoupled law in {block.kind} cells (FEBio's three-field element) is not supported",
+            where=f"block {block.name!r}",
+            fix="use tet10 cells, an unconstrained law, or FEBio",
+        )
+    grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, rule(_rule(domain, block)))
+    check_volumes(model, block, weight)
+    cells = np.ascontiguousarray(block.cells, dtype=np.int64)
+    if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write beyond their rows
+        raise NotImplementedError(f"{block.kind} with {weight.shape[1]} points")
+    return Group(block.name, block.kind, first, cells, grad, weight, compiled)
+
+
+def _rule(domain: Domain, block: Block) -> str:
+    if domain.rule is None or domain.rule in ("elastic-solid", "solid"):
+        return block.kind
+    known = _RULES.get(block.kind, ())
+    if domain.rule not in known:
+        raise SolveError(
+            f"the element rule {domain.rule!r} on {block.kind} cells is not supported",
+            where=f"domain {block.name!r}",
+            fix=f"use one of {', '.join(known)}, or run FEBio",
+        )
+    return "TET10G4" if domain.rule == "TET10G4" else block.kind
+
+
+def check_volumes(model: LimbModel, block: Block, weight: Array) -> None:
+    """Raise MeshError where a cell has no positive volume in the reference state."""
+    bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
+    if len(bad):
+        place = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
+        raise MeshError(
+            f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
+            where=f"cell {bad[0]} of the block, near ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm",
+            fix="remesh, or turn the node order of these cells",
+            n_cells=len(bad),
+        )
+
+
+Curves = Callable[[str], float]

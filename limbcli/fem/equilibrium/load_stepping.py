@@ -1,0 +1,278 @@
+"""Stepping to a load in increments that Newton's method can take: first guesses, and step cutting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.fem.equilibrium.first_guesses import continued, extrapolate
+from limbcli.fem.equilibrium.history import Histories
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
+from limbcli.fem.equilibrium.relaxation import relax
+from limbcli.fem.linear_solvers.singular import SingularMatrix
+from limbcli.fem.motion.state import Forces, State, norm
+from limbcli.model import LimbModel, Step
+
+_MAX_CUTS = 8
+BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a load step that is tried briefly
+_SMALLEST = 1e-3  # of the nominal step: an increment below it is given up
+# Residual at which an increment on the way is good enough, and once one was cut at the load step:
+# loose ones then lead nowhere, however short.
+_LOOSE, _FIRM = 3e-2, 1e-3
+_FIRST = 4.0  # of the model's step: the first increment, where the response does not depend on the way
+_MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a load step
+_FAR_OUT = 3.0  # error of a first guess above which an increment is shortened untried
+_FAR_OFF = 0.5  # the same for a guess from an earlier solve
+_WARY = 5  # increments after a cut before they may grow again
+_EASY = 4  # iterations up to which the next increment may be longer
+
+
+def has_friction(model: LimbModel) -> bool:
+    """Whether there is friction: points that stick or slip by turns take their time to settle."""
+    return any(contact.friction for contact in model.contacts)
+
+
+def is_timed(model: LimbModel) -> bool:
+    """Whether the response depends on the length of every increment taken."""
+    return any(material.law == "viscoelastic" for material in model.materials.values())
+
+
+class LoadStepping:
+    """Goes through the load steps of one step after the other; remembers how long an increment may be."""
+
+    _newton: Newton
+    _step: Step
+    _histories: Histories | None
+    _reached: list[State]
+    _forces: Forces  # at the last load step
+    _tried: Forces  # at the last first guess
+
+    def __init__(self) -> None:
+        self._wary = 0
+        self.patient = True  # where Newton's method fails, whether the tissue is let come to rest
+
+    def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
+        """Stand at the start of a step. histories : those that every increment is a step of, if any"""
+        self._step, self._newton, self._histories = step, newton, histories
+        self._has_friction, self._timed = has_friction(model), is_timed(model)
+        # increments are short steps that serve as first guesses only
+        self._incremental = bool(model.contacts) and not self._timed
+        self._increment = _FIRST * step.step_size if self._incremental else np.inf
+        self._cuts = self._restless = 0  # on the way: cuts, and tissue that did not come to rest
+        self._reached = [newton.system.start]
+        self._known: State | None = None  # of an earlier solve, at the last load step
+        self._n_touching = self._n_pressed = 0  # points that touched last; increments that ended in contact
+
+    def advance_to(
+        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool
+    ) -> tuple[State, Forces]:
+        """Equilibrium at a time, by increments that Newton's method can take.
+
+        known : first guess there, from an earlier solve
+        brief : give up after a few cuts and iterations
+
+        Increments on the way serve as first guesses only: they are solved loosely and not kept.
+        """
+        newton, reached = self._newton, self._reached
+        self._restless = 0
+        cuts, self._cuts, start = 0, 0, (len(reached), self._n_pressed, self._n_touching)
+        until = newton.counts.iterations + _BRIEF_ITERATIONS
+        most = BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries)
+        newton.mixed = newton.settings.mixed
+        while True:
+            begin = reached[-1].time
+            rest = target - begin
+            n = 1 if known is not None else int(np.ceil(rest / self._increment - 1e-6))
+            aim = target if n <= 1 else begin + rest / n
+            last = cuts >= most
+            before = newton.counts.iterations
+            if brief and before > until:
+                raise newton.failure(reached[-1], self._forces, load_step, before - until, "it takes long")
+            try:
+                patient = last or self._has_friction or newton.system.jumps
+                state, forces = self._solve(aim, load_step, known, aim == target, patient=patient)
+                if aim == target:
+                    state, forces = self._augmented(state, forces, load_step)
+            except (NotConverged, SingularMatrix) as error:
+                cuts += 1
+                self._note_cut(error)
+                relaxed = (
+                    None
+                    if brief or not self.patient
+                    else self._relaxed(aim, load_step, error, last=aim == target)
+                )
+                if relaxed is not None:
+                    cuts, known = 0, None
+                    self._increment = aim - begin
+                    if aim < target:
+                        self._accept(*relaxed, easily=False)
+                        continue
+                    state, forces = self._augmented(*relaxed, load_step)
+                    self._accept(state, forces, easily=False)
+                    self._forces, self._known = forces, None
+                    return state, forces
+                hopeless = _hopeless(error, reached)
+                if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
+                    if not newton.mixed or self._timed or self._has_friction or brief or hopeless:
+                        raise self._explained(error, load_step, aim) from error
+                    self._start_again(*start)
+                    cuts, aim, begin = 0, target, reached[-1].time
+                self._increment = rest if known is not None else 0.5 * (aim - begin)
+                self._wary = _WARY if known is None else 0
+                known = None
+                if newton.counts.iterations > before:  # else the factor is of the state to start from
+                    newton.linearised.reuse_cost = np.inf
+                newton.system.recall(reached[-1].hints)
+                continue
+            cuts = 0
+            easy = _EASY + (2 if aim == target else 0)
+            self._accept(state, forces, easily=newton.counts.iterations - before <= easy)
+            if aim == target:
+                self._forces, self._known = forces, known
+                return state, forces
+
+    def _relaxed(
+        self, time: float, load_step: LoadStep, error: SolveError, *, last: bool
+    ) -> tuple[State, Forces] | None:
+        """The state that the tissue relaxes to at a time, from the last increment's; None if it does not."""
+        newton, begin = self._newton, self._reached[-1]
+        # the response is by the way, or by forces on bodies
+        given = self._timed or self._has_friction or bool(newton.system.rigid)
+        restless = self._restless >= _MOST_RESTLESS
+        if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
+            return None
+        newton.system.recall(begin.hints)
+        newton.linearised.reuse_cost = np.inf
+        try:
+            guess = newton.system.prescribed(begin, time)
+            return relax(newton, guess, load_step, tolerance=None if last else _FIRM)
+        except (NotConverged, SingularMatrix):
+            self._restless += 1
+            return None
+
+    def _note_cut(self, error: SolveError) -> None:
+        self._cuts += 1
+        self._newton.counts.retries += 1
+        if isinstance(error, SingularMatrix):
+            self._newton.linearised.inverse = None
+
+    def _start_again(self, n_reached: int, n_pressed: int, n_touching: int) -> None:
+        """Back to the last load step, for a try without pressures of their own: they go further, but now and
+        then astray."""
+        self._newton.mixed = False
+        del self._reached[n_reached:]
+        self._n_pressed, self._n_touching = n_pressed, n_touching
+
+    def _accept(self, state: State, forces: Forces, *, easily: bool) -> None:
+        """Take an increment: the next begins at its end, and may be longer after an easy one."""
+        length = state.time - self._reached[-1].time
+        self._wary = max(self._wary - 1, 0)
+        if length >= 0.6 * self._increment and easily and not self._wary:
+            self._increment *= 2.0
+        self._reached.append(state)
+        self._n_touching = forces.n_touching
+        self._n_pressed += int(forces.n_touching > 0)
+        if self._histories is not None:
+            self._histories.accept(length, state)
+
+    def _solve(
+        self, time: float, load_step: LoadStep, known: State | None, must: bool, *, patient: bool
+    ) -> tuple[State, Forces]:
+        newton = self._newton
+        tolerance = None if must or self._timed else _FIRM if self._cuts else _LOOSE
+        if self._histories is not None:
+            self._histories.begin(time - self._reached[-1].time)
+        guess, forces = self._guess(time, load_step, known, patient)
+        if known is not None:  # a load step away from where the factor was made
+            newton.linearised.reuse_cost = np.inf
+        return newton.equilibrate(guess, load_step, forces=forces, tolerance=tolerance, patient=patient)
+
+    def _guess(
+        self, time: float, load_step: LoadStep, known: State | None, patient: bool
+    ) -> tuple[State, Forces | None]:
+        """The best of the first guesses there are; with the contact searched for it.
+
+        From an earlier solve: its state as it is, and its change added to the last state. Else on
+        the line and on the parabola through the last states, or, where that leads nowhere, along the tangent.
+        An increment whose guesses are all far out is refused at once, which is cheaper than to fail.
+        """
+        system, reached = self._newton.system, self._reached
+        if known is not None:
+            guesses = [system.prescribed(known, time)]
+            if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
+                guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
+        else:
+            # the unloaded state is of no use, nor are those in the air
+            most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
+            guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
+        limit = _FAR_OUT if known is None else _FAR_OFF
+        error, guess, forces = self._best(guesses, time)
+        if guess is None or (known is None and error > limit):
+            error, guess, forces = self._best([self._newton.predict(reached[-1], time)], time)
+        if guess is None or (error > limit and self._incremental and not patient and len(reached) > 1):
+            raise self._newton.failure(
+                reached[-1], self._tried, load_step, 0, "the step is too long for a first guess"
+            )
+        return guess, forces
+
+    def _best(self, guesses: list[State], time: float) -> tuple[float, State | None, Forces | None]:
+        """The guess with the smallest error whose cells are sound, that error, and the forces there.
+
+        The forces are left out where another guess was searched for contact after it.
+        """
+        newton, system = self._newton, self._newton.system
+        system.at(time)
+        best: tuple[float, State | None, Forces | None] = (np.inf, None, None)
+        for each in guesses:
+            system.recall(each.hints)
+            found = self._tried = newton.forces(each)
+            error = found.error
+            if len(guesses) > 1:  # a guess that loses contact misleads
+                error += max(1.0 - found.n_touching / max(self._n_touching, 1), 0.0)
+            else:
+                error = min(norm(found.mixed) / max(found.scale, 1e-14), error)
+            if found.worst > 0 and error < best[0]:
+                best = (error, each, found)
+        guess = best[1]
+        if guess is not None and guess is not guesses[-1]:
+            system.recall(guess.hints)
+            return best[0], guess, None
+        return best
+
+    def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
+        """The error with the load step it belongs to, what is behind it, and how far there is an answer."""
+        newton, n_reached = self._newton, len(self._reached) - 1
+        place = load_step.at(time)
+        what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
+        depth = newton.depth(self._reached[-1])
+        reported = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""
+        cause = "a part of the tissue, or a rigid body, can move freely"
+        fix = error.fix
+        if n_reached:
+            cause = newton.weakness(self._reached[-1])
+            fix = "press less deep; look at the mesh there; or take a lower contact penalty"
+        return SolveError(
+            what + reported,
+            where=f"{error.where}; {cause}",
+            fix=fix,
+            level=load_step.number,
+            depth=load_step.depth,
+            reached_depth_mm=depth,
+        )
+
+    def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
+        """Augmentations of the contact pressure until its multipliers settle."""
+        for pair in self._newton.system.pairs:
+            if not pair.contact.augmented:
+                continue
+            most = int(float(pair.contact.more.get("maxaug", "10")))
+            for _ in range(most):
+                if pair.augment() <= pair.contact.tolerance:
+                    break
+                state, forces = self._newton.equilibrate(state, load_step)
+        return state, forces
+
+
+def _hopeless(error: SolveError, reached: list[State]) -> bool:
+    """No factor of the unloaded tissue: shorter steps will not give one."""
+    return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0

@@ -1,0 +1,76 @@
+"""Where a stress jumps with the deformation (sheared fibres that begin to be stretched): what the slope of
+the jump adds to the tangent, which is not symmetric there.
+
+Few of a model's points stand on a jump. They are found when the tangent is assembled, so that a product
+with it needs no law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.fem.elements import kernels
+from limbcli.fem.elements.assembly import Threads, total
+from limbcli.fem.elements.groups import Operands
+from limbcli.fem.motion.state import State
+from limbcli.fem.system import System
+from limbcli.model import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of one group that stand on a jump.
+
+    nodes (n, n_nodes) : of their cells; grad (n, n_nodes, 3); F (n, 3, 3)
+    slope (n, 6, 6) : d(second Piola stress)/d(Green strain) of the jump alone, times the point's volume
+    """
+
+    nodes: IntArray
+    grad: Array
+    F: Array
+    slope: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """All points on a jump, group by group."""
+
+    groups: tuple[Points, ...]
+    threads: Threads
+
+    def times(self, v: Array) -> Array:
+        """The slopes' part of the tangent times v (n_points, 3)."""
+        parts = [np.zeros_like(v) for _ in range(self.threads.n)]
+        for p in self.groups:
+
+            def task(worker: int, begin: int, end: int, p: Points = p) -> None:
+                kernels.slope_times(begin, end, p.nodes, p.grad, p.F, p.slope, v, parts[worker])
+
+            self.threads.run(task, len(p.nodes))
+        return total(parts)
+
+
+def find_jumps(system: System, state: State) -> Jumps | None:
+    """The points that stand on a jump at a state; None for laws without any."""
+    if not system.jumps:
+        return None
+    found = tuple(_points(system.threads, state, o) for o in system.operands if o.jumps)
+    return Jumps(found, system.threads)
+
+
+def _points(threads: Threads, state: State, o: Operands) -> Points:
+    shape = o.weight.shape
+    F, S = np.empty((*shape, 3, 3)), np.empty((*shape, 6))
+    tangents = np.empty((*shape, 6, 6)), np.empty((*shape, 6, 6))
+    for each, CC in zip((o.sloped(), o), tangents, strict=True):
+
+        def task(_: int, begin: int, end: int, each: Operands = each, CC: Array = CC) -> None:
+            kernels.stress_state(begin, end, state.u, *each.arguments(), F, S, CC)
+
+        threads.run(task, len(o.cells))
+    slope = tangents[0] - tangents[1]
+    cell, point = np.nonzero(np.abs(slope).max(axis=(2, 3)))
+    weighted = slope[cell, point] * o.weight[cell, point, None, None]
+    return Points(o.cells[cell], o.grad[cell, point], F[cell, point], weighted)

@@ -1,0 +1,257 @@
+"""The tangent as an operator, and its approximate inverse.
+
+The operator is the elastic tangent of the last assembly plus the *exact* contact
+tangent, which is not symmetric. The approximate inverse is the factor of the
+symmetric part, possibly of an earlier state. GMRES closes the gap in a few
+iterations, so that neither a non-symmetric factorisation nor a fresh one is needed.
+Rigid unknowns are a border of dense columns, eliminated by their Schur complement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numba import njit
+from numpy.typing import NDArray
+
+from limbcli.errors import SolveError
+from limbcli.fem.elements.assembly import total
+from limbcli.fem.equilibrium.stress_jumps import Jumps, find_jumps
+from limbcli.fem.linear_solvers.direct import LinearSolver
+from limbcli.fem.motion.state import State
+from limbcli.fem.system import System
+from limbcli.model import Array
+
+_FEW = 0.02  # of the touching points changed: not worth a new root
+
+
+@dataclass(eq=False)
+class Tangent:
+    """Elastic tangent assembled at `state`, with the border of the rigid unknowns.
+
+    blocks (n_pairs, 3, 3) : of all pairs of nodes, see `assembly.Pattern`
+    columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
+    corner (n_rigid, n_rigid) : springs and the turning of tied forces, and those elastic forces
+    jumps : what makes the elastic tangent unsymmetric; `blocks` are of its symmetric part
+    """
+
+    system: System
+    state: State
+    blocks: Array
+    columns: Array
+    corner: Array
+    jumps: Jumps | None = None
+
+    def times(self, state: State, step: Array) -> Array:
+        """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
+        return self.tissue_times(step) + self.system.contact_change(state, step)
+
+    def tissue_times(self, step: Array) -> Array:
+        """The same of the tissue alone, without contact."""
+        system = self.system
+        n = system.n_tissue
+        x = step[:n]
+        out = np.zeros_like(step)
+        v = system.spread(x)
+        elastic = self._times_blocks(v)
+        if self.jumps is not None:
+            elastic += self.jumps.times(v)
+        out[:n] = system.collect(elastic)
+        for k, column in enumerate(self.columns):
+            out[:n] += column[system.free] * step[n + k]
+            if self.jumps is not None:
+                bodies = np.zeros((len(system.bodies), 6))
+                system.gather_tied(self.state, elastic, bodies)
+                out[n + k] += bodies[system.rigid[k]]
+            else:
+                out[n + k] += column[system.free] @ x
+        out[n:] += self.corner @ step[n:]
+        return out
+
+    def _times_blocks(self, v: Array) -> Array:
+        """The symmetric matrix of all pairs of nodes times v (n_points, 3), pairs shared by the threads."""
+        pattern, threads = self.system.pattern, self.system.threads
+        parts = [np.zeros_like(v) for _ in range(threads.n)]
+
+        def task(worker: int, begin: int, end: int) -> None:
+            rows = np.searchsorted(pattern.first, [begin, end])
+            flat = (each.reshape(-1) for each in (self.blocks, v, parts[worker]))
+            blocks_times(rows[0], rows[1], pattern.first, pattern.high, *flat)
+
+        threads.run(task, len(pattern.high))
+        return total(parts)
+
+    def upper(self) -> Array:
+        """Upper triangle of the unknowns' matrix, its values in CSR (see `assembly.Pattern`)."""
+        return self.system.pattern.values(self.blocks)
+
+    def diagonal(self) -> Array:
+        """Diagonal (n_tissue,) of the unknowns' matrix."""
+        first = self.system.pattern.first
+        nodes = np.flatnonzero(np.diff(first))  # each comes first in its own row
+        nodal = np.zeros_like(self.state.u)
+        nodal[nodes] = np.einsum("nii->ni", self.blocks[first[nodes]])
+        return self.system.collect(nodal)
+
+
+def assemble(system: System, state: State, nodal: Array, *, drag: float = 0.0) -> Tangent:
+    """The tangent at a state; `nodal` are the forces there. drag : of `System.drag`, times that"""
+    blocks = system.stiffness(state)
+    if drag:
+        nodes = np.flatnonzero(np.diff(system.pattern.first))  # each comes first in its own row
+        blocks[system.pattern.first[nodes]] += drag * system.drag[nodes, None, None] * np.eye(3)
+    columns, corner = _border(system, state, nodal)
+    return Tangent(system, state, blocks, columns, corner, find_jumps(system, state))
+
+
+def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
+    n = len(system.rigid)
+    columns = np.zeros((n, *system.X.shape)) if n else np.zeros((0, 1, 3))
+    corner = np.zeros((n, n))
+    if not n:
+        return columns, corner
+    follows = []
+    for k, (b, dof) in enumerate(system.rigid):
+        motion = np.zeros((len(system.bodies), 6))
+        motion[b, dof] = 1.0
+        v = system.follow(state, motion)
+        follows.append(v)
+        if v.any():
+            columns[k] = system.tangent_times(state, v)
+    springs = system.spring_stiffness(state)
+    for i, (b, dof) in enumerate(system.rigid):
+        for j, (c, other) in enumerate(system.rigid):
+            corner[i, j] = springs[6 * b + dof, 6 * c + other] + (follows[i] * columns[j]).sum()
+            if b == c and dof >= 3 and other >= 3 and len(system.bodies[b].tied):
+                corner[i, j] += system.tied_turning(state, nodal, b)[dof - 3, other - 3]
+    return columns, corner
+
+
+class Inverse:
+    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the exact contact in its
+    root front, and the Schur complement of the rigid unknowns' border.
+
+    Where the skin bends round the edge of the probe its normals and the probe's differ, and the contact's
+    tangent is far from symmetric: with its symmetric part alone GMRES takes ten times the iterations.
+
+    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
+    has a root.
+    """
+
+    def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
+        self.linear, self.tangent = linear, tangent
+        self.rooted: Any = linear  # used as such where it has a root
+        system = tangent.system
+        self.n = system.n_tissue
+        root = getattr(linear, "root", None)
+        self.n_root = 0 if root is None or not system.pairs else len(root)
+        if self.n:
+            linear.factor(system.add_contact(state, tangent.upper()))
+        if self.n_root:
+            places = np.full(self.n + 1, -1, dtype=np.int64)
+            places[root] = np.arange(self.n_root)
+            self.places = places[system.equations]
+            exact = self._contact(state)
+            self.inside = 0.5 * (exact + exact.T)  # of what was factored
+            self._take(exact)
+        self._set_border(state)
+
+    def follow(self, state: State) -> None:
+        """Take the contact at `state`, as it was searched last, into the root of the factor.
+
+        Where all of it was lost, on the way, the factor stays as it is.
+        """
+        if not self.n_root:
+            return
+        touching, turning = self._meeting()
+        changed = int((touching != self.met[0]).sum())
+        if touching.any() and (changed > _FEW * touching.sum() or turning != self.met[1]):
+            self._take(self._contact(state))
+            self._set_border(state)
+
+    def _take(self, contact: sparse.csr_array) -> None:
+        """The contact's tangent into the root."""
+        self.met = self._meeting()
+        if contact.nnz or self.inside.nnz:
+            self.rooted.update_root(contact - self.inside)
+
+    def _meeting(self) -> tuple[NDArray[np.bool_], list[float]]:
+        """What the contact's tangent was made of: points that touch, and whether normals turn."""
+        system = self.tangent.system
+        touching = [each.ravel() for each in system.touching()]
+        return np.concatenate(touching), [pair.turning for pair in system.pairs]
+
+    def _contact(self, state: State) -> sparse.csr_array:
+        """The contact tangent of the root."""
+        return self.tangent.system.contact_matrix(state, self.places, self.n_root)
+
+    def _set_border(self, state: State) -> None:
+        system = self.tangent.system
+        n_rigid = len(system.rigid)
+        self.border = np.zeros((system.n_unknowns, n_rigid))
+        for k in range(n_rigid):
+            unit = np.zeros(system.n_unknowns)
+            unit[self.n + k] = 1.0
+            self.border[:, k] = self.tangent.times(state, unit)
+        self.solved = np.zeros((self.n, n_rigid))
+        for k in range(n_rigid):
+            self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
+        schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
+        if n_rigid:
+            check_rigid_modes(system, schur, self.border[self.n :])
+        self.schur = schur
+
+    def __call__(self, rhs: Array) -> Array:
+        out = np.empty_like(rhs)
+        x = self.linear.solve(rhs[: self.n]) if self.n else rhs[:0]
+        if len(rhs) > self.n:
+            rho = np.linalg.solve(self.schur, rhs[self.n :] - self.border[: self.n].T @ x)
+            out[self.n :] = rho
+            x = x - self.solved @ rho
+        out[: self.n] = x
+        return out
+
+
+def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
+    """Raise where a rigid unknown meets no resistance."""
+    scale = np.abs(np.diag(corner)).max(initial=0.0)
+    weak = np.abs(np.diag(schur)) <= 1e-9 * scale
+    if scale == 0.0 or weak.any() or not np.isfinite(schur).all():
+        k = int(np.argmin(np.abs(np.diag(schur))))
+        b, dof = system.rigid[k]
+        name, which = system.bodies[b].name, "xyzuvw"[dof]
+        raise SolveError(
+            f"rigid body {name!r} moves freely along {which!r}: nothing resists it",
+            where=f"rigid body {name!r}, degree of freedom {which!r}",
+            fix="fix or prescribe this degree of freedom, or let the probe touch the skin at the start",
+            body=name,
+            dof=which,
+        )
+
+
+@njit(cache=True, nogil=True)
+def blocks_times(begin, end, first, high, blocks, v, out):  # type: ignore[no-untyped-def]
+    """out += the blocks of the lower nodes begin..end, and their mirror images, times v; all flat."""
+    for low in range(begin, end):
+        at = 3 * low
+        x, y, z = v[at], v[at + 1], v[at + 2]
+        a = b = c = 0.0
+        for k in range(first[low], first[low + 1]):
+            o, q = 3 * high[k], 9 * k
+            xx, xy, xz = blocks[q], blocks[q + 1], blocks[q + 2]
+            yx, yy, yz = blocks[q + 3], blocks[q + 4], blocks[q + 5]
+            zx, zy, zz = blocks[q + 6], blocks[q + 7], blocks[q + 8]
+            p, r, s = v[o], v[o + 1], v[o + 2]
+            a += xx * p + xy * r + xz * s
+            b += yx * p + yy * r + yz * s
+            c += zx * p + zy * r + zz * s
+            if o != at:
+                out[o] += xx * x + yx * y + zx * z
+                out[o + 1] += xy * x + yy * y + zy * z
+                out[o + 2] += xz * x + yz * y + zz * z
+        out[at] += a
+        out[at + 1] += b
+        out[at + 2] += c

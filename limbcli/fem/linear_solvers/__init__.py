@@ -1,0 +1,1 @@
+"""Linear equations: direct solvers behind one interface (our own is `multifrontal`), and GMRES."""

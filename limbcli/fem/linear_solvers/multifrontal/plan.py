@@ -1,0 +1,191 @@
+"""Where everything goes: fronts in terms of equations, maps, memory and the sharing of work.
+
+Made once for a pattern; the compiled loops read it as they go through the fronts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
+from limbcli.fem.linear_solvers.multifrontal.kept import sizes as kept_sizes
+from limbcli.fem.linear_solvers.multifrontal.memory import place_updates
+from limbcli.fem.linear_solvers.multifrontal.ordering import Graph, positions
+from limbcli.fem.linear_solvers.multifrontal.sharing import Shares, share_for_two, share_top_alone
+from limbcli.fem.linear_solvers.multifrontal.symbolic import Fronts, cost
+from limbcli.model import IntArray
+
+_GRAIN = 0.12  # of the work: the most that one thread does by itself in one go
+
+
+class Plan(NamedTuple):
+    """Front s has pivots pivot_at[s]..pivot_at[s + 1] and below them the rows rows[rows_at[s]..].
+
+    All are places in the order of elimination. Its panel (m, p) has leading dimension ld[s] and is kept
+    in tiles and parts from tile_at[s], part_at[s] (see `kept`); its update matrix (m - p, m - p), lower
+    triangle, begins at update_at[s] with leading dimension ldu[s].
+
+    into : for each row, its place in the parent's front; run_at, runs : where, within the rows of
+        a front, these places stop being consecutive
+    child_at, children : the fronts whose update matrices go into a front
+    column_at : of each pivot, the matrix entries entry_from that go to entry_to of the panel
+    """
+
+    pivot_at: IntArray
+    rows_at: IntArray
+    rows: IntArray
+    into: IntArray
+    run_at: IntArray
+    runs: IntArray
+    tile_at: IntArray
+    part_at: IntArray
+    ld: IntArray
+    update_at: IntArray
+    ldu: IntArray
+    child_at: IntArray
+    children: IntArray
+    column_at: IntArray
+    entry_to: IntArray
+    entry_from: IntArray
+
+
+class Layout(NamedTuple):
+    """A plan, the order of elimination (equation numbers), the sizes, and who does what.
+
+    panel_size : of the largest panel but the last front's
+    """
+
+    plan: Plan
+    order: IntArray
+    parent: IntArray
+    panel_size: int
+    update_size: int
+    largest_front: int
+    largest_panel: int
+    flops: float
+    factoring: Shares
+    solving: Shares
+
+
+def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray) -> Layout:
+    """The layout of the factor of a matrix (upper triangle, CSR) with the given fronts."""
+    equations, at = _expand(graph, fronts.order)
+    pivot_at = at[fronts.start]
+    rows_at, rows = _rows(fronts.rows_at, fronts.rows, at)
+    p, r = np.diff(pivot_at), np.diff(rows_at)
+    into, run_at, runs = _maps(pivot_at, rows_at, rows, fronts.parent)
+    ld, ldu = _round_up(p + r), _round_up(r)
+    tile_at, part_at = (np.concatenate([[0], np.cumsum(each)]) for each in kept_sizes(p, p + r))
+    by_parent = np.argsort(fronts.parent, kind="stable")
+    n_roots = int((fronts.parent < 0).sum())
+    counts = np.bincount(fronts.parent[fronts.parent >= 0], minlength=fronts.n)
+    child_at = np.concatenate([[0], np.cumsum(counts)])
+    column_at, entry_to, entry_from = _entries(
+        indptr, indices, positions(equations), pivot_at, rows_at, rows, ld
+    )
+    seconds = cost(p.astype(float), (p + r).astype(float))
+    factoring = share_for_two(fronts.parent, seconds, largest=_GRAIN)
+    solving = share_top_alone(fronts.parent, (p * (p + r) - p * p / 2).astype(float) + 300.0)
+    update_at, update_size = place_updates(fronts.parent, ldu * r, factoring)
+    plan = Plan(
+        pivot_at, rows_at, rows, into, run_at, runs, tile_at, part_at, ld, update_at, ldu,
+        child_at, by_parent[n_roots:], column_at, entry_to, entry_from,
+    )  # fmt: skip
+    pf, rf = p.astype(float), r.astype(float)
+    flops = float((pf**3 / 3 + pf * pf * rf + pf * rf * rf).sum())
+    largest = int((p + r).max(initial=1))
+    return Layout(
+        plan, equations, fronts.parent, int((ld * p)[:-1].max(initial=1)), update_size, largest,
+        int(p.max(initial=1)), flops, factoring, solving,
+    )  # fmt: skip
+
+
+def _round_up(n: IntArray) -> IntArray:
+    return (n + ALIGNED - 1) // ALIGNED * ALIGNED
+
+
+def _expand(graph: Graph, order: IntArray) -> tuple[IntArray, IntArray]:
+    """Equations in the order of the vertices, and where each vertex's begin."""
+    at = np.concatenate([[0], np.cumsum(graph.weights[order])])
+    first = np.repeat(graph.members_at[:-1][order], graph.weights[order])
+    within = np.arange(at[-1]) - np.repeat(at[:-1], graph.weights[order])
+    return graph.members[first + within], at
+
+
+@njit(cache=True)
+def _rows(vertex_at, vertices, at):  # type: ignore[no-untyped-def]
+    rows_at = np.zeros(len(vertex_at), dtype=np.int64)
+    size = 0
+    for s in range(len(vertex_at) - 1):
+        for k in range(vertex_at[s], vertex_at[s + 1]):
+            size += at[vertices[k] + 1] - at[vertices[k]]
+        rows_at[s + 1] = size
+    rows = np.empty(size, dtype=np.int32)
+    size = 0
+    for v in vertices:
+        for e in range(at[v], at[v + 1]):
+            rows[size] = e
+            size += 1
+    return rows_at, rows
+
+
+@njit(cache=True)
+def _maps(pivot_at, rows_at, rows, parent):  # type: ignore[no-untyped-def]
+    n = len(parent)
+    into = np.empty(len(rows), dtype=np.int32)
+    run_at = np.zeros(n + 1, dtype=np.int64)
+    runs = np.empty(len(rows) + n, dtype=np.int32)
+    size = 0
+    for s in range(n):
+        up = parent[s]
+        if rows_at[s + 1] > rows_at[s]:
+            k = rows_at[up]
+            first, stop = pivot_at[up], pivot_at[up + 1]
+            before = -2
+            for e in range(rows_at[s], rows_at[s + 1]):
+                if rows[e] < stop:
+                    to = rows[e] - first
+                else:
+                    while rows[k] != rows[e]:
+                        k += 1
+                    to = stop - first + k - rows_at[up]
+                into[e] = to
+                if to != before + 1:
+                    runs[size] = e - rows_at[s]
+                    size += 1
+                before = to
+        run_at[s + 1] = size
+    return into, run_at, runs[:size].copy()
+
+
+@njit(cache=True)
+def _entries(indptr, indices, place, pivot_at, rows_at, rows, ld):  # type: ignore[no-untyped-def]
+    n = len(place)
+    front = np.empty(n, dtype=np.int64)
+    for s in range(len(pivot_at) - 1):
+        front[pivot_at[s] : pivot_at[s + 1]] = s
+    column_at = np.zeros(n + 1, dtype=np.int64)
+    for i in range(n):
+        for k in range(indptr[i], indptr[i + 1]):
+            column_at[min(place[i], place[indices[k]]) + 1] += 1
+    column_at = np.cumsum(column_at)
+    at = column_at[:-1].copy()
+    entry_to = np.empty(len(indices), dtype=np.int32)
+    entry_from = np.empty(len(indices), dtype=np.int32)
+    for i in range(n):
+        for k in range(indptr[i], indptr[i + 1]):
+            a, b = place[i], place[indices[k]]
+            column, row = min(a, b), max(a, b)
+            s = front[column]
+            if row < pivot_at[s + 1]:
+                local = row - pivot_at[s]
+            else:
+                low = rows_at[s] + np.searchsorted(rows[rows_at[s] : rows_at[s + 1]], row)
+                local = pivot_at[s + 1] - pivot_at[s] + low - rows_at[s]
+            entry_to[at[column]] = local + ld[s] * (column - pivot_at[s])
+            entry_from[at[column]] = k
+            at[column] += 1
+    return column_at, entry_to, entry_from

@@ -1,0 +1,146 @@
+"""The last front by itself: its Schur complement, changed and factored again.
+
+What is added to it need not be symmetric: the front is small enough for LAPACK's LU.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numba import njit
+from scipy.linalg import lapack
+
+from limbcli.fem.linear_solvers.multifrontal import solve
+from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
+from limbcli.fem.linear_solvers.multifrontal.kept import PAD, make_kept, sizes
+from limbcli.fem.linear_solvers.multifrontal.store import Store
+from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
+from limbcli.fem.linear_solvers.multifrontal.top import Top
+from limbcli.fem.linear_solvers.singular import singular
+from limbcli.model import Array, IntArray
+
+
+class Root:
+    """equations : numbers of the root's equations in the front's order"""
+
+    def __init__(self, store: Store, top: Top, order: IntArray, *, kept: bool):
+        plan = store.plan
+        self.store, self.top = store, top
+        self.front = len(plan.pivot_at) - 2
+        self.first = int(plan.pivot_at[self.front])
+        self.equations = order[self.first :].copy()
+        self.ld = int(plan.ld[self.front])
+        self.panel = np.empty(self.n * self.ld + ALIGNED, dtype=store.kind)
+        self._unfactored = np.empty(self.n * self.ld + ALIGNED if kept else 0, dtype=store.kind)
+        n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
+        self._kept = make_kept(self.n, n_tiles, size, store.kind)
+        self._made_up, self.is_factored = 0, True
+        self._full = np.empty((self.n, self.n) if kept else (0, 0), dtype=store.kind)
+        self._getrf, self._getrs = lapack.get_lapack_funcs(("getrf", "getrs"), dtype=store.kind)
+        self._lu: tuple[Array, IntArray] | None = None  # of what was made unsymmetric
+        self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
+
+    @property
+    def n(self) -> int:
+        return len(self.equations)
+
+    def gathered(self) -> None:
+        """Take the gathered front; it is factored when it is needed, as it is or changed."""
+        self._lu, self._made_up, self.is_factored = None, 0, False
+        if len(self._unfactored):
+            self._unfactored[:] = self.panel
+
+    def factor(self) -> None:
+        """Factor the front as it was gathered, unless a factor is there."""
+        if not self.is_factored:
+            self._made_up, self.is_factored = self._factor(), True
+
+    @property
+    def made_up(self) -> int:
+        """Pivots perturbed."""
+        return self._made_up
+
+    def _factor(self) -> int:
+        made_up = self.top.factor(self.front, self.panel)
+        if made_up < 0:
+            raise singular("an entry is not finite")
+        self.top.keep(self.front, self.panel, self._kept, alone=True)
+        return made_up
+
+    def schur(self) -> Array:
+        """What the elimination of all others leaves of the matrix, (n, n), unscaled."""
+        self._need_kept()
+        return _unscaled(self._unfactored, self.ld, self.store.scaling[self.equations])
+
+    def update(self, addition: sparse.sparray | None) -> None:
+        """Factor the Schur complement with a matrix added, symmetric or not."""
+        self._need_kept()
+        self._lu = None
+        if addition is None:
+            self.panel[:] = self._unfactored
+            self._made_up, self.is_factored = self._factor(), True
+            return
+        if addition.shape != (self.n, self.n):
+            raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
+        scaling = self.store.scaling[self.equations]
+        full = self._full
+        _mirrored(self._unfactored, self.ld, full)
+        added = sparse.csr_array(addition)
+        _add(added.indptr, added.indices, added.data, scaling, full)
+        lu, pivots, info = self._getrf(full.T, overwrite_a=True)
+        if info < 0 or not np.isfinite(lu.diagonal()).all():
+            raise singular("an entry is not finite")
+        small = np.flatnonzero(np.abs(lu.diagonal()) < self.store.tiny)
+        lu[small, small] = self.store.tiny
+        self._lu = lu, pivots
+        self._made_up, self.is_factored = len(small), True
+
+    def _need_kept(self) -> None:
+        if not len(self._unfactored):
+            raise ValueError("no Schur complement is kept unless `last` is given")
+
+    def solve(self, w: Any) -> None:
+        """Solve for the root's part of w (n,), scaled and in the order of elimination."""
+        if self._lu is not None:
+            w[self.first :] = self._getrs(*self._lu, w[self.first :], trans=1)[0]
+            return
+        solve.whole(self._kept, self.store.sign[self.first :], w[self.first :], *self._room)
+
+
+_TILE = 32
+
+
+@njit(cache=True)
+def _mirrored(lower, ld, out):  # type: ignore[no-untyped-def]
+    n = len(out)
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    value = lower[i + j * ld]
+                    out[i, j] = value
+                    out[j, i] = value
+
+
+@njit(cache=True)
+def _add(indptr, indices, data, scaling, out):  # type: ignore[no-untyped-def]
+    for i in range(len(out)):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            out[i, j] += data[k] * scaling[i] * scaling[j]
+
+
+@njit(cache=True)
+def _unscaled(lower, ld, scaling):  # type: ignore[no-untyped-def]
+    n = len(scaling)
+    out = np.empty((n, n))
+    for j0 in range(0, n, _TILE):
+        for i0 in range(j0, n, _TILE):
+            for j in range(j0, min(j0 + _TILE, n)):
+                for i in range(max(i0, j), min(i0 + _TILE, n)):
+                    value = lower[i + j * ld] / (scaling[i] * scaling[j])
+                    out[i, j] = value
+                    out[j, i] = value
+    return out

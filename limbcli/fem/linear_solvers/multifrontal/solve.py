@@ -1,0 +1,73 @@
+"""Forward and backward through the fronts, for one right-hand side."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from limbcli.fem.linear_solvers.multifrontal.kept import PAD, down, up
+from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
+
+
+@njit(cache=True, nogil=True)
+def enter(order, scaling, rhs, out):  # type: ignore[no-untyped-def]
+    """Right-hand side (n,) in the order of elimination, scaled."""
+    for i in range(len(order)):
+        e = order[i]
+        out[i] = rhs[e] * scaling[e]
+
+
+@njit(cache=True, nogil=True)
+def leave(order, scaling, x, out):  # type: ignore[no-untyped-def]
+    for i in range(len(order)):
+        e = order[i]
+        out[e] = x[i] * scaling[e]
+
+
+@njit(cache=True, nogil=True)
+def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-def]
+    """Fronts start..stop: pivots of w solved for, rows below reduced. y, z: workspace (a front, a tile)."""
+    for s in range(start, stop):
+        first, at = plan.pivot_at[s], plan.rows_at[s]
+        p = plan.pivot_at[s + 1] - first
+        r = plan.rows_at[s + 1] - at
+        for i in range(p):
+            y[i] = w[first + i]
+        for i in range(p, p + r + PAD):
+            y[i] = 0
+        down(kept, plan.tile_at[s], plan.part_at[s], first, p, p + r, y, z)
+        for i in range(p):
+            w[first + i] = y[i] * sign[first + i]
+        for i in range(r):
+            w[plan.rows[at + i]] += y[p + i]
+
+
+@njit(cache=True, nogil=True)
+def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
+    """Fronts stop..start downwards: pivots of w from what is above them."""
+    for s in range(stop - 1, start - 1, -1):
+        first, at = plan.pivot_at[s], plan.rows_at[s]
+        p = plan.pivot_at[s + 1] - first
+        r = plan.rows_at[s + 1] - at
+        for i in range(p):
+            y[i] = w[first + i]
+        for i in range(r):
+            y[p + i] = w[plan.rows[at + i]]
+        for i in range(p + r, p + r + PAD):
+            y[i] = 0
+        up(kept, plan.tile_at[s + 1], plan.part_at[s + 1], first, p, p + r, y, z)
+        for i in range(p):
+            w[first + i] = y[i]
+
+
+@njit(cache=True, nogil=True)
+def whole(kept, sign, w, y, z):  # type: ignore[no-untyped-def]
+    """w -> (L S L^T)^-1 w, of a matrix that is one front."""
+    n = len(w)
+    y[:n] = w
+    y[n : n + PAD] = 0
+    down(kept, 0, 0, 0, n, n, y, z)
+    for i in range(n):
+        y[i] *= sign[i]
+    y[n : n + PAD] = 0
+    up(kept, len(kept.inverses) // (TILE * TILE), len(kept.parts), 0, n, n, y, z)
+    w[:] = y[:n]

@@ -1,0 +1,55 @@
+"""The memory of a factor, allocated once and used again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from limbcli.fem.linear_solvers.multifrontal import blas
+from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED, STRIP, TILE
+from limbcli.fem.linear_solvers.multifrontal.kept import make_kept
+from limbcli.fem.linear_solvers.multifrontal.plan import Layout
+
+BLOCK = 192  # columns of a block where two threads are at work on one front
+_TINY = {True: 1e-6, False: 1e-8}  # of a pivot, next to its diagonal entry of 1
+
+
+class Store:
+    """Arrays in the factor's precision.
+
+    kept : the factor, but for the last front
+    panels, updates : pivot columns of a front for each of two threads; update matrices (see `Plan`)
+    values : the matrix, scaled; scaling (n,) : by equation number; sign (n,) : of the pivots, in order
+    work, inverses : workspace for each of two threads
+    """
+
+    def __init__(self, layout: Layout, n: int, n_values: int, single: bool):
+        self.kind: Any = np.float32 if single else np.float64
+        self.plan = layout.plan
+        self.blas = blas.addresses(single)
+        self.tiny = self.kind(_TINY[single])
+        plan = layout.plan
+        self.kept = make_kept(n, int(plan.tile_at[-2]), int(plan.part_at[-2]), self.kind)
+        workspace = layout.panel_size + ALIGNED  # the last vector may reach over
+        self.panels = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
+        self.updates = np.empty(layout.update_size, dtype=self.kind)
+        self.values = np.empty(n_values, dtype=self.kind)
+        self.sign = np.ones(n, dtype=self.kind)
+        self.scaling = np.ones(n)
+        workspace = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP) + TILE * TILE
+        self.work = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
+        self.inverses = [np.empty((BLOCK + TILE) * TILE, dtype=self.kind) for _ in range(2)]
+
+    @property
+    def memory_mb(self) -> float:
+        arrays: list[Any] = [
+            *self.kept,
+            *self.panels,
+            self.updates,
+            self.values,
+            self.sign,
+            *self.work,
+            *self.plan,
+        ]
+        return sum(each.nbytes for each in arrays) / 2.0**20

@@ -1,0 +1,71 @@
+"""A right-hand side through a factor: subtrees on two threads, what is above them on one."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from limbcli.fem.linear_solvers.multifrontal import solve
+from limbcli.fem.linear_solvers.multifrontal.kept import PAD
+from limbcli.fem.linear_solvers.multifrontal.plan import Layout
+from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
+from limbcli.fem.linear_solvers.multifrontal.store import Store
+from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
+
+
+class Substitution:
+    """Each of two threads adds what its subtrees pass on to a vector of its own."""
+
+    def __init__(self, layout: Layout, store: Store, crew: Crew):
+        self.store, self.crew, self.layout = store, crew, layout
+        shares = layout.solving
+        self._mine = [
+            [each for each, k in zip(shares.subtrees, shares.owner, strict=True) if k == thread]
+            for thread in range(2)
+        ]
+        self._top = [(int(s), int(s) + 1) for s in shares.top[:-1]]  # the last front is the root's
+        self._of_second = np.zeros(len(layout.order), dtype=bool)
+        pivot_at = layout.plan.pivot_at
+        for start, stop in self._mine[1]:
+            self._of_second[pivot_at[start] : pivot_at[stop]] = True
+        lengths = (layout.largest_front + PAD, TILE)
+        self._workspaces = [tuple(np.zeros(n, dtype=store.kind) for n in lengths) for _ in range(2)]
+
+    def enter(self, rhs: Any) -> Any:
+        """Right-hand side (n,) in the order of elimination, scaled."""
+        w = np.empty(rhs.shape, dtype=self.store.kind)
+        solve.enter(self.layout.order, self.store.scaling, rhs, w)
+        return w
+
+    def leave(self, w: Any) -> Any:
+        """Solution by equation number, unscaled."""
+        out = np.empty(w.shape)
+        solve.leave(self.layout.order, self.store.scaling, w, out)
+        return out
+
+    def forward(self, w: Any) -> None:
+        """All fronts but the root's."""
+        other = np.zeros_like(w)
+        other[self._of_second] = w[self._of_second]
+        w[self._of_second] = 0
+        tasks = [partial(self._forward, self._mine[k], each, k) for k, each in enumerate((w, other))]
+        self.crew.run(tasks)
+        w += other
+        self._forward(self._top, w, 0)
+
+    def backward(self, w: Any) -> None:
+        """All fronts but the root's, whose part of w is known."""
+        self._backward(self._top[::-1], w, 0)
+        self.crew.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
+
+    def _forward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
+        store, workspace = self.store, self._workspaces[thread]
+        for start, stop in ranges:
+            solve.forward(store.plan, start, stop, store.kept, store.sign, w, *workspace)
+
+    def _backward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
+        store, workspace = self.store, self._workspaces[thread]
+        for start, stop in ranges:
+            solve.backward(store.plan, start, stop, store.kept, w, *workspace)

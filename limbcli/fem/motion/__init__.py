@@ -1,0 +1,1 @@
+"""What moves and what is given: rigid bodies and their loads, load curves, the state of a model."""

@@ -1,0 +1,200 @@
+"""What moves and what is given: equation numbers, prescribed values, load curves, rigid motions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from limbcli.bodies import Drive
+from limbcli.errors import SolveError
+from limbcli.fem.motion import curves
+from limbcli.fem.motion.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, rotation_matrix
+from limbcli.fem.motion.state import State
+from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+
+
+class Kinematics:
+    """The unknowns of a model in one analysis step, and the states that they lead to.
+
+    supports, drives : those in force (the model's and the step's)
+    coupled (n_points,) : nodes that belong to cells
+    start : state at the beginning of the step, for relative loads
+    """
+
+    def __init__(
+        self,
+        model: LimbModel,
+        supports: tuple[Support, ...] | None,
+        drives: tuple[Drive, ...] | None,
+        start: State | None,
+        cells: list[IntArray],
+    ):
+        self.model = model
+        self.X = np.ascontiguousarray(model.mesh.points, dtype=float)
+        self.supports = model.supports if supports is None else supports
+        self.drives = model.drives if drives is None else drives
+        self.bodies = make_bodies(model, self.drives)
+        self.start = start if start is not None else self.rest()
+        self.time = self.start.time
+        self.coupled = np.zeros(len(self.X), dtype=bool)
+        for each in cells:
+            self.coupled[each.ravel()] = True
+        self._number_equations()
+
+    def rest(self) -> State:
+        return State(0.0, np.zeros_like(self.X), tuple(AT_REST for _ in self.model.bodies))
+
+    def _number_equations(self) -> None:
+        n = len(self.X)
+        free = np.repeat(self.coupled[:, None], 3, axis=1)
+        self.tied = np.zeros(n, dtype=bool)
+        for body in self.bodies:
+            self.tied[body.tied] = True
+        free[self.tied] = False
+        self._prescribed_values: list[tuple[IntArray, int, Array, str | None, bool]] = []
+        self._prescribed = self._find_prescribed(free)
+        self.driven = np.zeros((n, 3), dtype=bool)
+        for nodes, axis, _, _, _ in self._prescribed_values:
+            self.driven[nodes, axis] = True
+        self.equations = np.full((n, 3), -1, dtype=np.int64)
+        self.n_tissue = int(free.sum())
+        self.equations[free] = np.arange(self.n_tissue)
+        self.free = free
+        self._places = np.flatnonzero(free)
+        self.rigid: list[tuple[int, int]] = [(b, k) for b, body in enumerate(self.bodies) for k in body.free]
+        if self.n_tissue + len(self.rigid) == 0:
+            self.n_tissue = 0
+
+    def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
+        """(nodes, axis, values, curve, relative) of every support with a value; frees are cleared."""
+        found = []
+        for each in self.supports:
+            if each.node_set not in self.model.mesh.node_sets:
+                raise SolveError(
+                    f"a support refers to the unknown node set {each.node_set!r}",
+                    where="supports",
+                    fix=f"use one of {sorted(self.model.mesh.node_sets)}",
+                )
+            nodes = np.asarray(self.model.mesh.node_sets[each.node_set], dtype=np.int64)
+            for dof in each.dofs:
+                if dof not in _AXES:
+                    raise SolveError(
+                        f"a support on {dof!r} (fluid pressure) is not supported",
+                        where=f"node set {each.node_set!r}",
+                        fix="run FEBio for biphasic models",
+                    )
+                free[nodes, _AXES[dof]] = False
+                value = each.value.values if isinstance(each.value, NodeMap) else each.value
+                values = np.broadcast_to(
+                    np.asarray(0.0 if value is None else value, dtype=float), nodes.shape
+                )
+                found.append((nodes, _AXES[dof], values, each.curve, each.relative))
+                if value is not None:
+                    self._prescribed_values.append(found[-1])
+        return found
+
+    def spread(self, x: Array) -> Array:
+        """Values (n_tissue,) of the tissue's unknowns as (n_points, 3), 0 elsewhere."""
+        out = np.zeros_like(self.X)
+        out.ravel()[self._places] = x
+        return out
+
+    def collect(self, nodal: Array) -> Array:
+        """Those of (n_points, 3) that belong to the tissue's unknowns (n_tissue,)."""
+        return np.take(nodal.ravel(), self._places)
+
+    @property
+    def n_unknowns(self) -> int:
+        return self.n_tissue + len(self.rigid)
+
+    def curve_at(self, name: str, time: float) -> float:
+        if name not in self.model.curves:
+            raise SolveError(
+                f"there is no load curve {name!r}",
+                where="load curves",
+                fix=f"use one of {list(self.model.curves)}",
+            )
+        return curves.value(self.model.curves[name], time)
+
+    def curve(self, name: str) -> float:
+        return self.curve_at(name, self.time)
+
+    def prescribed(self, state: State, time: float) -> State:
+        """The state with everything that is given moved to `time`; all else as it was."""
+        u = state.u.copy()
+        for nodes, axis, values, curve, relative in self._prescribed:
+            factor = 1.0 if curve is None else self.curve_at(curve, time)
+            base = self.start.u[nodes, axis] if relative else 0.0
+            u[nodes, axis] = base + values * factor
+        bodies = [self._given(b, body, state, time) for b, body in enumerate(self.bodies)]
+        after = State(time, u, tuple(bodies), state.hints, state.volumes)
+        return self.followed(after)
+
+    def _given(self, b: int, body: Body, state: State, time: float) -> BodyState:
+        now, begin = state.bodies[b], self.start.bodies[b]
+        shift, vector = now.shift.copy(), np.zeros(3)
+        for k, dof in enumerate(DOFS):
+            if not body.given(dof):
+                continue
+            drive = body.drives[dof]
+            value = 0.0
+            if drive.kind != "fixed":
+                value = drive.value * (1.0 if drive.curve is None else self.curve_at(drive.curve, time))
+            if k < 3:
+                held = begin.shift[k] if drive.kind == "fixed" or drive.relative else 0.0
+                shift[k] = held + value
+            else:
+                vector[k - 3] = value
+        return BodyState(shift, self._turn(body, now, begin, vector))
+
+    def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
+        if not any(k >= 3 for k in body.free):
+            moving = [body.drives[d] for d in "uvw" if d in body.drives and body.drives[d].kind != "fixed"]
+            if not moving:
+                return begin.turn
+            return rotation_matrix(vector) @ (begin.turn if moving[0].relative else np.eye(3))
+        if vector.any():
+            raise SolveError(
+                f"body {body.name!r} has given and free rotations together",
+                where="rigid bodies",
+                fix="give all three rotations, or fix those that are not free",
+            )
+        return now.turn
+
+    def followed(self, state: State) -> State:
+        """Tied nodes and the bodies' own points put where the bodies are."""
+        for body, at in zip(self.bodies, state.bodies, strict=True):
+            for nodes in (body.tied, body.points):
+                if len(nodes):
+                    state.u[nodes] = at.place(self.X[nodes], body.center) - self.X[nodes]
+        return state
+
+    def moved(self, state: State, step: Array) -> State:
+        """The state after a change of the unknowns."""
+        u = state.u.copy()
+        u[self.free] += step[: self.n_tissue]
+        bodies = list(state.bodies)
+        motions = self.motions(step)
+        for b in {b for b, _ in self.rigid}:
+            bodies[b] = bodies[b].moved(motions[b])
+        return self.followed(State(state.time, u, tuple(bodies)))
+
+    def motions(self, step: Array) -> Array:
+        """Motions (n_bodies, 6) contained in a change of the unknowns."""
+        out = np.zeros((len(self.bodies), 6))
+        for k, (b, dof) in enumerate(self.rigid):
+            out[b, dof] = step[self.n_tissue + k]
+        return out
+
+    def center(self, b: int, state: State) -> Array:
+        return self.bodies[b].center + state.bodies[b].shift
+
+    def follow(self, state: State, motions: Array) -> Array:
+        """Velocities (n_points, 3) of tied nodes for motions (n_bodies, 6)."""
+        v = np.zeros_like(self.X)
+        for b, body in enumerate(self.bodies):
+            if len(body.tied) and motions[b].any():
+                arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
+                v[body.tied] = motions[b, :3] + np.cross(motions[b, 3:], arm)
+        return v

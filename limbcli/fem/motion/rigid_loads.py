@@ -1,0 +1,61 @@
+"""Forces between rigid bodies, tied nodes, springs and what is applied from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from limbcli.fem.motion.kinematics import Kinematics
+from limbcli.fem.motion.rigid import DOFS, skew, spring_forces
+from limbcli.fem.motion.state import State
+from limbcli.model import Array
+
+
+class RigidLoads(Kinematics):
+    """The rigid bodies' part of the equations."""
+
+    def gather_tied(self, state: State, nodal: Array, bodies: Array) -> None:
+        """Add the forces of nodes that are tied to a body to the body's forces and moments."""
+        for b, body in enumerate(self.bodies):
+            if len(body.tied):
+                f = nodal[body.tied]
+                arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
+                bodies[b, :3] += f.sum(axis=0)
+                bodies[b, 3:] += np.cross(arm, f).sum(axis=0)
+
+    def add_springs(self, state: State, bodies: Array) -> None:
+        index = {body.name: b for b, body in enumerate(self.bodies)}
+        both = {body.name: (body, state.bodies[b]) for b, body in enumerate(self.bodies)}
+        for spring in self.model.springs:
+            on_a, on_b, _ = spring_forces(spring, both)
+            bodies[index[spring.body_a]] -= on_a
+            bodies[index[spring.body_b]] -= on_b
+
+    def applied(self, time: float) -> Array:
+        out = np.zeros((len(self.bodies), 6))
+        for b, body in enumerate(self.bodies):
+            for k, dof in enumerate(DOFS):
+                drive = body.drives.get(dof)
+                if drive is not None and drive.kind in ("force", "moment"):
+                    out[b, k] = drive.value * (
+                        1.0 if drive.curve is None else self.curve_at(drive.curve, time)
+                    )
+        return out
+
+    def spring_stiffness(self, state: State) -> Array:
+        """Tangent (6 n_bodies, 6 n_bodies) of the springs."""
+        index = {body.name: b for b, body in enumerate(self.bodies)}
+        both = {body.name: (body, state.bodies[b]) for b, body in enumerate(self.bodies)}
+        out = np.zeros((6 * len(self.bodies), 6 * len(self.bodies)))
+        for spring in self.model.springs:
+            a, b = index[spring.body_a], index[spring.body_b]
+            rows = np.concatenate([np.arange(6 * a, 6 * a + 6), np.arange(6 * b, 6 * b + 6)])
+            out[np.ix_(rows, rows)] += spring_forces(spring, both)[2]
+        return out
+
+    def tied_turning(self, state: State, nodal: Array, b: int) -> Array:
+        """(3, 3): how the moment of the tied nodes' forces changes as their arms turn with the body."""
+        body = self.bodies[b]
+        arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
+        return sum(
+            (-skew(f) @ -skew(a) for f, a in zip(nodal[body.tied], arm, strict=True)), np.zeros((3, 3))
+        )

@@ -1,0 +1,240 @@
+"""Who works on the parts of a batch: processes of this computer, or a cluster named by its address.
+
+Dask distributed does all of it: it starts processes, gives out work, gives that of a lost process to
+another, and shows all on its dashboard. Here is only what limbcli asks of its workers: the same code as
+the one who calls, and one part at a time in a process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import os
+import platform
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from limbcli.config import THREADS
+from limbcli.errors import ToolError
+from limbcli.progress import Progress
+from limbcli.scratch import scratch_folder
+from limbcli.stages.provenance.freshness import code_hash
+from limbcli.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client, LocalCluster
+
+EXTRA = "cluster"
+_GB_A_WORKER = 2.0  # of memory: what a large series takes in `segment`
+_WAIT_S = 30  # for a scheduler to answer
+# Of local processes: no part waits with one that may be lost; where none is left, parts fail after a while.
+_LOCAL = {
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.no-workers-timeout": "5 minutes",
+    "distributed.comm.timeouts.connect": "2 minutes",
+}
+_LIBRARY_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+class WorkerRefused(ToolError):
+    """This worker does not have what the client asks of it; its address is among the facts."""
+
+
+@dataclass(frozen=True)
+class WorkerStanding:
+    """What a worker is: its limbcli, the hash of its sources, and how many parts it takes at a time."""
+
+    version: str
+    code: str
+    n_threads: int
+
+    @staticmethod
+    def own(n_threads: int = 1) -> WorkerStanding:
+        return WorkerStanding(__version__, code_hash(), n_threads)
+
+    def why_not(self, client: WorkerStanding) -> str:
+        """Why a client of that code may not use this worker; empty where it may.
+
+        >>> ours = Standing("1.0", "abcdef0123", 1)
+        >>> Standing("1.0", "abcdef0123", 1).why_not(ours)
+        ''
+        >>> Standing("1.0", "9876543210", 1).why_not(ours)
+        'it has limbcli 1.0 with other sources (98765432, here abcdef01)'
+        """
+        if self.version != client.version:
+            return f"it has limbcli {self.version}, here is {client.version}"
+        if self.code != client.code:
+            return (
+                f"it has limbcli {self.version} with other sources ({self.code[:8]}, here {client.code[:8]})"
+            )
+        if self.n_threads != 1:
+            return f"it takes {self.n_threads} parts at a time in one process, which may have one only"
+        return ""
+
+
+def is_installed() -> bool:
+    return importlib.util.find_spec("distributed") is not None
+
+
+def jobs_for(n_cases: int) -> int:
+    """Local processes for so many cases: as many as there are cores, and memory for (2 GB each)."""
+    from dask.system import CPU_COUNT
+    from distributed.system import MEMORY_LIMIT
+
+    return max(1, min(n_cases, CPU_COUNT, int(MEMORY_LIMIT / (_GB_A_WORKER * 1e9))))
+
+
+def threads_of(jobs: int) -> int:
+    """Of each of so many local processes, so that together they have no more threads than there are cores."""
+    from dask.system import CPU_COUNT
+
+    return int(max(1, CPU_COUNT // jobs))
+
+
+@contextlib.contextmanager
+def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterator[Client]:
+    """A client of the cluster at that address, else of so many local processes, which end with the block.
+
+    Raises
+    ------
+    ToolError
+        If Dask is not installed, no scheduler answers, or a worker may not be used.
+    """
+    if not is_installed():
+        raise ToolError(
+            "Dask distributed is not installed, which gives work to several processes",
+            where="--scheduler" if scheduler else "--jobs",
+            fix=f"pip install 'limbcli[{EXTRA}]', or leave the option out: one case after the other, here",
+        )
+    import dask
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by the batch
+    with contextlib.ExitStack() as stack:
+        if scheduler is None:
+            folder = str(stack.enter_context(scratch_folder()))
+            stack.enter_context(dask.config.set({"temporary-directory": folder}))
+            client = stack.enter_context(Client(stack.enter_context(_local(jobs, folder))))
+        else:
+            client = stack.enter_context(_at(scheduler))
+        refuse_unlike(client)
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        text = f"{len(workers)} worker processes" if workers else "no worker yet: waiting for the first"
+        progress.event("note", text=f"{text}; dashboard: {client.dashboard_link}")
+        yield client
+
+
+def _local(jobs: int, folder: str) -> LocalCluster:
+    """Processes on this computer; what waits does so with the scheduler, and is not lost with a process."""
+    import dask
+    from distributed import LocalCluster
+
+    environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
+    asked = dask.config.get("distributed.worker.preload")
+    with dask.config.set(_LOCAL):
+        return LocalCluster(
+            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+            dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
+            local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
+        )  # fmt: skip
+
+
+def dask_setup(_worker: Any) -> None:
+    """Called by Dask in a local process at its beginning: Ctrl-C is for the batch, which ends them all."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _at(scheduler: str) -> Client:
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout=_WAIT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise ToolError(
+            f"no scheduler answers at {scheduler} ({error or type(error).__name__})",
+            where="--scheduler",
+            fix="look whether it runs and may be reached from here; its log tells the address, "
+            "such as tcp://10.0.0.5:8786",
+        ) from error
+
+
+def refuse_unlike(client: Client) -> None:
+    """Ask all workers that are there now.
+
+    Raises
+    ------
+    ToolError
+        If any of them has other code than this process, or takes several parts at a time.
+    """
+    found = client.run(_standing, on_error="return")
+    refused = {address: why for address, each in sorted(found.items()) if (why := _why_not(each))}
+    if refused:
+        raise ToolError(
+            f"{len(refused)} of {len(found)} workers may not be used: "
+            + "; ".join(f"{address}: {why}" for address, why in list(refused.items())[:3])
+            + ("; ..." if len(refused) > 3 else ""),
+            where=str(client.scheduler.address) if client.scheduler else "--scheduler",
+            fix=f"give them limbcli {__version__} as it is here (the same files), one thread each "
+            "(dask worker --nthreads 1), and start them anew",
+            refused=refused,
+        )
+
+
+def _standing(dask_worker: Any) -> WorkerStanding:
+    return WorkerStanding.own(dask_worker.state.nthreads)
+
+
+def _why_not(found: WorkerStanding | BaseException) -> str:
+    if isinstance(found, WorkerStanding):
+        return found.why_not(WorkerStanding.own())
+    return f"it has no limbcli of this kind ({found})"
+
+
+def refuse_other(client: WorkerStanding) -> None:
+    """On a worker, before it begins: those that came after all were asked must be asked too.
+
+    Raises
+    ------
+    WorkerRefused
+        If this worker is not what the client needs.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    why = WorkerStanding.own(worker.state.nthreads).why_not(client)
+    if why:
+        raise WorkerRefused(
+            f"a worker refused the work: {why}",
+            where=f"{worker.address} on {platform.node()}",
+            fix=f"give it limbcli {client.version} as it is where the batch was called, and start it anew",
+            worker=worker.address,
+        )
+
+
+@contextlib.contextmanager
+def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
+    """On a worker: results tell the command that was given, and nothing takes more threads than these."""
+    from threadpoolctl import threadpool_limits
+
+    environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads))
+    before, own = {name: os.environ.get(name) for name in environment}, sys.argv
+    os.environ.update(environment)
+    sys.argv = list(command)
+    try:
+        with threadpool_limits(limits=threads):
+            yield
+    finally:
+        sys.argv = own
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+
+def lost_workers(client: Client) -> int:
+    """How many have ended without having been asked to, since the scheduler began."""
+    events = client.get_events("all") or ()
+    reported = [event for _, event in events if isinstance(event, dict)]
+    return sum(each.get("action") == "remove-worker" and not each.get("expected") for each in reported)

@@ -1,0 +1,134 @@
+"""The fits that are made on demand, kept up to date by a batch once they have been made.
+
+`fit-joint` and `fit-elements` are not part of every batch. Where one lies in the output
+folder, a batch looks at it as at any stage: fresh as long as what it was made from is
+unchanged, made again in the same way where it is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.files import sha256
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.stages.fitting.options import FitOptions
+from limbcli.stages.provenance.asked import options_of
+from limbcli.stages.provenance.chain import Chain
+from limbcli.version import __version__
+
+SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
+
+
+@dataclass(frozen=True, eq=False)
+class FitOnDemand:
+    """A result that is there: of which sites, whether its inputs are today's, and how to make it again."""
+
+    stage: str
+    site: str | None
+    sites: tuple[str, ...]
+    is_current: bool
+    redo: Callable[[], object]
+
+
+def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[FitOnDemand]:
+    """Those that lie in `out`; one that cannot be read is left alone (its page says so)."""
+    names = tuple(site.name for site in case.sites)
+    joint = _there(out, "fit-joint", None)
+    if joint is not None:
+        sites = tuple(each for each in joint.data.get("sites", ()) if each in names)
+        if sites:
+            redo = _remade_joint(case, out, joint, sites, progress)
+            yield FitOnDemand(
+                "fit-joint", None, sites, _is_current(case, out, joint, sites, labelled=True), redo
+            )
+    for name in names:
+        compared = _there(out, "fit-elements", name)
+        if compared is not None:
+            redo = _remade_elements(case, out, compared, name, progress)
+            current = _is_current(case, out, compared, (name,), labelled=False)
+            yield FitOnDemand("fit-elements", name, (name,), current, redo)
+
+
+def shown_only(case: Case, out: Path) -> list[Path]:
+    """Results that a batch does not make but its page shows."""
+    found = [
+        stage_folder(out, stage, site.name if by_site else None) / f"{stage}.json"
+        for stage, by_site in SHOWN_ONLY
+        for site in case.sites
+    ]
+    return [each for each in found if each.is_file()]
+
+
+def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
+    try:
+        return read_result(out, stage, site=site)
+    except CaseError:
+        return None
+
+
+def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
+    """Whether a site's fit is of today's model and measurement, this version and this solver."""
+    found = _there(out, "fit", site)
+    if found is None or (stage_folder(out, "fit", site) / "error.json").exists():
+        return False
+    same_solver = solver in ("auto", found.data.get("solver"))
+    same_version = found.provenance.get("limbcli") == __version__
+    study = stage_folder(out, "mesh-study", site) / "mesh-study.json"
+    used = "mesh-study" in found.provenance.get("inputs_sha256", {})
+    asked = found.data.get("asked", {})
+    unknown = study.is_file() and not used and "gain_deviation" not in asked
+    current = _is_current(case, out, found, (site,), labelled=False)
+    return same_solver and same_version and current and not unknown
+
+
+def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...], *, labelled: bool) -> bool:
+    """Whether models and measurements are still those it was made from."""
+    if Chain(case, out).broken(found) is not None:
+        return False
+    used = found.provenance.get("inputs_sha256", {})
+    for name in sites:
+        prefix = f"{name}/" if labelled else ""
+        inputs = {
+            "model": stage_folder(out, "build-feb", name) / "model.feb", "levels": case.site(name).levels,
+        }  # fmt: skip
+        study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
+        if f"{prefix}mesh-study" in used:
+            inputs["mesh-study"] = study
+        for label, path in inputs.items():
+            if not path.is_file() or used.get(f"{prefix}{label}") != sha256(path):
+                return False
+    return set(sites) == set(found.data.get("sites", sites))
+
+
+def _remade_joint(
+    case: Case, out: Path, found: StageResult, sites: tuple[str, ...], progress: Progress
+) -> Callable[[], object]:
+    from limbcli.stages.fit_joint import JointOptions, fit_joint
+
+    asked = found.data.get("asked", {})
+    joint = JointOptions(
+        law=str(found.data.get("law", "ogden")), compare_laws=bool(found.data.get("laws")),
+        gain_deviation=asked.get("gain_deviation"),
+    )  # fmt: skip
+    return lambda: fit_joint(
+        case,
+        out=out,
+        sites=list(sites),
+        joint=joint,
+        options=options_of(FitOptions, asked),
+        progress=progress,
+    )
+
+
+def _remade_elements(
+    case: Case, out: Path, found: StageResult, site: str, progress: Progress
+) -> Callable[[], object]:
+    from limbcli.stages.fit_elements import compare_elements
+
+    options = options_of(FitOptions, found.data.get("asked", {}))
+    return lambda: compare_elements(case, out=out, sites=[site], options=options, progress=progress)

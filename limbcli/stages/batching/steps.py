@@ -1,0 +1,81 @@
+"""The stages of one site as a batch runs them: what each depends on, and its call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from limbcli.case import Case
+from limbcli.progress import Progress
+from limbcli.results import stage_folder
+from limbcli.stages.batching.outcome import BatchOptions
+from limbcli.stages.provenance.asked import Asked, options_of
+
+SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+
+
+@dataclass(frozen=True, eq=False)
+class SiteStep:
+    """parts : what the stage depends on beside the stage before it; paths count by their content"""
+
+    stage: str
+    parts: Sequence[object]
+    work: Callable[[], object]
+
+
+def site_steps(
+    case: Case, name: str, options: BatchOptions, asked: Mapping[str, Asked], *, out: Path,
+    progress: Progress,
+) -> list[SiteStep]:  # fmt: skip
+    """In order. `asked`: of each stage, the options of its last call by hand."""
+    from limbcli.stages.build_feb import TissueOptions, build_feb
+    from limbcli.stages.fit import FitOptions, fit
+    from limbcli.stages.mesh import mesh
+    from limbcli.stages.run import RunOptions, run
+
+    raw, site = case.raw, case.site(name)
+    common: dict[str, Any] = {"out": out, "progress": progress, "sites": [name]}
+    solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
+    meshed = {**asked["mesh"], **({"element": options.element} if options.element else {})}
+    tissue, ran, fitted = (asked[each] for each in SITE_STAGES[1:])
+    templates = options.templates or _path(tissue.get("templates"))
+    fit_options = options_of(FitOptions, fitted)
+    if options.templates:
+        fit_options = replace(fit_options, templates=templates)
+    table = next(each for each in raw["site"] if each["name"] == name)
+    measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
+    study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
+
+    def build() -> object:
+        tissue_options = options_of(TissueOptions, tissue)
+        return build_feb(case, options=tissue_options, templates=templates, **common)
+
+    return [
+        SiteStep(
+            "mesh",
+            (raw["probe"], raw.get("model"), table, *parts_of(meshed)),
+            lambda: mesh(case, **meshed, **common),
+        ),
+        SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
+        SiteStep(
+            "run",
+            (*solver.items(), *parts_of(ran)),
+            lambda: run(case, options=options_of(RunOptions, ran), **solver, **common),
+        ),
+        SiteStep(
+            "fit",
+            (*([study] if study.is_file() else []), *parts_of(fitted)),
+            lambda: fit(case, options=fit_options, **solver, **common),
+        ),
+    ]
+
+
+def parts_of(asked: Asked) -> tuple[object, ...]:
+    """What a key sees of options that were asked for."""
+    return (sorted(asked.items()),) if asked else ()
+
+
+def _path(text: str | None) -> Path | None:
+    return Path(text) if text else None

@@ -1,0 +1,1 @@
+"""What `cohort` is made of: the family of models, the estimate, compliance of people left out, the page."""

@@ -1,0 +1,186 @@
+"""How well compliance of people left out is predicted, and how much of the miss no model can mend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
+from limbcli.inference.layered_family import LayeredFamily
+from limbcli.inference.left_out import (
+    FOLDS,
+    lines_left_out,
+    percent_off,
+    predict_left_out,
+    springs_left_out,
+)
+from limbcli.measurement.cohort_table import CohortTable
+from limbcli.model import Array
+
+_PERSON_COLUMNS = ("age_years", "bmi_kg_per_m2")
+_PAIRS = 8  # repeated measurements, from which on repeatability is reported
+_OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard deviation of 1
+
+
+def compliance_left_out(
+    table: CohortTable, family: LayeredFamily, slope_deviation: float, layer_deviation: Array, *, seed: int
+) -> tuple[dict[str, Any], list[str]]:
+    """The entry of cohort.json, and what to warn of."""
+    n_people = len(table.people)
+    if n_people < FOLDS:
+        why = f"{n_people} people are too few for {FOLDS} folds by person"
+        empty: dict[str, Any] = {
+            "mean_absolute_difference_percent": None,
+            "reason": why,
+            "folds": {},
+            "rows": [],
+        }
+        return empty, [f"{why}: the compliance of people left out is not predicted"]
+    physics = _Slab(table, family, slope_deviation, layer_deviation)
+    features = np.column_stack([np.log(table.thickness), np.log(table.whole), np.log(table.face)])
+    people, sites, measured = table.person, table.site, table.compliance
+    found = predict_left_out(people, sites, features, measured, physics, seed=seed)
+    off = percent_off(found.predicted, measured)
+    soft = table.thickness[:, 1:]
+    entry: dict[str, Any] = {
+        "mean_absolute_difference_percent": float(off.mean()),
+        "standard_deviation_percent": float(off.std()),
+        "median_absolute_difference_percent": float(np.median(off)),
+        "predicted_from": ["location", "skin_mm", "fat_mm", "muscle_mm", "thickness_mm", "probe's face"],
+        "n_folds": FOLDS,
+        "seed": seed,
+        "by_site_percent": {site: float(off[sites == site].mean()) for site in table.sites},
+        "with_person_columns": _with_person(table, features, physics, seed),
+        "same_folds": {
+            "springs_in_series_percent": float(
+                percent_off(springs_left_out(people, soft, measured, seed=seed), measured).mean()
+            ),
+            "linear_site_by_site_percent": float(
+                percent_off(lines_left_out(people, sites, soft, measured, seed=seed), measured).mean()
+            ),
+            "sites_mean_percent": float(
+                percent_off(
+                    lines_left_out(people, sites, np.zeros((len(measured), 0)), measured, seed=seed), measured
+                ).mean()
+            ),
+        },
+        "repeatability": _repeatability(table, slope_deviation, layer_deviation),
+        "person_share_of_residual_variance": _person_share(table, np.log(measured / found.predicted)),
+        "chosen": list(found.chosen),
+        "folds": {str(p): int(found.fold[np.flatnonzero(people == p)[0]]) for p in table.people},
+        "rows": [
+            {
+                "subject": str(people[k]),
+                "location": str(sites[k]),
+                "line": int(table.lines[k]),
+                "fold": int(found.fold[k]),
+                "measured_mm_per_mpa": float(measured[k]),
+                "predicted_mm_per_mpa": float(found.predicted[k]),
+                "difference_percent": float(off[k]),
+            }
+            for k in range(len(table))
+        ],
+    }
+    return entry, []
+
+
+class _Slab:
+    """ln compliance of the slab with the mean tissue of the training people, site by site.
+
+    Every row's tissue is found once under one and the same prior, so that no row knows of another; a fold's
+    mean tissue is then that of its training rows, and so is the strain that is typical of a site.
+    """
+
+    def __init__(
+        self, table: CohortTable, family: LayeredFamily, slope_deviation: float, layer_deviation: Array
+    ):
+        self._table, self._family = table, family
+        strain = table.depth / table.whole
+        model = CohortModel.of(family, table.thickness, table.face, strain)
+        seen = readings(table.force, table.face, table.whole, table.shortened, table.slope)
+        self._theta = row_modes_of(
+            model,
+            seen,
+            table.shortened,
+            family,
+            layer_deviation=layer_deviation,
+            slope_deviation=slope_deviation,
+        )
+        self._strain = strain
+
+    def __call__(self, train: Array) -> Array:
+        out = np.empty(len(self._table))
+        for site in self._table.sites:
+            here = self._table.site == site
+            known = here & train if (here & train).any() else train
+            theta = np.tile(self._theta[known].mean(axis=0), (int(here.sum()), 1))
+            strain = np.full(len(theta), np.median(self._strain[known]))
+            part = self._table.rows(here)
+            model = CohortModel.of(self._family, part.thickness, part.face, strain)
+            out[here] = np.log(part.whole) - model.log_slope(theta)
+        return out
+
+
+def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int) -> dict[str, Any] | None:
+    """The same with what is known of the person; None where the table does not tell."""
+    columns, names = [], []
+    for name in _PERSON_COLUMNS:
+        values = table.others.get(name)
+        if values is not None and np.isfinite(values).all():
+            columns.append(values)
+            names.append(name)
+    kinds = sorted(set(table.sex.tolist()))
+    if len(kinds) == 2 and "" not in kinds:
+        columns.append((table.sex == kinds[1]).astype(float))
+        names.append("sex")
+    if not columns:
+        return None
+    more = np.column_stack([features, *columns])
+    found = predict_left_out(table.person, table.site, more, table.compliance, physics, seed=seed)
+    off = percent_off(found.predicted, table.compliance)
+    return {"columns": names, "mean_absolute_difference_percent": float(off.mean())}
+
+
+def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: Array) -> dict[str, Any]:
+    """What measuring again would differ by: from repeated trials, else only what marks and slope leave."""
+    marks = layer_deviation.max() / table.depth
+    deviation = np.sqrt(slope_deviation**2 + marks**2)
+    entry: dict[str, Any] = {
+        "percent_from_marks_and_slope_alone": float(100 * _OFF_OF_GAUSSIAN * deviation.mean()),
+        "percent_from_trials": None,
+        "n_repeated": 0,
+    }
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, key in enumerate(zip(table.person.astype(str), table.site.astype(str), strict=True)):
+        groups.setdefault(key, []).append(k)
+    repeated = [np.log(table.compliance[each]) for each in groups.values() if len(each) > 1]
+    entry["n_repeated"] = len(repeated)
+    if len(repeated) < _PAIRS:
+        entry["reason"] = (
+            f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
+            f"and site "
+            "are needed to tell repeatability"
+        )
+        return entry
+    free = sum(len(each) - 1 for each in repeated)
+    within = np.sqrt(sum(float(np.sum((each - each.mean()) ** 2)) for each in repeated) / free)
+    entry["percent_from_trials"] = float(100 * _OFF_OF_GAUSSIAN * within)
+    return entry
+
+
+def _person_share(table: CohortTable, residual: Array) -> float | None:
+    """Share of the residuals' variance that a person's sites have in common (0: each site on its own)."""
+    centred = residual.copy()
+    for site in table.sites:
+        here = table.site == site
+        centred[here] -= centred[here].mean()
+    products: list[float] = []
+    for person in table.people:
+        own = centred[table.person == person]
+        if len(own) > 1:
+            total = float(own.sum() ** 2 - np.sum(own**2))
+            products += [total / (len(own) * (len(own) - 1))] * (len(own) - 1)
+    if len(products) < _PAIRS:
+        return None
+    return float(np.mean(products) / np.mean(centred**2))

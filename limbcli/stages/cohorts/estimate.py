@@ -1,0 +1,76 @@
+"""Every site of a cohort's table: its noise, its population, and the tissue of its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.inference.cohort_model import (
+    PRIOR_DEVIATION,
+    START,
+    CohortModel,
+    reading_noise,
+    readings,
+    slope_noise,
+)
+from limbcli.inference.layered_family import LayeredFamily
+from limbcli.inference.population import Population, Rows, estimate_population
+from limbcli.measurement.cohort_table import CohortTable
+from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
+from limbcli.model import Array, IntArray
+from limbcli.progress import SILENT, Progress
+
+
+@dataclass(frozen=True, eq=False)
+class SiteEstimate:
+    """One site's rows (numbers in the table), their model and what was found."""
+
+    name: str
+    rows: IntArray
+    model: CohortModel
+    readings: Array
+    noise: Array
+    population: Population
+    found: Rows
+
+
+@dataclass(frozen=True, eq=False)
+class CohortNoise:
+    """What the table's own noise is: of layers' shortening (mm), and of the ln of stiffness."""
+
+    layers: EdgeNoise
+    slope: float
+    slope_from_data: bool
+
+
+def noise_of(table: CohortTable) -> CohortNoise:
+    """The noise that the table itself tells."""
+    convexity = np.log(table.force / table.face / table.depth / table.slope)
+    one, two = (table.others.get(name) for name in ("r2_line", "r2_parabola"))
+    slope, reported = slope_noise(convexity, one, two)
+    return CohortNoise(layer_noise(table.shortened), slope, reported)
+
+
+def estimate_sites(
+    table: CohortTable,
+    family: LayeredFamily,
+    noise: CohortNoise,
+    *,
+    seed: int = 7,
+    progress: Progress = SILENT,
+) -> list[SiteEstimate]:
+    """The population of every site and its rows' own tissue."""
+    found = []
+    for k, site in enumerate(table.sites):
+        rows = np.flatnonzero(table.site == site)
+        part = table.rows(rows)
+        model = CohortModel.of(family, part.thickness, part.face, part.depth / part.whole)
+        seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
+        covariance = reading_noise(part.shortened, noise.layers.shortened, noise.slope, family.error)
+        population, own = estimate_population(
+            model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, seed=seed
+        )
+        found.append(SiteEstimate(site, rows, model, seen, covariance, population, own))
+        progress.event("task", name="sites", done=k + 1, total=len(table.sites))
+    return found

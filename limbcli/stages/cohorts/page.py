@@ -1,0 +1,33 @@
+"""The page of a cohort, with its pictures beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from limbcli.files import atomic_file, atomic_folder
+from limbcli.reporting.cohort_view import cohort_reportlets
+from limbcli.reporting.page import embed, render, save_pictures
+
+PICTURES = "pictures"
+TEMPLATE = "cohort.html.j2"
+
+
+def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None) -> Path:
+    """Write `<out>/<name>` and `<out>/pictures/`; the page holds its pictures and needs no other file."""
+    reportlets = cohort_reportlets(data)
+    with atomic_folder(out / PICTURES) as folder:
+        shown = embed(reportlets, save_pictures(reportlets, folder))
+    own = data["provenance"]
+    facts = {
+        "data": data,
+        "reportlets": reportlets,
+        "shown": shown,
+        "own": own,
+        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
+    }
+    html = render(TEMPLATE, facts, templates=templates)
+    with atomic_file(out / name) as path:
+        path.write_text(html, encoding="utf-8")
+    return out / name

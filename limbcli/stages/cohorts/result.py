@@ -1,0 +1,278 @@
+"""What is reported of a cohort: of every site, of every row, and who stands out."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from limbcli.inference.cohort_model import C_FAT, C_MUSCLE, PARAMETERS, M
+from limbcli.inference.layered_solves import EXPONENT, HIGH, LOW, RATIO
+from limbcli.measurement.cohort_table import LAYERS, CohortTable
+from limbcli.model import Array
+from limbcli.stages.cohorts.estimate import SiteEstimate
+from limbcli.units import kpa_from_mpa
+
+_LIKELY = 1.959964  # deviations on either side of a 95 % interval
+_LEVEL = 0.05
+_KEYS = ("c_muscle_kpa", "c_fat_kpa", "m")
+_FAT_BANDS_MM = (0.0, 2.0, 4.0, 8.0, 15.0, np.inf)
+
+
+def natural(theta: Array) -> Array:
+    """c_muscle (kPa), c_fat (kPa), m from their logarithms (..., 3), c in MPa."""
+    values = np.exp(theta)
+    values[..., [C_MUSCLE, C_FAT]] = kpa_from_mpa(values[..., [C_MUSCLE, C_FAT]])
+    return np.asarray(values)
+
+
+def within_family(theta: Array, middle: Array) -> Array:
+    """theta (n, 3) with c_fat and m no farther than the family's ends, seen from the rows' c_muscle.
+
+    Beyond an end the readings are those of the end: nothing is known there but the side.
+    """
+    out = theta.copy()
+    apart = theta[:, C_FAT] - middle[:, C_MUSCLE]
+    out[:, C_FAT] = middle[:, C_MUSCLE] + np.clip(apart, LOW[RATIO], HIGH[RATIO])
+    out[:, M] = np.clip(theta[:, M], LOW[EXPONENT], HIGH[EXPONENT])
+    return out
+
+
+def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
+    """Population of a site: geometric means with 95 % intervals, spread as a factor, what the rows say."""
+    people = site.population
+    middle = natural(people.mean)
+    low, high = (natural(people.mean + sign * _LIKELY * people.mean_error) for sign in (-1, 1))
+    beyond = {"m": m_beyond(people.mean), "c_fat_kpa": c_fat_beyond(people.mean)}
+    spread, doubt = people.deviation, people.deviation_error
+    root = np.sqrt(np.diag(people.spread))
+    together = people.spread / np.outer(root, root)
+    parameters = {
+        key: {
+            "geometric_mean": middle[k],
+            "low": low[k],
+            "high": high[k],
+            "spread_factor": float(np.exp(spread[k])),
+            "spread_of_ln": spread[k],
+            "spread_of_ln_low": max(spread[k] - _LIKELY * doubt[k], 0.0),
+            "spread_of_ln_high": spread[k] + _LIKELY * doubt[k],
+            "mean_shrinkage": float(site.found.shrinkage[:, k].mean()),
+            "beyond_family": beyond.get(key),
+        }
+        for k, key in enumerate(_KEYS)
+    }
+    ratio = people.mean[C_FAT] - people.mean[C_MUSCLE]
+    return {
+        "n_rows": len(site.rows),
+        "n_people": len(set(table.person[site.rows].tolist())),
+        "population": parameters,
+        "c_fat_over_c_muscle": float(np.exp(ratio)),
+        "correlation": {
+            f"{a} {b}": float(together[i, j])
+            for i, a in enumerate(PARAMETERS)
+            for j, b in enumerate(PARAMETERS)
+            if i < j
+        },
+        "rounds": people.rounds,
+        "effective_draws_least": float(site.found.effective.min()),
+        "effective_draws_median": float(np.median(site.found.effective)),
+        "homogeneous": homogeneous(table, site),
+    }
+
+
+def family_ends() -> str:
+    """Of tissue, in words."""
+    low, high = np.exp([LOW, HIGH])
+    named = (("c_fat/c_muscle", RATIO), ("m", EXPONENT))
+    return ", ".join(f"{name} {low[k]:.3g} to {high[k]:.3g}" for name, k in named)
+
+
+def m_beyond(mean: Array) -> str | None:
+    """In words, where the population's m lies beyond the family's ends: then only that is known."""
+    low, high = np.exp([LOW[EXPONENT], HIGH[EXPONENT]])
+    m = float(np.exp(mean[M]))
+    return f"below {low:.3g}" if m < low else f"above {high:.3g}" if m > high else None
+
+
+def c_fat_beyond(mean: Array) -> str | None:
+    """The same of c_fat / c_muscle."""
+    low, high = np.exp([LOW[RATIO], HIGH[RATIO]])
+    ratio = float(np.exp(mean[C_FAT] - mean[C_MUSCLE]))
+    if low <= ratio <= high:
+        return None
+    return f"below {low:.3g} c_muscle" if ratio < low else f"above {high:.3g} c_muscle"
+
+
+def missed_by_one_tissue(site: SiteEstimate) -> Array:
+    """By how many noise deviations (n,) fat shortens more than if fat and muscle were one tissue.
+
+    c of the one tissue is that of the row's force, m the row's own.
+    """
+    theta = site.found.mean.copy()
+    theta[:, C_FAT] = theta[:, C_MUSCLE]
+    expected, _ = site.model(theta, False)
+    return np.asarray((site.readings[:, 2] - expected[:, 2]) / np.sqrt(site.noise[:, 2, 2]))
+
+
+def homogeneous(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
+    """How one tissue misses what the layers did, in deviations of the noise of their edges."""
+    missed = missed_by_one_tissue(site)
+    fat = table.thickness[site.rows, 1]
+    bands = {}
+    for low, high in itertools.pairwise(_FAT_BANDS_MM):
+        here = (fat >= low) & (fat < high)
+        if here.any():
+            name = f"{low:g} to {high:g} mm" if np.isfinite(high) else f"{low:g} mm and more"
+            bands[name] = {
+                "n_rows": int(here.sum()),
+                "median_noise_deviations": float(np.median(missed[here])),
+                "share_beyond_2": float(np.mean(np.abs(missed[here]) > 2)),
+            }
+    return {
+        "median_noise_deviations": float(np.median(missed)),
+        "median_absolute_noise_deviations": float(np.median(np.abs(missed))),
+        "share_beyond_2": float(np.mean(np.abs(missed) > 2)),
+        "by_fat_thickness": bands,
+    }
+
+
+def row_entries(
+    table: CohortTable, sites: list[SiteEstimate], predicted: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Every row, in the table's order: its tissue with intervals, its misfits, its left-out compliance."""
+    entries: dict[int, dict[str, Any]] = {}
+    left_out = predicted["rows"]
+    for site in sites:
+        found = site.found
+        middle = within_family(found.mean, found.mean)
+        values, low, high = (
+            natural(within_family(each, middle)) for each in (found.mean, found.low, found.high)
+        )
+        answered, _ = site.model(found.mean, False)
+        skin = site.model.skin_part(found.mean)
+        p = chi2.sf(found.misfit, site.readings.shape[1])
+        at_end, inside = site.model.at_an_end(found.mode), site.model.inside
+        one = missed_by_one_tissue(site)
+        for i, row in enumerate(site.rows):
+            k = int(row)
+            entry: dict[str, Any] = {
+                "subject": str(table.person[k]),
+                "location": str(table.site[k]),
+                "line": int(table.lines[k]),
+                **{f"{name}_mm": float(table.thickness[k, j]) for j, name in enumerate(LAYERS)},
+            }
+            for j, key in enumerate(_KEYS):
+                entry |= {
+                    key: values[i, j],
+                    f"{key}_low": low[i, j],
+                    f"{key}_high": high[i, j],
+                    f"{key}_shrinkage": found.shrinkage[i, j],
+                }
+            entry |= {
+                "force_missed_percent": 100 * float(np.expm1(answered[i, 0] - site.readings[i, 0])),
+                "fat_part": site.readings[i, 2],
+                "fat_part_predicted": answered[i, 2],
+                "skin_part": float(table.shortened[k, 0] / table.depth[k]),
+                "skin_part_predicted": skin[i],
+                "one_tissue_misses_noise_deviations": one[i],
+                "stands_out_p": p[i],
+                "effective_draws": found.effective[i],
+                "outside_family": bool(not inside[i]),
+                "tissue_at_an_end": bool(at_end[i]),
+            }
+            reported = left_out[k] if left_out else {}
+            entry |= {
+                "fold": reported.get("fold"),
+                "compliance_mm_per_mpa": float(table.compliance[k]),
+                "compliance_left_out_mm_per_mpa": reported.get("predicted_mm_per_mpa"),
+            }
+            entries[k] = entry
+    return [entries[k] for k in sorted(entries)]
+
+
+def told_apart(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
+    """Rows and people that their population does not expect, after Holm's adjustment over all looked at."""
+    rows, p_rows = [], []
+    scores: dict[str, list[float]] = {}
+    for site in sites:
+        apart = site.found.mean - site.population.mean
+        z = apart[:, C_MUSCLE] / max(float(site.found.mean[:, C_MUSCLE].std()), 1e-9)
+        for i, row in enumerate(site.rows):
+            rows.append((str(table.person[row]), site.name, int(table.lines[row])))
+            p_rows.append(float(chi2.sf(site.found.misfit[i], site.readings.shape[1])))
+            scores.setdefault(str(table.person[row]), []).append(float(z[i]))
+    adjusted = holm(np.array(p_rows))
+    listed = [
+        {
+            "subject": rows[k][0],
+            "location": rows[k][1],
+            "line": rows[k][2],
+            "p": p_rows[k],
+            "p_adjusted": float(adjusted[k]),
+        }
+        for k in np.argsort(adjusted, kind="stable")
+        if adjusted[k] < _LEVEL
+    ]
+    return {"level": _LEVEL, "rows": listed, "people": _people(scores)}
+
+
+def _people(scores: dict[str, list[float]]) -> list[dict[str, Any]]:
+    """People whose muscle is stiffer or softer than others' over all of their sites."""
+    names = sorted(scores)
+    total = np.array([np.mean(scores[each]) for each in names])
+    counts = np.array([len(scores[each]) for each in names])
+    expected = np.array([np.std(total[counts == n]) if (counts == n).sum() > 2 else np.nan for n in counts])
+    usual = np.where(np.isfinite(expected) & (expected > 0), expected, np.nanmax([*expected, 1e-9]))
+    z = total / usual
+    adjusted = holm(2 * norm.sf(np.abs(z)))
+    order = [k for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL]
+    return [
+        {
+            "subject": names[k],
+            "n_rows": int(counts[k]),
+            "muscle": "stiffer" if z[k] > 0 else "softer",
+            "z": float(z[k]),
+            "p_adjusted": float(adjusted[k]),
+        }
+        for k in order
+    ]
+
+
+def holm(p: Array) -> Array:
+    """p-values (n,) adjusted for their number, by Holm's method.
+
+    >>> holm(np.array([0.01, 0.04, 0.5])).round(2).tolist()
+    [0.03, 0.08, 0.5]
+    """
+    order = np.argsort(p, kind="stable")
+    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    out = np.empty_like(p)
+    out[order] = np.minimum(stepped, 1.0)
+    return out
+
+
+def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
+    """What a person reads on the terminal."""
+    lines = [f"{data['n_rows']} rows of {data['n_people']} people"]
+    for name, site in data["sites"].items():
+        reported = []
+        for key, unit in zip(_KEYS, (" kPa", " kPa", ""), strict=True):
+            own = site["population"][key]
+            if own["beyond_family"]:
+                reported.append(f"{key} {own['beyond_family']}")
+                continue
+            reported.append(
+                f"{key.removesuffix('_kpa')} {own['geometric_mean']:.3g}{unit} (x/÷ "
+                f"{own['spread_factor']:.2f})"
+            )
+        lines.append(f"{name}: {site['n_rows']} rows, {', '.join(reported)}")
+    told_off = data["compliance_left_out"]["mean_absolute_difference_percent"]
+    if told_off is not None:
+        lines.append(f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average")
+    standing = data["stands_out"]
+    lines.append(f"{len(standing['rows'])} rows and {len(standing['people'])} people stand out")
+    lines.append(f"page: {page}")
+    return lines

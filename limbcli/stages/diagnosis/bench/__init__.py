@@ -1,1 +1,0 @@
-"""Predictions beside the data: the stand-in, its fits and its repairs."""

@@ -1,0 +1,352 @@
+"""Simulated curves of a site for any law and effects: solved once, kept on disk by their ingredients.
+
+Stiffnesses are shares of c, so that force and modulus are proportional to c: one
+reference c is solved. A diagnosis works on a mesh coarser than the site's own; where the site's
+own mesh was run, the ratio of the two corrects force and speed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from limbcli.effects.base import applied
+from limbcli.effects.curves import Curves, continued
+from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.errors import SolveError
+from limbcli.feb.settings import schedule
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
+from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
+from limbcli.stages.diagnosis.curves.ingredients import (
+    Ingredients,
+    fields,
+    has_fitted_size,
+    is_numerical,
+    touches_loads,
+)
+from limbcli.stages.diagnosis.curves.keys import changed_to, fingerprint
+from limbcli.stages.diagnosis.curves.store import CurveStore
+from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.data.layers import BorderLines
+from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.fitting.force_curves import with_tissue
+from limbcli.stages.site_model.indentation_model import (
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
+
+if TYPE_CHECKING:
+    from limbcli.solvers.restart import Solved
+
+# m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
+# The stiffer law keeps its stability further, and its levels lead the softer ones through.
+FIRST_M, USUAL_M = (8.0, 4.0), 4.0
+_PATH_STEPS = 2  # a depth
+_TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
+_STALLED = 5.0  # times that, where a contact point comes and goes
+# Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
+# the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
+_CONTACT_STIFFER = 4.0
+_ENOUGH = 0.7  # of the depth needed: what must be solved
+_MOST_CHANGE = 10.0  # of the force, by stretched cells where a law is exponential
+
+
+@dataclass(frozen=True, eq=False)
+class _Plain:
+    """The model without effects at one m, and what it shows at its own deformation: force (n,) N, log_speed
+    (n, n_parts)."""
+
+    model: LimbModel
+    force: Array
+    log_speed: Array
+
+
+class CurveBook:
+    """Curves of one site on one working mesh.
+
+    Parameters
+    ----------
+    meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
+    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. Where the solver
+        stops short of it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the
+        model without effects: `in_part` tells which do
+    c : MPa, the reference stiffness; keep : folder of curves already solved
+    penalty : of the contact; None: four times that of the usual model
+    beside : of the same depths on another mesh, whose curves lead where this one's solver stops
+    enough_force : N (at c), beyond which no reading lies: the first level that bears it is the last
+    borders : of layers, that are followed
+    """
+
+    def __init__(
+        self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
+        density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
+        progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
+        needed: float | None = None, penalty: float | None = None, beside: CurveBook | None = None,
+        enough_force: float | None = None,
+        borders: BorderLines | None = None,
+    ):  # fmt: skip
+        plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
+        model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
+        cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
+        self._table = CellTable(cells, windows, density_kg_per_m3)
+        model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
+        followed = () if borders is None else (borders.record(model),)
+        self.model = replace(model, records=(*model.records[:1], self._table.record, *followed))
+        self.borders = borders
+        self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
+        self.work, self.beside, self.enough_force = Work(n_cells=len(cells)), beside, enough_force
+        self.kept, self.progress = CurveStore(keep), progress
+        self.tolerance, self.threads = tolerance, threads
+        self.depths = [float(each) for each in depths]
+        self.n_solves, self.n_depths = 0, len(depths)
+        self.needed = self.depths[-1] if needed is None else needed
+        self._hoped, self._required = (
+            min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
+            for share in (1.0, _ENOUGH)
+        )
+        self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
+        self._session: ReferenceSession | None = None
+        self._leads: list[Solved] = []  # of an earlier run
+        self._known: dict[str, Curves] = {}
+        self._failed: dict[str, SolveError] = {}
+        self._changed: dict[str, str] = {}
+        self._kinematics: dict[str, SolvedDeformation] = {}
+        self._plain: dict[float, _Plain] = {}
+        rest = None if borders is None else borders.rest
+        self._fingerprint = fingerprint(
+            self.model, depths, c, f_kappa, windows, enough_force=enough_force, lines=rest
+        )
+
+    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
+        """The curves with exponent m and these effects (at their parameter values) in the model.
+
+        Raises
+        ------
+        SolveError
+            If the simulation fails; the failure is remembered too.
+        """
+        key = self._key(m, ingredients)
+        if key in self._failed:
+            raise self._failed[key]
+        if key not in self._known:
+            try:
+                self._known[key] = self._load(key, m, ingredients) or self._solve(key, m, ingredients)
+            except SolveError as error:
+                self._failed[key] = error
+                raise
+        return self._known[key]
+
+    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
+        """To first order, what effects of the law add to ln force (n,) and ln speed (n, n_parts).
+
+        From the deformation solved without them: no simulation. At depth 0 the force's share is that
+        of the first level.
+        """
+        kinematics = self.kinematics(m)
+        plain = self._plain_at(m)
+        laws = tuple(each for each in ingredients if each[0].stiffness is None)
+        changed = self.model_with(m, laws) if laws else plain.model
+        in_window = self.model_with(m, laws, waves=True) if laws else plain.model
+        ratio = frozen_force(changed, kinematics, fields(ingredients))[1:] / plain.force[1:]
+        if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
+            raise SolveError(
+                f"it changes the force more than {_MOST_CHANGE:g} times at a kept deformation",
+                where="diagnose", fix="smaller steps",
+            )  # fmt: skip
+        log_speed = frozen_speed(
+            in_window, kinematics, fields(ingredients, waves=True), density_kg_per_m3=self.density
+        )
+        if laws:
+            kinematics.forget(changed, in_window)
+        added = np.log(ratio)
+        return np.concatenate([added[:1], added]), log_speed - plain.log_speed
+
+    def _plain_at(self, m: float) -> _Plain:
+        if m not in self._plain:
+            model, kinematics = self.model_with(m, ()), self.kinematics(m)
+            self._plain[m] = _Plain(
+                model, frozen_force(model, kinematics),
+                frozen_speed(model, kinematics, density_kg_per_m3=self.density),
+            )  # fmt: skip
+        return self._plain[m]
+
+    def kinematics(self, m: float) -> SolvedDeformation:
+        """The deformation of every tissue cell in the model without effects."""
+        key = self._key(m, ())
+        if key not in self._kinematics:
+            curves = self.curves(m)
+        if key not in self._kinematics:  # the curves were kept from an earlier run
+            values = self.kept.cells(key)
+            if values is None:
+                self._known[key] = self._solve(key, m, ())
+            else:
+                self._kinematics[key] = self._table.kinematics(self.model, curves.depth, values)
+        return self._kinematics[key]
+
+    @property
+    def spent(self) -> bool:
+        """The simulations so far took all the work that a diagnosis may take."""
+        return self.work.spent
+
+    def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
+        return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
+
+    def close(self) -> None:
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    # ------------------------------------------------------------
+
+    def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
+        self.n_solves += 1
+        model = softer_jumps(self.model_with(m, ingredients))
+        has_friction = any(contact.friction for contact in model.contacts)
+        if has_friction:
+            model = fewer_steps(model, _PATH_STEPS * self.n_depths)
+        numerical = is_numerical(ingredients)
+        hoped = self._required if numerical else self._hoped
+        # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
+        limited = bool(ingredients) and not numerical
+        self.work.begin(candidate=limited, has_friction=has_friction, fitted=has_fitted_size(ingredients))
+        same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
+        try:
+            shared = self._shared()
+            session = shared if same_mesh else self._fresh(model)
+            if not same_mesh:
+                session.start_like(shared)
+            try:
+                result = session.solve(
+                    model,
+                    records=True,
+                    required=self._required,
+                    hoped=hoped,
+                    leads=not ingredients,
+                    patient=not limited,
+                    last=None if m == USUAL_M and not ingredients else hoped,
+                    enough_force=self.enough_force,
+                    afresh=True,
+                )
+            finally:
+                self.work.end()
+                if not same_mesh:
+                    session.close()
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
+            ) from error
+        work = self.work.done
+        table = result.simulation.elements[FILE]
+        found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
+        offset = float(model.info.get("depth_offset_mm", 0.0))
+        # in the precision that they are kept in: an interrupted diagnosis goes on with the same numbers
+        values = table.values[found].astype(np.float32).astype(float)
+        kinematics = self._table.kinematics(
+            model, np.concatenate([[0.0], result.must_points.depths + offset]), values
+        )
+        laws = tuple(each for each in ingredients if each[0].stiffness is None)
+        curves = self._table.curves(
+            model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces,
+            fields(ingredients, waves=True),
+        )  # fmt: skip
+        if self.borders is not None:
+            curves = replace(curves, log_line=self.borders.log_depths(model, result.simulation, found))
+        n_reached = len(values)
+        enough = self.enough_force is not None and curves.force[-1] >= self.enough_force
+        if n_reached < self.n_depths:
+            further = [each + offset for each in self.depths[n_reached:]]
+            like = None if enough and not ingredients else self._beside(m, ingredients)
+            curves = continued(curves, further, like=like)
+            values = np.concatenate([values, *[values[-1:]] * len(further)])
+            kinematics = self._table.kinematics(model, curves.depth, values)
+        if not ingredients:
+            self.work.usual.append(work)
+            self._kinematics[key] = kinematics
+            self.kept.keep_cells(key, values.astype(np.float32))
+            if session.led is not None:
+                self.kept.keep_levels(key, session.led)
+        n_reached = self.n_depths if enough else n_reached
+        if n_reached < hoped:
+            self._tell(m, ingredients, n_reached)
+        self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
+        return curves
+
+    def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
+        """What curves go on beside: those without effects, of another mesh, or of a stiffer law, which keeps
+        its stability further; None where there is none."""
+        if self.beside is not None and not ingredients:
+            return self.beside.curves(m)
+        stiffer = min((each for each in FIRST_M if each > m), default=m)
+        if not ingredients and stiffer == m:
+            return None
+        try:
+            return self.curves(m if ingredients else stiffer)
+        except SolveError:
+            return None
+
+    def _tell(self, m: float, ingredients: Ingredients, n_reached: int) -> None:
+        if n_reached >= self._hoped:
+            return
+        words = " and ".join(effect.name for effect, _ in ingredients) or "no effect"
+        name, reached = f"{words}, m {m:g}", self.depths[n_reached - 1]
+        self.in_part[name] = reached
+        text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
+        self.progress.event("note", text=text)
+
+    def _taken_up(self, key: str) -> None:
+        """Levels of an earlier run lead later solves as they did there."""
+        levels = self.kept.levels(key)
+        if levels is None:
+            return
+        if self._session is None:
+            self._leads.append(levels)
+        else:
+            self._session.lead(levels)
+
+    def _shared(self) -> ReferenceSession:
+        if self._session is None:
+            self._session = self._fresh(self.model)
+            for each in self._leads:
+                self._session.lead(each)
+        return self._session
+
+    def _fresh(self, model: LimbModel) -> ReferenceSession:
+        watched = self.progress.also(self.work)
+        return ReferenceSession(
+            model, progress=watched, tolerance=self.tolerance, stalled=_STALLED * self.tolerance,
+            threads=self.threads,
+        )  # fmt: skip
+
+    def _key(self, m: float, ingredients: Ingredients) -> str:
+        parts = [
+            [effect.name, {k: round(float(v), 9) for k, v in sorted(theta.items())}]
+            for effect, theta in ingredients
+        ]
+        text = json.dumps([self._fingerprint, round(m, 9), parts], sort_keys=True)
+        if ingredients and text not in self._changed:
+            self._changed[text] = changed_to(
+                *(self.model_with(m, ingredients, waves=w) for w in (False, True))
+            )
+        return hashlib.sha256((text + self._changed.get(text, "")).encode()).hexdigest()[:24]
+
+    def _load(self, key: str, m: float, ingredients: Ingredients) -> Curves | None:
+        found = self.kept.curves(key, n_depths=self.n_depths)
+        if found is None:
+            return None
+        self.work.total += found.work
+        if not ingredients:
+            self.work.usual.append(found.work)
+            self._taken_up(key)
+        if not is_numerical(ingredients):
+            self._tell(m, ingredients, found.n_reached)
+        return found.curves

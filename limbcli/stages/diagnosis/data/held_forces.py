@@ -1,0 +1,184 @@
+"""What a load-cell record says of relaxation: how the force falls within each hold.
+
+Two numbers a hold, not thousands of samples: ln of the force at its start over that in its first
+third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed by
+whatever terms an explanation has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from limbcli.diagnostics import thresholds
+from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.reading import Reading, true_depth
+from limbcli.measurement.indentation import Levels, Trace
+from limbcli.model import Array, IntArray
+
+STEP_S = 0.25
+_RAMP_SHARE = 0.2  # of the steepest ramps: what is steeper is a ramp (steps of a force)
+_DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
+# Of the steepest ramps of force: what is steeper is a ramp although the recorded depth is steady, as it is
+# where the tissue is so stiff that the step is smaller than the reading's error. Relaxation is less steep.
+_FORCE_SHARE = 0.4
+_MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
+_LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
+_FLOOR = 0.004  # of ln force: what else moves in a hold (assumed)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldForces:
+    """A record on a grid of `STEP_S`, and what was read from its holds.
+
+    depth (n,) mm; windows (n_features, 2, 2): from, to (exclusive) on the grid, of the two windows
+    that are compared; y, deviation (n_features,): ln of the force of the first over the second
+    """
+
+    depth: Array
+    windows: IntArray
+    y: Array
+    deviation: Array
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def predict(self, curves: Curves, reading: Reading) -> Array:
+        """The same numbers of a model (n_features,)."""
+        elastic = force_at(curves, true_depth(curves, self.depth, reading))
+        force = elastic.copy()
+        for share, tau in reading.prony:
+            force += share * relaxing(elastic, tau)
+        force = reading.force_gain * (force - reading.preload) + reading.force_zero
+        return fall(force, self.windows)
+
+
+def relaxing(elastic: Array, tau: float) -> Array:
+    """Integral of exp(-(t - s)/tau) dF_e (n,) on the grid, F_e linear within each step.
+
+    >>> np.round(relaxing(np.array([0.0, 1.0, 1.0]), 0.25), 4)
+    array([0.    , 0.6321, 0.2325])
+    """
+    kept = float(np.exp(-STEP_S / tau))
+    fresh = tau / STEP_S * (1.0 - kept)
+    return np.asarray(lfilter([fresh], [1.0, -kept], np.diff(elastic, prepend=elastic[0])))
+
+
+def fall(force: Array, windows: IntArray) -> Array:
+    """ln (mean force of the first window / of the second) (n_features,)."""
+    sums = np.concatenate([[0.0], np.cumsum(force)])
+    means = (sums[windows[:, :, 1]] - sums[windows[:, :, 0]]) / (windows[:, :, 1] - windows[:, :, 0])
+    means = np.maximum(means, 1e-6)
+    return np.asarray(np.log(means[:, 0] / means[:, 1]))
+
+
+def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
+    """What the holds of a record say, or None and why they say nothing.
+
+    Without a recorded depth the holds are matched to the levels, and used only if the force
+    falls in them: a steady force may have been held by hand.
+    """
+    time = np.arange(trace.time[0], trace.time[-1], STEP_S)
+    if len(time) * STEP_S < _LEAST_HOLD_S:
+        return None, "the record is shorter than one hold"
+    force = _binned(trace.time, trace.force, time)
+    recorded = trace.depth is not None and np.isfinite(trace.depth).mean() > 0.9
+    steering = _binned(trace.time, trace.depth, time) if recorded and trace.depth is not None else force
+    steady = is_steady(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
+    if recorded:
+        steady &= is_steady(force, share=_FORCE_SHARE)
+    holds = stretches(steady)
+    if not holds:
+        return None, f"the record has no hold of {_LEAST_HOLD_S:g} s"
+    depth = steering if recorded else _depth_of_levels(holds, force, levels, len(time))
+    if depth is None:
+        return None, f"the record has no depth, and its {len(holds)} holds are not the levels"
+    windows, means = _windows(holds, force)
+    if not len(windows):
+        return None, "no hold carries a force to speak of"
+    deviation = _deviation(trace, windows, means, depth if recorded else None)
+    found = HeldForces(depth, windows, fall(force, windows), deviation)
+    if not recorded:
+        fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.deviation**2)))
+        if fallen < thresholds.FALLEN_SD:
+            return None, "the record has no depth, and its force is steady: it may have been held by hand"
+    return found, ""
+
+
+def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]:
+    """Where a signal (n,) of the grid is not on a ramp; `share` of the steepest is a ramp."""
+    slope = np.abs(np.gradient(signal))
+    noise = 1.4826 * float(np.median(slope))
+    slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
+    limit = max(share * float(np.quantile(slope, 0.98)), thresholds.RAMP_SD * noise)
+    return np.asarray(slope <= limit)
+
+
+def stretches(steady: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where the grid is steady for 3 s at least: [from, to)."""
+    edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(a, b) for a, b in pairs if (b - a) * STEP_S >= _LEAST_HOLD_S]
+
+
+def _binned(at: Array, values: Array, grid: Array) -> Array:
+    """Means over the bins of the grid; gaps closed by a line."""
+    index = np.clip(((at - grid[0]) / STEP_S).astype(int), 0, len(grid) - 1)
+    known = np.isfinite(values)
+    count = np.bincount(index[known], minlength=len(grid))
+    total = np.bincount(index[known], weights=values[known], minlength=len(grid))
+    there = count > 0
+    return np.interp(np.arange(len(grid)), np.flatnonzero(there), total[there] / count[there])
+
+
+def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:
+    """Depth (n,) of the grid, each hold at its level's: where there are as many holds as levels."""
+    wanted = levels.depth[np.isfinite(levels.depth)]
+    if len(holds) == len(wanted) - 1 and float(np.mean(force[slice(*holds[0])])) > 0.5 * levels.force[1]:
+        wanted = wanted[1:]
+    if len(holds) != len(wanted):
+        return None
+    at = [each for a, b in holds for each in (a, b - 1)]
+    return np.interp(np.arange(n), at, np.repeat(wanted, 2))
+
+
+def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Array]:
+    """Windows (n_features, 2, 2) and the mean force (n_features,) of their holds."""
+    windows, means = [], []
+    for a, b in holds:
+        mean = float(np.mean(force[a:b]))
+        if mean < _LEAST_FORCE:
+            continue
+        n = b - a
+        width = max(round(1.0 / STEP_S), n // 6)
+        start, third, end = (a, a + width), (a + n // 3, a + n // 3 + width), (b - width, b)
+        windows += [(start, third), (third, end)]
+        means += [mean, mean]
+    return np.array(windows, dtype=np.int64).reshape(-1, 2, 2), np.array(means)
+
+
+def _deviation(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
+    """Of ln force ratios: the samples' scatter, that of the depth times the slope, and a floor.
+
+    moving : the recorded depth on the grid; what it moves within a hold is known less well
+    """
+    rate = 1.0 / float(np.median(np.diff(trace.time)))
+    samples = np.maximum((windows[:, 0, 1] - windows[:, 0, 0]) * STEP_S * rate, 1.0)
+    scatter = _scatter(trace.force) / np.sqrt(samples) / force
+    depth = np.zeros(len(force))
+    if moving is not None and trace.depth is not None:
+        deepest = float(np.nanmax(trace.depth))
+        stiffness = 1.5 * float(np.nanmax(trace.force)) / max(deepest, 1.0)  # N/mm, of a power of depth
+        places = np.array([[moving[a:b].mean() for a, b in pair] for pair in windows])
+        moved = _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1])
+        depth = stiffness * np.hypot(_scatter(trace.depth) / np.sqrt(samples), moved) / force
+    return np.asarray(np.sqrt(2 * scatter**2 + 2 * depth**2 + _FLOOR**2))
+
+
+def _scatter(values: Array) -> float:
+    """Deviation of single samples, from their differences."""
+    known = values[np.isfinite(values)]
+    return float(1.4826 * np.median(np.abs(np.diff(known))) / np.sqrt(2)) if len(known) > 2 else 0.0

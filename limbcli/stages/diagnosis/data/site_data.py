@@ -1,0 +1,260 @@
+"""The measurement of a site as the diagnosis takes it: stacked channels, their noise, their parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.case import Noise as StatedNoise
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.noise import Noise
+from limbcli.effects.curves import Curves, depth_at, force_at
+from limbcli.effects.reading import Protocol, Reading, Readout, read, relaxed, true_depth
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.map_noise import pixel_noise
+from limbcli.model import Array, IntArray
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
+from limbcli.stages.diagnosis.data.layers import CHANNEL, layer_noise, layer_rows, layer_slopes
+from limbcli.stages.diagnosis.data.noise import (
+    MapNoise,
+    ModelError,
+    SmoothDepth,
+    depth_slopes,
+    noise_parts,
+    readings,
+)
+from limbcli.stages.diagnosis.data.rows import (
+    ExtraMeasurement,
+    Row,
+    extra_rows,
+    force_rows,
+    hold_rows,
+    speed_rows,
+    thickness_rows,
+    travel_rows,
+)
+from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
+from limbcli.stages.site_model.layer_readings import LayerReadings
+
+USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
+_LEAST_N = 0.2  # below it a force tells no depth
+
+
+@dataclass(frozen=True, eq=False)
+class SiteData:
+    """What was measured at one site, and how a prediction is laid out beside it."""
+
+    name: str
+    protocol: Protocol
+    rows: tuple[Row, ...]
+    data: Data
+    channels: tuple[str, ...] = ()
+    missing: tuple[str, ...] = field(default=())
+    held: HeldForces | None = None
+    extras: tuple[ExtraMeasurement, ...] = ()
+    slope: Array = field(default_factory=lambda: np.zeros(0))
+    depth_error: float = 0.0
+
+    def with_share(self, name: str, share: float) -> SiteData:
+        """With so much of what was assumed of the noise part `name`."""
+        return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
+
+    def predict(self, curves: Curves, reading: Reading) -> Array:
+        """The prediction (n,) of every datum at the depths that were read.
+
+        Depth is the noisy reading: over thin or stiff tissue its error is not small beside the curve's bend.
+        So curves are read where they have the measured force, and taken to the depth that was read by the
+        measured slopes, as the noise has it: an error of depth then moves the data in proportion.
+        """
+        further = self._further(curves, reading)
+        moved = replace(self.protocol, depth=self.protocol.depth + further)
+        maps_apart = len(self.slope) > 0 and "map" in self._places
+        speeds = not maps_apart or "swe" in self._places or bool(reading.after)
+        out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
+        if not len(self.slope):
+            return out
+        out = out - self.slope * further[self._levels]
+        if maps_apart:
+            # Parts of a map differ in their slopes, and change little over an error of depth: as it was read.
+            places, levels, parts = self._places["map"]
+            out[places] = read(curves, self.protocol, reading).log_speed[levels, parts]
+        return out
+
+    @cached_property
+    def _levels(self) -> IntArray:
+        """Of every datum (n,), the level, or 0 where it is of none (its slope is 0)."""
+        levels = np.array([row.level for row in self.rows])
+        return np.where(levels < len(self.protocol), levels, 0)
+
+    def _further(self, curves: Curves, reading: Reading) -> Array:
+        """mm (n_levels,) from the depth that was read to the one with the measured force."""
+        found = np.zeros(len(self.protocol))
+        if not len(self.slope) or self.depth_error <= 0:
+            return found
+        depth = true_depth(curves, self.protocol.depth, reading)
+        elastic = force_at(curves, depth)
+        borne = relaxed(elastic, self.protocol, reading)
+        wanted = (self.protocol.force - reading.force_zero) / reading.force_gain + reading.preload
+        known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
+        if not known.any():
+            return found
+        there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
+        most = thresholds.DEPTH_OUTLIER_SD * self.depth_error
+        found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
+        return found
+
+    def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
+        seen: dict[str, Array] = {
+            "force": shown.force, "travel": shown.travel,
+            "skin-bone": np.array([shown.thickness]),
+        }  # fmt: skip
+        if self.held is not None:
+            seen["hold"] = self.held.predict(curves, reading)
+        seen |= {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
+        out = np.empty(len(self.rows))
+        for channel, (places, levels, parts) in self._places.items():
+            if channel in ("swe", "map"):
+                out[places] = shown.log_speed[levels, parts]
+            elif channel == CHANNEL:
+                out[places] = shown.layers[levels, parts]
+            else:
+                out[places] = seen[channel][levels]
+        return out
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[IntArray, IntArray, IntArray]]:
+        """Of every channel, where its data are among all, their levels and parts."""
+        found = {}
+        for channel in dict.fromkeys(row.channel for row in self.rows):
+            places = [n for n, row in enumerate(self.rows) if row.channel == channel]
+            at = [(n, self.rows[n].level, self.rows[n].part) for n in places]
+            k, level, part = np.array(at, dtype=np.int64).T
+            found[channel] = (k, level, part)
+        return found
+
+
+def site_data(
+    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
+    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
+    extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None,
+    thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
+    map_slopes: Array | None = None, layers: LayerReadings | None = None,
+) -> SiteData:  # fmt: skip
+    """Stack the channels that this measurement has.
+
+    model_error : known differences between models, over all rows of the levels
+    usable : parts (n_parts,) of a map that the model shows at every level; None: all
+    thickness : mm, skin to bone; map_share : of the usual error of a model's maps
+    map_slopes : 1/mm (n_levels, n_parts), of a model's ln speeds over depth
+    layers : that the models' curves follow
+    """
+    keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
+    protocol = readings(levels)
+    rows, y, own = force_rows(protocol, noise)
+    for more in (
+        speed_rows(levels, keep, noise, windows, maps, usable),
+        travel_rows(levels, keep),
+        thickness_rows(levels, keep),
+        layer_rows(layers, keep),
+        hold_rows(held),
+        extra_rows(extras),
+    ):
+        rows, y, own = rows + more[0], y + more[1], own + more[2]
+    place = SmoothDepth.through(protocol).place(protocol.force)
+    of_layers = layer_slopes(layers, protocol, place, rows, np.array(y))
+    slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes) + of_layers
+    parts = noise_parts(
+        protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error,
+        None if maps is None else map_noise(windows, maps, noise, _depth(protocol) / thickness),
+        map_share, map_slopes, of_layers,
+    )  # fmt: skip
+    parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
+    channel = tuple(row.channel for row in rows)
+    order = np.array([float(row.level) for row in rows])
+    series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
+    data = Data(
+        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows),
+        series, _place(rows, windows),
+    )  # fmt: skip
+    present = tuple(dict.fromkeys(channel))
+    extra = ("swe",) if "map" in present else ()
+    channels = (*present, *extra)
+    wanted = ("force", "swe", "map", "travel", "skin-bone", "layer", "hold")
+    return SiteData(
+        name,
+        protocol,
+        tuple(rows),
+        data,
+        channels,
+        tuple(c for c in wanted if c not in channels),
+        held,
+        tuple(extras),
+        slope,
+        noise.depth,
+    )
+
+
+def _depth(protocol: Protocol) -> Array:
+    """mm (n_levels,) of a smooth curve through the readings."""
+    return SmoothDepth.through(protocol).at(protocol.force)
+
+
+def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
+    """Of the parts of these maps; strain (n_levels,): depth over thickness."""
+    pitch = tuple(
+        pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
+    )
+    size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
+    pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
+    return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
+
+
+def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, np.ndarray]:
+    """Channels; thirds of the levels by channel; the way back; parts of the window."""
+    groups: dict[str, np.ndarray] = {}
+    names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
+             "skin-bone": "skin-bone distance", "layer": "layers",
+             "hold": "fall of the force in holds"}  # fmt: skip
+    level = np.array([row.level for row in rows])
+    for channel in dict.fromkeys(row.channel for row in rows):
+        mask = np.array([row.channel == channel for row in rows])
+        groups[names.get(channel, channel)] = mask
+        if channel in ("force", "swe", "map"):
+            for k, label in enumerate(("first", "middle", "last")):
+                third = (level * 3 // max(len(protocol), 1)) == k
+                groups[f"{names[channel]}, {label} third of the levels"] = mask & third
+    if any(protocol.unloading):
+        back = np.array([row.channel == "force" and protocol.unloading[row.level] for row in rows])
+        groups["force, unloading"] = back
+    regions = windows.names()
+    for label in dict.fromkeys(regions[1:]):
+        mask = np.array([row.channel == "map" and regions[row.part] == label for row in rows])
+        if mask.any():
+            groups[f"speed maps, {label}"] = mask
+    return groups
+
+
+def _place(rows: Sequence[Row], windows: Windows) -> Array:
+    """Of every datum, where its part of a map lies (n, 2) mm; NaN of others."""
+    found = np.full((len(rows), 2), np.nan)
+    for k, row in enumerate(rows):
+        if row.channel == "map":
+            found[k] = windows.middles[row.part - 1]
+    return found
+
+
+def _blocks(rows: list[Row]) -> dict[str, np.ndarray]:
+    level = np.array([row.level for row in rows])
+    blocks = {f"levels {k + 1}, {k + 4}, ...": level % 3 == k for k in range(3)}
+    channels = list(dict.fromkeys(row.channel for row in rows))
+    if len(channels) > 1:
+        for channel in channels:
+            if channel in ("swe", "map", "force"):
+                blocks[f"channel {channel}"] = np.array([row.channel == channel for row in rows])
+    return blocks

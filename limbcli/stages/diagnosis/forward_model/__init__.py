@@ -1,0 +1,1 @@
+"""Predictions beside the data: the surrogate, its fits and its repairs."""

@@ -1,0 +1,237 @@
+"""What effects change in a site's curves, to first order or by a solve, over their parameters.
+
+An effect of the law changes the curves as the kept deformation says (`effects.frozen`); one of the mesh or
+the contact is solved at its start value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol as Typed
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from limbcli.effects.base import Effect, Parameter, Theta, point_name
+from limbcli.effects.curves import Curves
+from limbcli.errors import SolveError
+from limbcli.model import Array, LimbModel
+from limbcli.progress import Progress
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.ingredients import Ingredients, touches_loads
+from limbcli.stages.diagnosis.data.layers import line_shift
+
+_REMEMBERED = 8  # values of the parameters
+_STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
+_STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
+
+
+class Book(Typed):
+    """What curves come out of: solved ones, and first-order changes of them."""
+
+    c: float
+    model: LimbModel
+
+    @property
+    def spent(self) -> bool: ...
+
+    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
+
+    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an effect at one point of its grid does to ln force and ln speed, a spline a parameter."""
+
+    splines: Mapping[str, tuple[CubicSpline | None, Array, Array]]
+
+    def at(self, theta: Theta) -> Array:
+        total: Array | float = 0.0
+        for name, (spline, null_and_step, linear) in self.splines.items():
+            x = (theta[name] - null_and_step[0]) / null_and_step[1]
+            total = total + (x * linear if spline is None else _within(spline, x))
+        return np.asarray(total)
+
+
+class FieldChange:
+    """The same of an effect that is a factor on all stiffnesses, at any of its parameters.
+
+    missed : (n, 1 + n_parts) by which a simulation at `start` differs from the kept deformation, in
+    proportion to the effect's first parameter; None where none was made
+    """
+
+    def __init__(self, book: Book, effect: Effect, point: Theta, m: float):
+        self.book, self.effect, self.point, self.m = book, effect, point, m
+        self.missed: Array | None = None
+        self._last: list[tuple[tuple[float, ...], Array]] = []
+
+    def at(self, theta: Theta) -> Array:
+        names = [p.name for p in self.effect.parameters]
+        values = tuple(float(theta.get(name, self.effect.start[name])) for name in names)
+        for known, change in self._last:
+            if known == values:
+                return change
+        change = self._at(dict(zip(names, values, strict=True)))
+        self._last = [*self._last[-_REMEMBERED:], (values, change)]
+        return change
+
+    def _at(self, theta: Theta) -> Array:
+        size = self.effect.sizes[0]
+        moved = shifted(self.book, self.m, ((self.effect, {**self.point, **theta}),))
+        moved = np.nan_to_num(filled(moved))
+        if self.missed is not None:
+            moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
+        return moved
+
+
+def _within(spline: CubicSpline, x: float) -> Array:
+    """The spline between its ends, its tangent beyond them."""
+    inside = float(np.clip(x, spline.x[0], spline.x[-1]))
+    return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
+
+
+class Changes:
+    """Of one book of curves.
+
+    m : the exponent whose kept deformation is used
+    not_simulated : effects that spread the load -> why their simulation, which tells that, has no answer
+    """
+
+    def __init__(self, book: Book, *, progress: Progress):
+        self.book, self.progress = book, progress
+        self.m = 2.0
+        self.not_simulated: dict[str, str] = {}
+        self._known: dict[tuple[str, str], Change | FieldChange] = {}
+
+    def of(self, effect: Effect, point: Theta) -> Change | FieldChange:
+        """At one point of the effect's grid.
+
+        Raises
+        ------
+        SolveError
+            If a simulation fails, or the law has no answer near the effect's start value.
+        """
+        point = effect.without_onset(point)
+        key = (effect.name, point_name(point))
+        if key not in self._known:
+            self._known[key] = self._solved_change(effect, point)
+        return self._known[key]
+
+    def _solved_change(self, effect: Effect, point: Theta) -> Change | FieldChange:
+        if effect.febio_only:
+            raise only_febio(effect)
+        self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
+        if effect.stiffness is not None:
+            field = FieldChange(self.book, effect, point, self.m)
+            # What the layers do goes through the deformation.
+            if effect.spreads or self.book.curves(self.m).log_line is not None:
+                field.missed = self._missed(effect, point, effect.sizes[0])
+            return field
+        splines = {}
+        for p in effect.parameters:
+            if effect.new_mesh or touches_loads(effect):
+                splines[p.name] = self._by_solving(effect, point, p.name)
+            else:
+                splines[p.name] = self._by_shifting(effect, point, p.name)
+        return Change(splines)
+
+    def _by_solving(self, effect: Effect, point: Theta, name: str) -> tuple[None, Array, Array]:
+        p = next(each for each in effect.parameters if each.name == name)
+        theta = {**effect.null, **point, name: p.start}
+        # a change hardly depends on m, and at one of these it serves other measurements too
+        m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
+        moved = logs(self.book.curves(m, ((effect, theta),)))
+        change = moved - logs(self.book.curves(m))
+        return None, np.array([p.null, p.start - p.null]), np.nan_to_num(change)
+
+    def _by_shifting(self, effect: Effect, point: Theta, name: str) -> tuple[CubicSpline, Array, Array]:
+        p = next(each for each in effect.parameters if each.name == name)
+        step = p.start - p.null
+        known = np.isfinite(logs(self.book.curves(self.m)))
+        places, values, problem = [0.0], [np.zeros(known.shape)], None
+        for times in _STEPS_ONE if p.sign else _STEPS_TWO:
+            value = p.null + times * step
+            if not p.low - 1e-12 <= value <= p.high + 1e-12:
+                continue
+            theta = {**effect.null, **point, name: value}
+            try:
+                moved = shifted(self.book, self.m, ((effect, theta),))
+            except SolveError as error:  # too large a step; smaller ones tell the change
+                problem = error
+                continue
+            moved = filled(np.where(known, moved, 0.0))
+            if np.isfinite(moved).all():
+                places.append(times)
+                values.append(moved)
+        if len(places) < 2 and problem is not None:
+            raise problem
+        if len(places) < 2:
+            raise SolveError(
+                f"no wave can run, or the law has no answer, with {name} near {p.start:g}",
+                where=f"effect {effect.name}", fix="look at the deepest level",
+            )  # fmt: skip
+        order = np.argsort(places)
+        table = np.array(values)[order]
+        if effect.spreads:
+            table += np.multiply.outer(np.array(places)[order], self._missed(effect, point, p))
+        return CubicSpline(np.array(places)[order], table), np.array([p.null, step]), table[0]
+
+    def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
+        """What the kept deformation does not tell of a change: from one solve at the start value."""
+        m, theta = self.m, {**effect.null, **point, p.name: p.start}
+        try:
+            if self.book.spent:
+                raise _spent(effect)
+            true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
+            missed = true - shifted(self.book, m, ((effect, theta),))
+        except SolveError as error:
+            self.not_simulated[effect.name] = error.what
+            return np.zeros_like(logs(self.book.curves(m)))
+        missed[0, 0] = 0.0
+        return np.nan_to_num(missed)
+
+
+def _spent(effect: Effect) -> SolveError:
+    return SolveError(
+        "the simulations took all the work that a diagnosis may take",
+        where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
+    )  # fmt: skip
+
+
+def only_febio(effect: Effect) -> SolveError:
+    return SolveError(
+        "only FEBio can run it, and the diagnosis works with the reference solver",
+        where=f"effect {effect.name}", fix="run the written model with FEBio",
+    )  # fmt: skip
+
+
+def shifted(book: Book, m: float, ingredients: Ingredients) -> Array:
+    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines)."""
+    moved, curves = np.column_stack(book.shift(m, ingredients)), book.curves(m)
+    if curves.log_line is None:
+        return moved
+    return np.column_stack([moved, line_shift(book.model, curves, ingredients)])
+
+
+def logs(curves: Curves) -> Array:
+    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if followed."""
+    log_force = np.zeros(len(curves.depth))
+    log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
+    return np.column_stack([log_force, curves.columns])
+
+
+def filled(moved: Array) -> Array:
+    """Changes (n, 1 + n_parts) with gaps closed by the nearest depths of the same part: no wave, few cells.
+
+    Left as it is where the force, or more than a third of the speeds, is missing.
+    """
+    known = np.isfinite(moved)
+    if not known[:, 0].all() or known.mean() < 2 / 3:
+        return moved
+    out, at = moved.copy(), np.arange(len(moved))
+    for k in range(moved.shape[1]):
+        here = known[:, k]
+        out[:, k] = np.interp(at, at[here], moved[here, k]) if here.any() else 0.0
+    return out

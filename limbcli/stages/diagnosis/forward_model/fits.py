@@ -1,0 +1,214 @@
+"""Fits of explanations to one site's data, or to those of several measurements of one place.
+
+They run on each site's `surrogate`: c, m and the effects' parameters by least squares, at
+given points of the effects' grids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.estimates import Conditional
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.effects.base import Theta
+from limbcli.errors import FitError
+from limbcli.model import Array
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions
+from limbcli.stages.diagnosis.forward_model.slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
+from limbcli.units import kpa_from_mpa
+
+_QUICK, _FULL = 12, 60  # evaluations of a fit
+_BEHIND, _FAR_BEHIND = 0.5, 10.0  # of the least cost, and more: what is not followed further
+_FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
+_ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
+_NONE: Mapping[str, float] = {}
+
+
+def _deepest(descended: Callable[[Array, int], Any], starts: Sequence[Array]) -> Any:
+    """The least that descents from several starts end at; those far behind the others are not followed."""
+    tries = [descended(x0, _QUICK if len(starts) > 1 else _FULL) for x0 in starts]
+    least = min(each.cost for each in tries)
+    going_on = [
+        each for each in tries
+        if each.status == 0 and each.cost < (1.0 + _BEHIND) * least + _FAR_BEHIND
+    ]  # fmt: skip
+    return min([*tries, *(descended(each.x, _FULL) for each in going_on)], key=lambda each: each.cost)
+
+
+def _guess(slot: Slot, start: Mapping[str, float]) -> float:
+    p = slot.parameter
+    if p.shape:
+        return start.get(slot.name, p.start)
+    return p.null + start.get(slot.name, 0.0) or p.start
+
+
+class Fits(Predictions):
+    """What fits sites that share the tissue and one tuple of effects.
+
+    turned : the place with the probe turned by 90 degrees, where it can be simulated
+    """
+
+    def __init__(self, sites: Sequence[SiteCurves]):
+        super().__init__(sites)
+        self.turned: Callable[[], SiteCurves] | None = None
+        self.base_end: tuple[float, float] | None = None  # c (MPa), m of the fit without effects
+        self._ends: dict[tuple[Explanation, str], Array] = {}  # where fits ended: ln c, ln m, parameters
+
+    def best_fit(
+        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
+        thorough: bool = True, held: Mapping[str, float] = _NONE,
+    ) -> tuple[float, Fitted]:  # fmt: skip
+        """Least squares from several starts; (deviance, fit). `held`: parameters that stay at a value."""
+        slots = self.slots(explanation)
+        parameters = [slot.parameter for slot in slots]
+        low, high = self._around(held, explanation)
+        scale = np.array([0.1, 0.3, *(p.step for p in parameters)])
+        guesses = [[_guess(s, start) for s in slots]]
+        if not any(p.shape and s.name in start for p, s in zip(parameters, slots, strict=True)):
+            guesses.append([p.start for p in parameters])
+        for each in self.sites:
+            each.inherit_parts(explanation, points)
+        tissues = self._tissue_starts()
+        pairs = list(zip(guesses, tissues, strict=False)) if parameters else [([], each) for each in tissues]
+        starts = [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
+        ends = self._ends_of_parts(explanation, points)
+        if (explanation, label(points)) in self._ends and not start:
+            starts = []  # it was fitted before, from everywhere
+        plausible = [
+            (2 + k, p.null, _ROOMY * abs(p.typical - p.null)) for k, p in enumerate(parameters) if not p.shape
+        ]
+
+        def off(x: Array) -> Array:
+            far = [(x[k] - null) / size for k, null, size in plausible if size > 0]
+            return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
+
+        def descended(x0: Array, n_most: int) -> Any:
+            inside = np.clip(x0, low + 1e-6, high - 1e-6)
+            return least_squares(
+                off, inside, bounds=(low, high), x_scale=scale, diff_step=1e-4, ftol=_FTOL, xtol=_XTOL,
+                max_nfev=n_most,
+            )  # fmt: skip
+
+        seeds = ends + starts
+        best = _deepest(descended, seeds) if thorough else descended(seeds[0], _QUICK)
+        if not np.isfinite(best.cost):
+            raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
+        if thorough and not held:
+            self._ends[explanation, label(points)] = best.x
+        return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def _ends_of_parts(self, explanation: Explanation, points: Sequence[Theta]) -> list[Array]:
+        """Where this explanation's last fit ended, and those with one effect less, whose fit it cannot be
+        worse than; the effect that they lack begins a tenth of the way to its start."""
+        own = self._ends.get((explanation, label(points)))
+        found = [] if own is None else [own]
+        if len(explanation) < 2:
+            return found
+        for k in range(len(explanation)):
+            others = [n for n in range(len(explanation)) if n != k]
+            end = self._ends.get((tuple(explanation[n] for n in others), label([points[n] for n in others])))
+            if end is None:
+                continue
+            known = dict(
+                zip([s.name for s in self.slots(tuple(explanation[n] for n in others))], end[2:], strict=True)
+            )
+            rest = [
+                known.get(s.name, 0.9 * s.parameter.null + 0.1 * s.parameter.start)
+                for s in self.slots(explanation)
+            ]
+            found.append(np.array([*end[:2], *rest]))
+        return found
+
+    def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
+        """Where a size ran to its bound and a plausible one lies within its interval: the fit with that one.
+
+        Flat least squares run to a bound by chance; that says nothing against the effect. They are flat where
+        no size, however large, would fit much better, to first order.
+        """
+        for share in (0.0, 0.5):
+            sizes = self._plausible_sizes(fitted, share)
+            if not sizes:
+                break
+            again, other = self.best_fit(fitted.explanation, points, {}, held=sizes)
+            shapes = [slot.parameter.shape for slot in self.slots(fitted.explanation)]
+            columns = other.jacobian[:, np.r_[np.ones(len(other.base_names), bool), ~np.array(shapes)]]
+            left = LinearFit.of(self.whiten(self.data.y - other.prediction), self.whiten(columns)).chi2
+            if not other.at_bound and again < min(deviance, left) + thresholds.WITHIN:
+                return other
+        return fitted
+
+    def _plausible_sizes(self, fitted: Fitted, share: float) -> dict[str, float]:
+        """Of the parameters on a bound: their plausible value on that side, or that share of the way on."""
+        sizes = {}
+        for slot in self.slots(fitted.explanation):
+            p, value = slot.parameter, fitted.values[slot.name]
+            if any(text.startswith(slot.name + " ended on") for text in fitted.at_bound):
+                usual = np.clip(p.null + np.sign(value - p.null) * abs(p.typical - p.null), p.low, p.high)
+                sizes[slot.name] = float(usual + share * (value - usual))
+        return sizes
+
+    def _around(self, held: Mapping[str, float], explanation: Explanation) -> tuple[Array, Array]:
+        """The bounds, closed in on what is held."""
+        low, high = self.bounds(explanation)
+        for k, slot in enumerate(self.slots(explanation)):
+            if slot.name in held:
+                margin = 1e-4 * (slot.parameter.high - slot.parameter.low)
+                low[2 + k], high[2 + k] = held[slot.name] - margin, held[slot.name] + margin
+        return low, high
+
+    def at(self, fitted: Fitted, m: float, start: Mapping[str, float], whiten: Whitener) -> Conditional:
+        """The best fit of the same explanation, at the same points of its grids, with m held."""
+        explanation, points = fitted.explanation, self.points(fitted)
+        slots = self.slots(explanation)
+        free = [0, *range(2, 2 + len(slots))]
+        low, high = (each[free] for each in self.bounds(explanation))
+        x0 = np.array([np.log(start["c_kpa"] / 1e3), *(start[s.name] for s in slots)])
+
+        def full(z: Array) -> Array:
+            return np.array([z[0], np.log(m), *z[1:]])
+
+        found = least_squares(
+            lambda z: whiten(self.data.y - self.predict(full(z), explanation, points)),
+            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
+            ftol=1e-5, xtol=1e-4,
+            x_scale=np.array([0.1, *(s.parameter.step for s in slots)]),
+        )  # fmt: skip
+        names = ["c_kpa", *(s.name for s in slots)]
+        J = whiten(self._jacobian(full(found.x), explanation, points))[:, free]
+        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
+        values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
+        values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
+        return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
+
+    def _tissue_starts(self) -> list[tuple[float, float]]:
+        """c, m to start from: where the fit without effects ended, and a usual tissue."""
+        usual = [(self.book.c, 2.0), (self.book.c, 6.0)]
+        if self.base_end is None:
+            return usual
+        m = self.base_end[1]
+        return [self.base_end, max(usual, key=lambda each: abs(np.log(each[1] / m)))]
+
+    def _fitted(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Fitted:
+        slots = self.slots(explanation)
+        low, high = self.bounds(explanation)
+        free = np.ones(len(x), dtype=bool)
+        free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
+        notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
+        jacobian = self._jacobian(x, explanation, points)
+        jacobian[:, 2:][:, stuck(x, slots)] = 0.0
+        values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
+        values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
+        values |= {k: float(v) for point in points for k, v in point.items()}
+        return Fitted(
+            explanation, self.predict(x, explanation, points), jacobian[:, free],
+            ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
+            tuple(on_bounds(x, slots, self.effects.values())), notes, {"grid": label(points)},
+            self.predict(x[:2], (), ()) if explanation else None,
+        )  # fmt: skip

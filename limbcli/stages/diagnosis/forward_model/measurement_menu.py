@@ -1,0 +1,235 @@
+"""Measurements that could be added at a site, and what each explanation predicts for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading, read, true_depth
+from limbcli.errors import CaseError, LimbError
+from limbcli.model import Array
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.forward_model.fits import Fits
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+
+See = Callable[[Curves, Reading, Protocol], Array]
+_SLOW_S, _FAST_S = 20.0, 0.5
+ROTATE = "rotate the probe"
+# Effects that a turned probe sees otherwise than the first measurement does.
+_TURNS = ("anisotropy", "contraction")
+
+
+@dataclass(frozen=True)
+class Item:
+    """A measurement that could be added at a site.
+
+    see : what a model says of it (n,); deviation : of the measurement (n,)
+    instead_of : the channel that holds it where it was made already
+    given : its key for one that is a number of its own (`--measured KEY=VALUE`), and what that says
+    """
+
+    name: str
+    sentence: str
+    see: See
+    deviation: Callable[[Protocol, int], Array]
+    instead_of: str = ""
+    given: str = ""
+    meaning: str = ""
+
+
+def _each(value: float) -> Callable[[Protocol, int], Array]:
+    return lambda protocol, n: np.full(n, value)
+
+
+def _of_force(protocol: Protocol, n: int) -> Array:
+    return np.maximum(0.02 * protocol.force[-2::-1][:n], 0.1)
+
+
+def items() -> tuple[Item, ...]:
+    """The menu."""
+    return (
+        Item("tare", "tare the load cell in air, at the angle of the measurement",
+             lambda c, r, p: np.array([r.force_zero - r.preload]), _each(0.05),
+             given="tare_n", meaning="N shown by the load cell in air at the angle of the measurement"),
+        Item("known weight", "hang a known weight on the load cell",
+             lambda c, r, p: np.array([r.force_gain]), _each(0.01),
+             given="force_gain", meaning="shown over true weight"),
+        Item("lift-off", "lift off through thick gel, read the depth at which the force vanishes",
+             lambda c, r, p: true_depth(c, np.zeros(1), r), _each(0.3),
+             given="first_depth_mm", meaning="mm that the probe was below first touch at level 0"),
+        Item("two rates", "repeat the ramp to the deepest level in 0.5 s and in 20 s", _two_rates,
+             _each(0.03),
+             given="rate_ratio", meaning="force after 0.5 s over that after 20 s, at the deepest level"),
+        Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, _each(0.03),
+             instead_of="hold"),
+        Item("unload", "read the levels on the way back too", _unloaded, _of_force),
+        Item("B-mode thickness", "measure skin to bone at first touch", _first_thickness, _each(0.5),
+             instead_of="skin-bone"),
+        Item("probe travel", "record the probe's absolute travel",
+             lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
+        Item("wave speeds", "take a shear-wave mean at every level", _mean, _each(0.05), instead_of="swe"),
+        Item("speed maps", "keep the maps, not only their means",
+             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map"),
+    )  # fmt: skip
+
+
+def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
+    """Numbers that were measured besides, as data.
+
+    Raises
+    ------
+    CaseError
+        If a key is not on the menu, or a ratio is not above 0.
+    """
+    by_key = {item.given: item for item in items() if item.given}
+    found = []
+    for key, value in given.items():
+        if key not in by_key:
+            fix = "; ".join(f"{k}: {item.meaning}" for k, item in by_key.items())
+            raise CaseError(f"{key!r} is not known", where="--measured", fix=fix)
+        item = by_key[key]
+        if not np.isfinite(value) or (key == "rate_ratio" and value <= 0):
+            raise CaseError(f"{key}={value:g} cannot be", where="--measured", fix=item.meaning)
+        y = np.array([np.log(value) if key == "rate_ratio" else value])
+        found.append(ExtraMeasurement(item.name, item.see, y, item.deviation(_NOTHING, 1)))
+    return found
+
+
+_NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
+
+
+def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
+    """What is not measured yet, as far as it may tell these explanations apart."""
+    has = {channel for each in forward_model.sites for channel in each.site.channels}
+    open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
+    if any(forward_model.site.protocol.unloading):
+        open_items = [item for item in open_items if item.name != "unload"]
+    found = [_proposal(forward_model, fits, item) for item in open_items]
+    # Beside other effects it takes a simulation of each of them in the turned model.
+    if len(forward_model.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
+        found += _rotated(forward_model, fits)
+    return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
+
+
+def _first_thickness(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    return np.array([read(curves, protocol, reading).thickness])
+
+
+def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    return read(curves, protocol, reading).log_speed[:, 0]
+
+
+def _contrast(log_speed: Array) -> Array:
+    """Parts of the window against the mean, every level."""
+    return np.asarray(np.nan_to_num(log_speed[:, 1:] - log_speed[:, :1]).ravel())
+
+
+def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    """ln of the force lost in a hold of 60 s at the deepest level, after 1, 10 and 60 s."""
+    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
+    lost = []
+    for seconds in (1.0, 10.0, 60.0):
+        held = replace(deepest, hold=np.array([seconds]))
+        start, end = read(curves, deepest, reading).force[0], read(curves, held, reading).force[0]
+        lost.append(float(np.log(max(end, 1e-6) / max(start, 1e-6))))
+    return np.array(lost)
+
+
+def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    """ln of the force after a fast ramp over that after a slow one (1,)."""
+    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
+    fast, slow = (
+        read(curves, replace(deepest, ramp=seconds), reading).force[0] for seconds in (_FAST_S, _SLOW_S)
+    )
+    return np.array([float(np.log(max(fast, 1e-6) / max(slow, 1e-6)))])
+
+
+def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
+    """Forces at the same depths on the way back (n - 1,)."""
+    back = slice(-2, None, -1)
+    there_and_back = Protocol(
+        np.r_[protocol.force, protocol.force[back]], np.r_[protocol.depth, protocol.depth[back]],
+        np.r_[protocol.hold, protocol.hold[back]], protocol.ramp,
+    )  # fmt: skip
+    return read(curves, there_and_back, reading).force[len(protocol) :]
+
+
+# ---------------------------------------------------------------- at one site
+
+
+def _proposal(forward_model: Fits, fits: Sequence[Fitted], item: Item) -> Proposal:
+    predictions, jacobians = {}, {}
+    for fitted in fits:
+        value, jacobian = _seen(forward_model, fitted, forward_model.sites[0], item.see)
+        predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
+    size = len(next(iter(predictions.values())))
+    deviation = item.deviation(forward_model.site.protocol, size)
+    return Proposal(item.name, item.sentence, predictions, jacobians, np.diag(deviation**2))
+
+
+def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
+    """The proposal's value at a fit, and its derivative in the fit's own columns."""
+    points = forward_model.points(fitted)
+    x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
+    x += [fitted.values[name] for name in fitted.effect_names]
+
+    def at(values: Array) -> Array:
+        theta = forward_model.theta(
+            dict(zip(fitted.effect_names, values[2:].tolist(), strict=True)), fitted.explanation, 0
+        )
+        c, m = float(np.exp(values[0])), float(np.exp(values[1]))
+        curves = where.curves(c, m, fitted.explanation, theta, points)
+        return see(curves, where.reading(fitted.explanation, theta, points), where.site.protocol)
+
+    center = np.array(x)
+    columns = []
+    for k in [0, *([1] if "m" in fitted.base_names else []), *range(2, len(x))]:
+        step = 1e-3 * max(abs(center[k]), 0.1)
+        up, down = center.copy(), center.copy()
+        up[k] += step
+        down[k] -= step
+        columns.append((at(up) - at(down)) / (2 * step))
+    return at(center), np.stack(columns, axis=1)
+
+
+# ---------------------------------------------------------------- another orientation
+
+
+def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
+    """The same place with the probe turned by 90 degrees: a whole measurement more."""
+    if forward_model.turned is None:
+        return []
+    try:
+        turned = forward_model.turned()
+    except LimbError:
+        return []
+    predictions, jacobians = {}, {}
+    unknown = np.zeros((len(turned.site.data),) * 2)
+    for fitted in fits:
+        value, jacobian = _turned(forward_model, fitted, turned)
+        first = jacobian.shape[1] - len(fitted.effect_names)
+        for k, slot in enumerate(forward_model.slots(fitted.explanation)):
+            effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
+            if effect.each_time:  # its size next time is not known
+                size = slot.parameter.typical - slot.parameter.null
+                unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
+                jacobian[:, first + k] = 0.0
+        predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
+    covariance = turned.site.data.noise.covariance + unknown
+    sentence = "measure the same place again with the probe turned by 90 degrees"
+    return [Proposal(ROTATE, sentence, predictions, jacobians, covariance)]
+
+
+def _turned(forward_model: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
+    """The turned measurement as a fit predicts it; what changes each time is absent from it."""
+    values = dict(fitted.values)
+    for slot in forward_model.slots(fitted.explanation):
+        effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
+        if effect.each_time:
+            values[slot.name] = slot.parameter.null
+    absent = replace(fitted, values=values)
+    return _seen(forward_model, absent, turned, lambda c, r, p: turned.site.predict(c, r))

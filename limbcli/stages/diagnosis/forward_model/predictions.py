@@ -1,0 +1,132 @@
+"""What explanations predict of one site's data, or of those of several measurements of one place.
+
+On each site's `surrogate`, by c, m and the effects' parameters, at given points of the effects' grids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.effects.base import Effect, Theta
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
+from limbcli.model import Array
+from limbcli.stages.diagnosis.data.joint import joined
+from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.forward_model.changes import Book
+from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+
+M_BOUNDS = (1.0, 20.0)
+_DIFFERENCE = 1e-3
+
+
+def held_points(effect: Effect) -> list[Theta]:
+    """The points of an effect's grid, without what a fit moves; each once."""
+    found: list[Theta] = []
+    for point in effect.grid:
+        if effect.held(point) not in found:
+            found.append(effect.held(point))
+    return found
+
+
+class Predictions:
+    """Sites that share the tissue and one tuple of effects."""
+
+    def __init__(self, sites: Sequence[SiteCurves]):
+        self.sites = tuple(sites)
+        self.effects: dict[str, Effect] = dict(sites[0].effects)
+        self._data = joined([each.site for each in sites])
+        self.whiten = Whitener.of(self._data.noise.covariance)
+
+    @property
+    def data(self) -> Data:
+        return self._data
+
+    def allow_for(self, name: str, share: float) -> None:
+        """Of the noise part `name` so much of what was assumed, at every site."""
+        for each in self.sites:
+            each.site = each.site.with_share(name, share)
+        self._data = joined([each.site for each in self.sites])
+        self.whiten = Whitener.of(self._data.noise.covariance)
+
+    @property
+    def site(self) -> SiteData:
+        """The first site's data."""
+        return self.sites[0].site
+
+    @property
+    def book(self) -> Book:
+        return self.sites[0].book
+
+    def slots(self, explanation: Explanation) -> list[Slot]:
+        """The parameters of an explanation, in order."""
+        found = []
+        for name in explanation:
+            effect = self.effects[name]
+            for p in effect.parameters:
+                if effect.each_time and len(self.sites) > 1:
+                    found += [Slot(f"{p.name}@{s.site.name}", p, k) for k, s in enumerate(self.sites)]
+                else:
+                    found.append(Slot(p.name, p))
+        return found
+
+    def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
+        """Effect parameters by their own names, as one site has them."""
+        return {
+            slot.parameter.name: float(values[slot.name])
+            for slot in self.slots(explanation) if slot.site in (None, site)
+        }  # fmt: skip
+
+    def points(self, fitted: Fitted) -> list[Theta]:
+        """The point of each effect's grid that was chosen."""
+        chosen: list[Theta] = []
+        for effect in (self.effects[name] for name in fitted.explanation):
+            held = held_points(effect)
+            match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
+            chosen.append(match[0] if match else held[0])
+        return chosen
+
+    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        """x: ln c, ln m, then the effects' parameters in order."""
+        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        parts = [
+            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
+            for k, each in enumerate(self.sites)
+        ]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
+        """The fitted curves of a site, and how they are read."""
+        points = self.points(fitted)
+        theta = self.theta(fitted.values, fitted.explanation, site)
+        c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
+        one = self.sites[site]
+        return (
+            one.curves(c, m, fitted.explanation, theta, points),
+            one.reading(fitted.explanation, theta, points),
+        )
+
+    def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        sizes = [1.0, 1.0, *(p.step for p in parameters)]
+        columns = []
+        for k, size in enumerate(sizes):
+            up, down = x.copy(), x.copy()
+            up[k] += _DIFFERENCE * size
+            down[k] -= _DIFFERENCE * size
+            change = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+            columns.append(change / (2 * _DIFFERENCE * size))
+        return np.stack(columns, axis=1)
+
+    def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        c = self.book.c
+        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
+        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        return low, high

@@ -1,0 +1,240 @@
+"""The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
+
+Fits run on each site's surrogate; after a refit the model with the effect in it is solved once as it stands
+and the fit is repeated: reported numbers come from that.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.noise_scale import likeliest_share
+from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.errors import FitError, LimbError, SolveError
+from limbcli.model import Array
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.data.noise import BESIDE, LEAST_BESIDE
+from limbcli.stages.diagnosis.forward_model.changes import only_febio
+from limbcli.stages.diagnosis.forward_model.fits import Fits
+from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
+from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_points
+from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+
+_SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
+_MAX_NODES = 5
+_MOST_REPAIRS = 4
+_MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
+
+
+class SiteForwardModel(Fits):
+    """One site's data against its curves, or several sites' that share the tissue.
+
+    not_simulated : explanations whose fit was not simulated as it stands, as the work was spent
+    """
+
+    not_simulated: set[Explanation]
+
+    def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
+        """sites : that share one tuple of effects; verify : simulate what was fitted"""
+        super().__init__(sites)
+        self.verify, self.not_simulated = verify, set()
+
+    def settle_noise(self) -> None:
+        """Find from the fit without effects how far maps err beside what they do not show.
+
+        Raises
+        ------
+        SolveError, FitError
+            If that fit cannot be made.
+        """
+        if BESIDE not in self.data.noise.names:
+            return
+        base = self.fit((), {})
+        off = self.data.y - base.prediction
+        self.allow_for(
+            BESIDE, likeliest_share(off, base.jacobian, self.data.noise, BESIDE, least=LEAST_BESIDE)
+        )
+
+    # ------------------------------------------------------------ the contract
+
+    @property
+    def candidates(self) -> Sequence[Facts]:
+        return [
+            Facts(
+                e.name, e.sentence, e.kind,
+                {
+                    s.name: s.parameter.typical - s.parameter.null
+                    for s in self.slots((e.name,)) if not s.parameter.shape
+                },
+                e.dear,
+            )
+            for e in self.effects.values()
+        ]  # fmt: skip
+
+    def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
+        """Least squares over c, m and the effects' parameters, at every point of the effects' grids."""
+        if not explanation:
+            return self._fit_base()
+        self._check_channels(explanation)
+        effects = [self.effects[name] for name in explanation]
+        # Among several effects none sets in late: a free step beside another effect bends to almost any gap.
+        grids = [held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects]
+        combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
+        if len(combinations) > _TRIED_FULLY:
+            quick = self._each(explanation, combinations, start, thorough=False)
+            combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
+        deviance, points, fitted = self._each(explanation, combinations, start, thorough=True)[0]
+        if self._reaches(fitted.values["m"]):
+            deviance, fitted = self.best_fit(explanation, points, start)
+        return self.plausible(fitted, deviance, points)
+
+    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
+        """Values with their intervals, from the profile over m."""
+        whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
+
+        def walk(m: float, start: Mapping[str, float]) -> Conditional:
+            return self.at(fitted, m, start, whiten)
+
+        found = reported(walk, fitted.values, M_BOUNDS, scale=scale)
+        limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
+        inside = {
+            name: (max(low, limits[name][0]), min(high, limits[name][1])) if name in limits else (low, high)
+            for name, (low, high) in found.intervals.items()
+        }
+        return replace(found, intervals=inside)
+
+    def verified(self, fitted: Fitted) -> Fitted:
+        """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most
+        twice with several effects, four times with one. As it is where the work is spent."""
+        explanation = fitted.explanation
+        solves = any(self.effects[name].solves for name in explanation)
+        if not self.verify or not solves or fitted.at_bound:
+            return fitted
+        if any(each.book.spent for each in self.sites):
+            self.not_simulated.add(explanation)
+            return fitted
+        for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
+            points, m = self.points(fitted), round(fitted.values["m"], 4)
+            for k, each in enumerate(self.sites):
+                each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)
+            before = fitted.prediction
+            deviance, fitted = self.best_fit(explanation, points, {})
+            fitted = self.plausible(fitted, deviance, points)
+            if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < 0.1:
+                break
+        return fitted
+
+    def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
+        effect = self.effects[name]
+        self._check_channels((name,))
+        slots = [slot for slot in self.slots((name,)) if not slot.parameter.shape]
+        found, problem = [], None
+        for point in effect.grid:
+            try:
+                columns = [self._column(fitted, effect, slot, point) for slot in slots]
+            except SolveError as error:  # the other points may do
+                problem = error
+                continue
+            signs = tuple(slot.parameter.sign for slot in slots)
+            names = tuple(slot.name for slot in slots)
+            found.append(
+                Direction(np.stack(columns, axis=1), signs, point_name(point), names, effect.free(point))
+            )
+        if not found and problem is not None:
+            raise problem
+        return found
+
+    def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
+        return menu(self, fits)
+
+    # ------------------------------------------------------------
+
+    def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
+        """Sensitivity at the effect's null by differences of the surrogate, around the fitted model."""
+        p, old = slot.parameter, fitted.explanation
+        points = [*self.points(fitted), effect.held(point)]
+        explanation = (*old, effect.name)
+        slots = self.slots(explanation)
+        values = {s.name: s.parameter.null for s in slots} | effect.free(point) | dict(fitted.values)
+        x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
+        x += [values[s.name] for s in slots]
+        k = 2 + [s.name for s in slots].index(slot.name)
+        step = 0.02 * (p.start - p.null)
+        up, down = np.array(x), np.array(x)
+        up[k] += step
+        if not p.sign:
+            down[k] -= step
+        for each in self.sites:
+            each.inherit(old, points[:-1], explanation, points)
+        moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+        return np.asarray(moved / (up[k] - down[k]))
+
+    def _fit_base(self) -> Fitted:
+        for each in self.sites:
+            each.solve_nodes(FIRST_M)
+        for _ in range(_MAX_NODES):
+            fitted = self.best_fit((), (), {})[1]
+            m = fitted.values["m"]
+            solved = self._nodes()
+            if abs(np.log(self._nearest(m) / m)) < _SETTLED or len(solved) >= _MAX_NODES:
+                break
+            if not self._solve_node(float(round(m, 3))):
+                break
+        for each in self.sites:
+            each.changes.m = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+        self.base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
+        return fitted
+
+    def _reaches(self, m: float) -> bool:
+        """Solve at an m beyond all that are solved; whether that was needed and done."""
+        nodes = self._nodes()
+        if np.log(m / max(nodes)) < _BEYOND or len(nodes) >= _MAX_NODES:
+            return False
+        return self._solve_node(float(round(m, 3)))
+
+    def _solve_node(self, m: float) -> bool:
+        solved = [each.solve_node(m) for each in self.sites]
+        return all(solved)
+
+    def _nodes(self) -> set[float]:
+        return set.intersection(*(set(each.nodes) for each in self.sites))
+
+    def _nearest(self, m: float) -> float:
+        return min(self._nodes() or {FIRST_M[0]}, key=lambda node: abs(np.log(node / m)))
+
+    def _each(
+        self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],
+        *, thorough: bool,
+    ) -> list[tuple[float, Sequence[Theta], Fitted]]:  # fmt: skip
+        """Fits at these points of the effects' grids, the best first; points without an answer left out."""
+        found, problem = [], None
+        for points in combinations:
+            try:
+                cost, fitted = self.best_fit(explanation, points, start, thorough=thorough)
+            except LimbError as error:
+                problem = error
+                continue
+            found.append((cost, points, fitted))
+        if not found and problem is not None:
+            raise problem
+        return sorted(found, key=lambda each: each[0])
+
+    def _check_channels(self, explanation: Explanation) -> None:
+        has = {channel for each in self.sites for channel in each.site.channels}
+        for name in explanation:
+            if self.effects[name].febio_only:
+                raise only_febio(self.effects[name])
+            lacking = [each for each in self.effects[name].needs if each not in has]
+            if lacking:
+                raise FitError(
+                    f"it needs what was not measured: {', '.join(lacking)}",
+                    where=f"effect {name}", fix="measure it, see the next measurement",
+                )  # fmt: skip

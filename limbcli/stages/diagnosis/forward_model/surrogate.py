@@ -1,0 +1,185 @@
+"""One site's curves for any tissue and effects: out of a few simulations, interpolated and shifted.
+
+The law's exponent m is solved at a handful of values and interpolated; c scales force and
+modulus exactly. What effects change is in `changes`. After a refit the model with the
+effect in it is solved once as it stands, and what the surrogate missed is put right.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.diagnostics.model.forward_model import Explanation
+from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
+from limbcli.errors import SolveError
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis.curves.penetration import Penetration
+from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
+
+_OF_LEVELS = ("force", "swe", "map", "travel", "layer")
+_NEAR = 5  # solved values of m that are used
+
+
+class SiteCurves:
+    """One site's data beside one book of curves.
+
+    tie : from the working mesh to the site's own; penetration : of the probe into the book's models
+    """
+
+    def __init__(
+        self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
+        penetration: Penetration | None = None, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
+        self.penetration = penetration
+        self.changes = Changes(book, progress=progress)
+        self.nodes: dict[float, Curves] = {}
+        self._repairs: dict[tuple[Explanation, str], Array] = {}
+
+    def solve_nodes(self, values: Sequence[float]) -> None:
+        """Solve at these m, the stiffest law first; what fails is left out, unless all do.
+
+        Raises
+        ------
+        SolveError
+            If none is solved.
+        """
+        problem = None
+        for m in sorted(values, reverse=True):
+            try:
+                self.nodes[m] = self.book.curves(m)
+            except SolveError as error:
+                problem = error
+        if not self.nodes and problem is not None:
+            raise problem
+
+    def solve_node(self, m: float) -> bool:
+        """Solve at one m more; whether that went well."""
+        try:
+            self.nodes[m] = self.book.curves(m)
+        except SolveError:
+            return False
+        return True
+
+    def predict(
+        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
+    ) -> Array:
+        """What this site's data should be (n,)."""
+        curves = self.curves(c, m, explanation, theta, points)
+        found = self.site.predict(curves, self.reading(explanation, theta, points))
+        for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
+            share = point.get(self.effects[name].onset, 0.0)
+            if share > 0.0:
+                rest = [each for n, each in enumerate(points) if n != k]
+                without = self.predict(c, m, (*explanation[:k], *explanation[k + 1 :]), theta, rest)
+                found = np.where(self._before(share), without, found)
+        return found
+
+    def _before(self, share: float) -> NDArray[np.bool_]:
+        """Data (n,) of the levels before that share of them."""
+        first = share * len(self.site.protocol)
+        return np.array([row.channel in _OF_LEVELS and row.level < first for row in self.site.rows])
+
+    def curves(
+        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
+    ) -> Curves:
+        """The surrogate's curves with these values."""
+        depth, values, plain = self._base(m)
+        values = values + self._repairs.get((explanation, label(points)), 0.0)
+        for name, point in zip(explanation, points, strict=True):
+            if self.effects[name].solves:
+                values = values + self.changes.of(self.effects[name], point).at(theta)
+        log_force, others = values[:, 0], plain.with_columns(values[:, 1:])
+        log_speed = others["log_speed"]
+        assert log_speed is not None
+        force = np.concatenate([[0.0], np.exp(log_force[1:])])
+        times = c / self.book.c
+        taller = 1.0 if self.tie is None else self.tie.thickness_ratio
+        thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
+        log_speed = log_speed + 0.5 * np.log(times)
+        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
+        return found if self.penetration is None else self.penetration.without(found, force)
+
+    def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
+        reading = Reading()
+        for name, point in zip(explanation, points, strict=True):
+            reading = self.effects[name].observe(reading, {**point, **theta})
+        return reading
+
+    def repair(self, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> None:
+        """Solve the model with these effects as it stands, and let the surrogate give the same there.
+
+        Raises
+        ------
+        SolveError
+            If the simulation fails.
+        """
+        effects = [self.effects[name] for name in explanation]
+        solving = tuple(
+            (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})
+            for e, q in zip(effects, points, strict=True)
+            if e.solves
+        )
+        true = logs(self.book.curves(m, solving))
+        true = true + self._tied(m, true.shape[1])
+        missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
+        missed[0, 0] = 0.0
+        key = (explanation, label(points))
+        self._repairs[key] = self._repairs.get(key, 0.0) + np.nan_to_num(missed)
+
+    def inherit(
+        self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
+    ) -> None:
+        """A larger explanation starts with the repair of the one it grew from."""
+        known = self._repairs.get((old, label(old_points)))
+        if known is not None:
+            self._repairs.setdefault((new, label(points)), known)
+
+    def inherit_parts(self, explanation: Explanation, points: Sequence[Theta]) -> None:
+        """A larger explanation not solved yet starts with what is known of its parts: the largest one that
+        was solved, and the rest one by one."""
+        n = len(explanation)
+        if n < 2 or (explanation, label(points)) in self._repairs:
+            return
+        left, total = set(range(n)), None
+        for size in range(n - 1, 0, -1):
+            for part in itertools.permutations(range(n), size):
+                key = (tuple(explanation[k] for k in part), label([points[k] for k in part]))
+                if left.issuperset(part) and key in self._repairs:
+                    total = self._repairs[key] if total is None else total + self._repairs[key]
+                    left -= set(part)
+        if total is not None:
+            self._repairs[(explanation, label(points))] = total
+
+    # ------------------------------------------------------------
+
+    def _tied(self, m: float, width: int) -> Array | float:
+        """Of so many columns; lines are not tied."""
+        if self.tie is None:
+            return 0.0
+        known = self.tie.at(m)
+        return np.pad(known, ((0, 0), (0, width - known.shape[1])))
+
+    def _base(self, m: float) -> tuple[Array, Array, Curves]:
+        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
+        nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
+        first = self.nodes[nodes[0]]
+        at, total = bend(np.array(nodes)), np.zeros_like(logs(first))
+        for i, node in enumerate(nodes):
+            others = np.delete(at, i)
+            total += np.prod((bend(m) - others) / (at[i] - others)) * logs(self.nodes[node])
+        return first.depth, total + self._tied(m, total.shape[1]), first
+
+
+def label(points: Sequence[Theta]) -> str:
+    """The points of the effects' grids in words."""
+    return "; ".join(point_name(point) for point in points if point)

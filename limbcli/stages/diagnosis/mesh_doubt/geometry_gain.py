@@ -1,0 +1,32 @@
+"""What a diagnosis takes of an assumed geometry: by how much it puts the force off, determined by the fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError
+from limbcli.results import read_result
+
+USUAL = 0.15  # of the force, where no fit varied the geometry: about what shapes of a limb in numbers give
+
+
+def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
+    """One deviation of ln force by what is assumed of the geometry, and a warning; 0 where it was imaged."""
+    words = case.imaging.assumed
+    if not words:
+        return 0.0, ""
+    try:
+        doubt = read_result(out, "fit", site=site.name).data.get("geometry_doubt") or {}
+    except LimbError:
+        doubt = {}
+    found = doubt.get("gain_fraction")
+    if doubt.get("words") != words or found is None:
+        return USUAL, (
+            f"{words}. No fit has varied it: {100 * USUAL:g} % of the force is taken for its doubt at site "
+            f"{site.name}; run `limbcli fit`, then diagnose again"
+        )
+    return float(found), (
+        f"{words}. By the fit's varied shapes {100 * float(found):.2g} % of the force at site {site.name} is "
+        "in doubt, taken as one common factor; that it may change with depth is not allowed for"
+    )

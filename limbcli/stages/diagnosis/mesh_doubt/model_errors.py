@@ -1,0 +1,138 @@
+"""The model's own error as the data have to allow for it: mesh, maps, cut and contact, geometry."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import LimbError, SolveError
+from limbcli.model import Array
+from limbcli.results import read_result
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.data.noise import IN_MEAN, ModelError
+from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
+from limbcli.stages.diagnosis.mesh_doubt.geometry_gain import assumed_gain
+from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, Numerics
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import at_depths
+
+_ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
+# Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
+_VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
+_SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
+_STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
+_MAP_STRAIN = 0.08  # the same of a map's pattern alone: how fast it grows differs between meshes
+
+
+class ModelErrors:
+    """Of one site on one book of curves, at the tissue's likely m."""
+
+    def __init__(self, numerics: Numerics):
+        self.case, self.site, self.levels, self.book = (
+            numerics.case, numerics.site, numerics.levels, numerics.book
+        )  # fmt: skip
+        self.out, self.notes, self.depth = numerics.out, numerics.notes, numerics.depth
+        self.likely_m = numerics.likely_m
+
+    def _growth(self) -> list[ModelError]:
+        """How fast a map's pattern grows with depth."""
+        if self.site.swe_maps is None:
+            return []
+        curves = self.book.curves(self.likely_m)
+        rise = np.nan_to_num(np.gradient(curves.log_speed, curves.depth, axis=0))
+        moved = (
+            _MAP_STRAIN
+            * np.nan_to_num(self.depth)[:, None]
+            * at_depths(np.nan_to_num(self.depth), curves, rise)
+        )
+        return [ModelError("model: growth of the maps' pattern", np.zeros(len(self.levels)), moved)]
+
+    def map_slopes(self) -> Array:
+        """1/mm (n_levels used, n_parts): how the model's ln speeds change with depth at the levels."""
+        curves = self.book.curves(self.likely_m)
+        rise = np.nan_to_num(np.gradient(curves.log_speed[:, 1:], curves.depth, axis=0))
+        keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
+        return at_depths(self.depth[keep], curves, rise)
+
+    def parts_seen(self) -> NDArray[np.bool_]:
+        """Parts of the region (n_parts,) that the models without effects show at every depth."""
+        seen = np.ones(len(self.book.windows.depths) - 1, dtype=bool)
+        for m in FIRST_M:
+            with contextlib.suppress(SolveError):
+                seen &= np.isfinite(self.book.curves(m).log_speed[:, 1:]).all(axis=0)
+        return seen
+
+    def all(self, tie: Tie, interventions: Sequence[Intervention]) -> list[ModelError]:
+        """What of all this the data have to allow for."""
+        errors = [
+            ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
+            for each in interventions if each.name != "locking"
+        ]  # fmt: skip
+        errors += self._geometry()
+        no_force = np.zeros(len(self.levels))
+        no_speed = np.zeros((len(self.levels), len(self.book.windows.depths)))
+        return [
+            *errors,
+            ModelError("model: mesh", tie.mesh_error, no_speed, correlation=_ALIKE),
+            *self._mean_speed(tie, no_force),
+        ]
+
+    def _mean_speed(self, tie: Tie, no_force: Array) -> list[ModelError]:
+        """Of the means, where there are no maps: the mesh, and how wide the region is that they are of."""
+        if self.site.swe_maps is not None:
+            return []
+        curves = self.book.curves(self.likely_m)
+        width = np.interp(self.depth, curves.depth, self.book.windows.width_doubt(curves.log_speed))
+        strain = IN_MEAN * np.nan_to_num(self.depth) / self.thickness
+        return [
+            ModelError(
+                "model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))
+            ),
+            ModelError("model: width of the window", no_force, self._in_mean(width)),
+        ]
+
+    def _in_mean(self, deviation: Array) -> Array:
+        table = np.zeros((len(self.levels), len(self.book.windows.depths)))
+        table[:, 0] = np.nan_to_num(deviation)
+        return table
+
+    @property
+    def thickness(self) -> float:
+        """mm of tissue under the probe, as far as it is known."""
+        thick = self.book.curves(self.likely_m).thickness
+        return thick if np.isfinite(thick) and thick > 0 else USUAL_THICKNESS
+
+    def _geometry(self) -> list[ModelError]:
+        """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
+        strains, and to the force as a whole."""
+        spacing = read_spacing(self.out)
+        touch, gain = _SURFACE_GEOMETRY
+        if spacing is not None:
+            touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
+        assumed, warning = assumed_gain(self.case, self.site, self.out)
+        if warning and warning not in self.notes.warnings:
+            self.notes.warnings.append(warning)
+        gain = float(np.hypot(gain, assumed))
+        strain = float(np.hypot(touch / self.thickness, _STRAIN))
+        n = len(self.levels)
+        none = np.zeros((n, len(self.book.windows.depths)))
+        return [
+            ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
+            ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
+            *self._growth(),
+            ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
+        ]
+
+
+def read_spacing(out: Path) -> list[float] | None:
+    """mm between the voxels that the surfaces were made of; None where surfaces were given."""
+    try:
+        image = read_result(out, "segment").data.get("image")
+    except LimbError:
+        return None
+    found = image.get("spacing_mm") if isinstance(image, dict) else None
+    return [float(each) for each in found] if found else None

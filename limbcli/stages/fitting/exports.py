@@ -1,0 +1,116 @@
+"""Identified parameters for other programs: CSV, MATLAB, and a piece of a FEBio file."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import savemat
+
+from limbcli.feb.write import render
+from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.results import StageWriter
+from limbcli.stages.site_model.indentation_model import TISSUE
+
+PARAMETER_COLUMNS = (
+    "site",
+    "step",
+    "parameter",
+    "value",
+    "standard_error",
+    "low_95",
+    "high_95",
+    "flag",
+    "words",
+)
+_LONGEST = 63 - 32  # MATLAB's field names in nested structs
+
+
+def leave_exports(
+    writer: StageWriter, rows: Sequence[Mapping[str, Any]], content: Mapping[str, Any], model: LimbModel
+) -> None:
+    """parameters.csv, fit.mat and material.feb."""
+    write_parameters(writer.file("parameters", "parameters.csv"), rows)
+    write_mat(writer.file("mat", "fit.mat"), content)
+    writer.file("material", "material.feb").write_text(material_snippet(model), encoding="utf-8")
+
+
+def parameter_rows(site: str, step: str, parameters: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row a parameter, from the `parameters` of fit.json."""
+    return [
+        {
+            "site": site, "step": step, "parameter": name, "value": each["value"],
+            "standard_error": each.get("standard_error"), "low_95": each.get("low"),
+            "high_95": each.get("high"), "flag": each["flag"], "words": each["words"],
+        }
+        for name, each in parameters.items()
+    ]  # fmt: skip
+
+
+def write_parameters(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """One row a parameter; an empty end of an interval is open."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.DictWriter(stream, PARAMETER_COLUMNS)
+        table.writeheader()
+        for row in rows:
+            table.writerow({name: _cell(row.get(name)) for name in PARAMETER_COLUMNS})
+
+
+def _cell(value: object) -> object:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    return f"{value:.8g}" if isinstance(value, float) else value
+
+
+def write_mat(path: Path, content: Mapping[str, Any]) -> None:
+    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are mended."""
+    savemat(path, {"fit": _for_matlab(content)}, do_compression=True)
+
+
+def _for_matlab(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_matlab_name(str(key)): _for_matlab(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return value
+    if isinstance(value, list | tuple):
+        if all(isinstance(each, int | float | np.number) or each is None for each in value):
+            return np.array([np.nan if each is None else float(each) for each in value])
+        filled = np.empty(len(value), dtype=object)
+        filled[:] = [_for_matlab(each) for each in value]
+        return filled
+    return np.nan if value is None else value
+
+
+def _matlab_name(name: str) -> str:
+    """
+    >>> _matlab_name("mooney-rivlin"), _matlab_name("95 %")
+    ('mooney_rivlin', 'x95__')
+    """
+    clean = re.sub(r"\W", "_", name)[:_LONGEST]
+    return clean if clean[:1].isalpha() else f"x{clean}"
+
+
+def material_snippet(model: LimbModel) -> str:
+    """The `<Material>` section of the model's FEBio file: the tissue alone."""
+    law: Material = model.materials[TISSUE]
+    text = render(model.with_material(TISSUE, law))
+    found = re.search(r"<material\b[^>]*name=\"" + TISSUE + r"\".*?</material>", text, flags=re.S)
+    assert found is not None, "a written model holds its tissue"
+    mapped = any(isinstance(each, ElementMap) for each in law.parameters.values())
+    maps = "; its maps stand in fitted.feb, section MeshData" if mapped else ""
+    return f"<!-- limbcli: identified tissue, mm-N-s (MPa){maps} -->\n{found.group(0)}\n"
+
+
+def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:
+    """A CSV file from columns of equal length."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            rows.writerow(
+                [_cell(float(each)) if isinstance(each, float | np.floating) else each for each in row]
+            )

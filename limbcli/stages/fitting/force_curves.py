@@ -1,0 +1,251 @@
+"""Force at the depth levels as a function of (f_kappa, m): what `fit` asks a solver.
+
+With the reference solver one session keeps the converged states and returns exact
+derivatives; any other solver is run on files, the shifted parameter sets side by side on the cores
+there are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from limbcli.config import at_most
+from limbcli.errors import SolveError
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
+from limbcli.inference.prediction import Differences, Prediction
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, ElementMap, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.scratch import scratch_folder
+from limbcli.shear_waves.from_simulation import mean_speeds
+from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.febio import FebioSolver
+from limbcli.solvers.material_lines import FILE as LINES
+from limbcli.solvers.material_lines import MaterialLines
+from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.site_model.indentation_model import TISSUE
+
+_SAME_TIME = 1e-6
+
+
+def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
+    """The model with the Ogden-type law of these parameters as its tissue.
+
+    c : MPa; as a map of the tissue's elements, c1, c2 and kappa become maps
+    """
+    if not isinstance(c, ElementMap):
+        return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+    law = ogden_type(c=float(c.values.min()), f_kappa=f_kappa, m=m)
+    shares = {"c1": 0.5, "c2": 0.5, "kappa": f_kappa}
+    maps = {name: ElementMap(f"{TISSUE}_{name}", c.block, share * c.values) for name, share in shares.items()}
+    return model.with_material(TISSUE, law.with_parameters(**maps))
+
+
+def level_times(model: LimbModel) -> Array:
+    """Times of the model's must-points, from the start of the analysis: (n_levels,)."""
+    times, start = [], 0.0
+    for step in model.steps:
+        times += [start + each for each in step.must_points]
+        start += step.n_steps * step.step_size
+    return np.array(times)
+
+
+def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
+    """Rows of `values` (n_times, ...) at the level times.
+
+    Raises
+    ------
+    SolveError
+        If a level was not reached.
+    """
+    nearest = np.abs(simulation.times[None, :] - times[:, None]).argmin(axis=1)
+    missed = np.abs(simulation.times[nearest] - times) > _SAME_TIME
+    if missed.any():
+        k = int(np.flatnonzero(missed)[0])
+        raise SolveError(
+            f"level {k + 1} of {len(times)} (time {times[k]:g} s) is missing from the simulation",
+            where=f"{simulation.solver}, {len(simulation.times)} converged steps",
+            fix="run `limbcli run` and look at model.log",
+            level=k + 1,
+        )
+    return np.asarray(values[nearest])
+
+
+class ReferenceCurve:
+    """Forces at the levels and their exact derivatives, by one session of the reference solver.
+
+    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve; `at_most` solves are reported
+    to whoever waits, where that is known.
+    """
+
+    def __init__(
+        self, model: LimbModel, *, c: float | ElementMap, threads: int = 2, progress: Progress = SILENT
+    ):
+        self._model, self._c = model, c
+        # d kappa / d f_kappa, cell by cell: kappa = f_kappa c(x).
+        self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
+        self._session = ReferenceSession(model, progress=progress, threads=threads)
+        self._progress = progress
+        self.depths: Array = np.zeros(0)
+        self.n_solves = 0
+        self.at_most: int | None = None
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
+        f_kappa, m = float(theta[0]), float(theta[1])
+        try:
+            result = self._session.solve(
+                with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m),
+                wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")],
+                weights=self._weights,
+            )
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at f_kappa {f_kappa:.4g}, m {m:.4g}",
+                where="reference solver",
+                fix="a smaller m; check the depths in levels.csv",
+            ) from error
+        by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
+        self.depths = result.must_points.depths
+        by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
+        return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m]))
+
+    def close(self) -> None:
+        self._session.close()
+
+
+class LawCurve:
+    """Forces, mean wave speeds and layers at the levels for any law, as a function of its shape.
+
+    Values are forces (n_levels,), then with `speeds` speeds (n_levels,), then with `lines` their depths below
+    the skin (mm), all of the first level, all of the second, ...; forces and lines have exact derivatives,
+    speeds none. `depths` (n_levels,) mm after a solve.
+    """
+
+    def __init__(
+        self, model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: float, speeds: bool = True,
+        lines: MaterialLines | None = None, threads: int = 2, progress: Progress = SILENT,
+    ):  # fmt: skip
+        if lines is not None:
+            others = tuple(each for each in model.records if speeds or each.kind == "rigid_body")
+            model = replace(model, records=(*others, lines.record))
+        self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
+        self._density = density_kg_per_m3
+        start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
+        self._session = ReferenceSession(start, progress=progress, threads=threads)
+        self.depths: Array = np.zeros(0)
+        self.n_solves = 0
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        material = self._law.material(self._c, theta)
+        searched = self._law.searched(self._c, theta)
+        model = self._model.with_material(TISSUE, material)
+        try:
+            result = self._session.solve(
+                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
+                field_gradients=(LINES,) if self._lines is not None else False,
+            )  # fmt: skip
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                where=f"reference solver, law {self._law.name}",
+                fix="check the depths in levels.csv, or choose another law",
+            ) from error
+        points = result.must_points
+        self.depths = points.depths
+        by_shape = sum(
+            np.outer(result.force_gradient[(TISSUE, name)], slope) for name, slope in searched.items()
+        )
+        values, slopes = [points.forces], [np.asarray(by_shape)]
+        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        if self._speeds:
+            values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
+            slopes += [np.full((len(rows), len(theta)), np.nan)]
+        if self._lines is not None:
+            values += [_line_depths(self._lines, result, rows)]
+            slopes += [_line_slopes(self._lines, result, searched)]
+        return Prediction(np.concatenate(values), np.vstack(slopes))
+
+    def close(self) -> None:
+        self._session.close()
+
+
+def _line_depths(lines: MaterialLines, result: SessionResult, rows: Array) -> Array:
+    """mm below the skin (n_levels * n_lines,)."""
+    return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
+
+
+def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[str, Array]) -> Array:
+    """d below skin / d shape (n_levels * n_lines, n_shape); searched: d material parameter / d shape."""
+    total: Array | float = 0.0
+    for name, slope in searched.items():
+        moved = result.field_gradient[(TISSUE, name)][LINES].column("uz") @ lines.weights.T
+        total = total + np.multiply.outer(moved.ravel(), slope)
+    return np.asarray(total)
+
+
+class FileCurve:
+    """Forces at the levels by a solver that works on files; a folder of its own each run.
+
+    cores : that may be used: processes side by side, and threads of each, are never more together
+    """
+
+    def __init__(
+        self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
+        cores: int | None = None, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self._solver, self._model, self._c = solver, model, c
+        self._limit, self._progress = time_limit_s, progress
+        self._cores = available_cores() if cores is None else cores
+        self._times = level_times(model)
+        self.depths: Array = np.zeros(0)
+
+    def __call__(self, theta: Array) -> Array:
+        with scratch_folder() as folder:
+            model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
+            feb = self._solver.write(model, folder)
+            self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
+            simulation = self._solver.read(feb)
+        self.depths = at_levels(simulation, simulation.probe_depth(), self._times)
+        return at_levels(simulation, simulation.probe_force(), self._times)
+
+    def differentiable(self, *, relative_step: float = 0.05) -> Differences:
+        """With forward differences, whose runs go side by side."""
+        upper = (F_KAPPA_BOUNDS[1], M_BOUNDS[1])
+        return Differences(self, upper=upper, relative_step=relative_step, run_all=self.run_side_by_side)
+
+    def run_side_by_side(self, evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
+        """All, as many at once as there are cores; the first error is raised after the others have ended."""
+        todo = list(thetas)
+        processes, threads = shares(len(todo), self._cores)
+        if isinstance(self._solver, FebioSolver):
+            self._solver = replace(self._solver, threads=threads)
+        with ThreadPoolExecutor(processes) as pool:
+            return list(pool.map(evaluate, todo))
+
+
+def available_cores() -> int:
+    """Cores that this process may use, and a batch leaves to it."""
+    try:
+        return at_most(len(os.sched_getaffinity(0)))
+    except AttributeError:  # not on this system
+        return at_most(os.cpu_count() or 1)
+
+
+def shares(n_runs: int, cores: int) -> tuple[int, int]:
+    """(processes at once, threads of each) of so many runs: together never more than the cores.
+
+    >>> shares(3, 2), shares(1, 4), shares(3, 8), shares(0, 2)
+    ((2, 1), (1, 4), (3, 2), (1, 2))
+    """
+    processes = max(min(n_runs, cores), 1)
+    return processes, max(cores // processes, 1)

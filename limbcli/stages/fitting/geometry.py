@@ -1,0 +1,235 @@
+"""What a geometry that nobody imaged does to a fit: computed, by varying what is assumed.
+
+The fitted model's mesh is moved to other shapes (`meshing.morph`) and solved again at the fitted parameters.
+Each variation is one deviation:
+
+bone's radius    times 0.7 and 1.4: the tibia of OpenLimb's limbs has 9 to 20 mm (`case_schema`)
+bone's depth     by the noise of a depth reading that the case states, else 0.3 mm
+roundness        of a limb in numbers only: the skin's radius of curvature times 0.7 and 1.7 at the same
+                 circumference. Round residual limbs it is 0.68 to 1.8 times that of a circle of the same
+                 circumference (16 and 84 % of all directions, sections 3 to 15 cm above the end, the mean and
+                 four virtual limbs of OpenLimb; Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622)
+
+Two that are opposite count half each. c, from the shear-wave speed, is not changed by any of them.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError
+from limbcli.meshing.morph import deeper, flatter, morphed, wider
+from limbcli.meshing.rods import Rod
+from limbcli.model import Array, LimbModel, Mesh
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageWriter, plain, read_result, stage_folder
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.provenance.freshness import key_of
+
+FILE = "geometry.json"
+RADIUS, ROUNDNESS, USUAL_DEPTH = (0.7, 1.4), (0.7, 1.7), 0.3
+_TOLERANCE = 1e-4
+_PARTS = (1.0, 0.5, 0.25, 0.1)  # of a variation, where cells would be crushed: what it does is then scaled up
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What is varied, in words; `value`: a factor, or mm."""
+
+    kind: str
+    value: float
+    words: str
+
+    def part(self, share: float) -> float:
+        """The value of a smaller step of the same kind."""
+        return share * self.value if self.kind == "depth" else self.value**share
+
+
+@dataclass(frozen=True, eq=False)
+class Varied:
+    """A variation and ln of the force's change at the model's levels (n_levels,); `why_not`: in words."""
+
+    variation: Variation
+    log_force: Array | None
+    part: float = 1.0
+    why_not: str = ""
+
+    @property
+    def known(self) -> Array:
+        """(n_levels,) of a variation that was solved."""
+        assert self.log_force is not None
+        return self.log_force
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryDoubt:
+    """All variations of one site's model, of what `words` say was assumed."""
+
+    words: str
+    varied: tuple[Varied, ...]
+    n_solves: int
+    seconds: float
+
+    @property
+    def done(self) -> tuple[Varied, ...]:
+        return tuple(each for each in self.varied if each.log_force is not None)
+
+    @property
+    def modes(self) -> Array:
+        """(n_modes, n_levels) of ln force, one deviation each."""
+        return np.array([np.sqrt(w) * each.known for w, each in zip(self.weights, self.done, strict=True)])
+
+    @property
+    def weights(self) -> Array:
+        """Share (n_modes,) in the square of its kind's deviation; one whose opposite failed counts whole."""
+        kinds = [each.variation.kind for each in self.done]
+        return np.array([1.0 / kinds.count(each) for each in kinds])
+
+
+def geometry_doubt(
+    case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
+    progress: Progress = SILENT,
+) -> GeometryDoubt | None:  # fmt: skip
+    """The doubt of a site's geometry, where it was assumed; None where it was imaged.
+
+    forces : (n_levels,) N of the fitted model at its levels
+
+    What an earlier fit left is taken where model, parameters and geometry are the same.
+    """
+    if not case.imaging.assumed:
+        return None
+    segmented, meshed = read_result(out, "segment"), read_result(out, "mesh", site=site.name)
+    geometry, frame = segmented.data["geometry"], meshed.data["frame"]
+    writer.used_result(segmented, data=["geometry"])
+    writer.used_result(meshed, data=["frame"])
+    note = site.noise.depth if site.noise.depth > 0 else USUAL_DEPTH
+    todo = variations(round_limb=case.imaging.shape is not None, depth=note)
+    law = {name: vars(each) for name, each in fitted.materials.items()}
+    points = fitted.mesh.points.round(6).tobytes()
+    key = key_of(
+        points, plain(law), plain(geometry), frame["patient_from_model"], todo, forces.round(6).tolist()
+    )
+    known = _remembered(stage_folder(out, "fit", site.name) / FILE, key, todo)
+    if known is None:
+        progress.event("note", text=f"the geometry is assumed: {len(todo)} solves of varied shapes")
+        rod = rod_in_model(geometry, site.name, np.array(frame["patient_from_model"]))
+        known = _solve_all(fitted, forces, rod, todo, progress)
+    found = replace(known, words=geometry["words"])
+    content = {"key": key, "n_solves": found.n_solves, "seconds": found.seconds, "varied": [
+        {"log_force": each.log_force, "part": each.part, "why_not": each.why_not} for each in found.varied
+    ]}  # fmt: skip
+    writer.file("geometry", FILE).write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
+    for each in found.varied:
+        if each.log_force is None:
+            writer.warnings.append(f"{each.variation.words} was not evaluated: {each.why_not}")
+    return found if found.done else None
+
+
+def variations(*, round_limb: bool, depth: float) -> tuple[Variation, ...]:
+    """What is assumed of a limb, varied by one deviation; `depth`: mm."""
+    found = [Variation("radius", each, f"bone's radius times {each:g}") for each in RADIUS]
+    found.append(Variation("depth", depth, f"bone {depth:g} mm deeper"))
+    if round_limb:
+        found += [
+            Variation("roundness", each, f"skin's radius of curvature times {each:g}") for each in ROUNDNESS
+        ]
+    return tuple(found)
+
+
+def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Array) -> Rod:
+    """The bone that a site looks at, in the site's frame."""
+    bone = geometry["bones"][geometry["sites"][site]["bone"]]
+    to_model = np.linalg.inv(patient_from_model)
+    turn = to_model[:3, :3]
+    centre = turn @ np.array(bone["centre_mm"]) + to_model[:3, 3]
+    return Rod(
+        centre, turn @ np.array(bone["axis"]), float(bone["radius_mm"]), float(bone["from_mm"]),
+        float(bone["to_mm"]), turn @ np.array(bone["towards"]),
+    )  # fmt: skip
+
+
+def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -> Mesh:
+    """A site's mesh in another shape.
+
+    Raises
+    ------
+    MeshError
+        If a cell would lose nearly all of its volume.
+    """
+    value = variation.part(part)
+    moves = {
+        name: np.zeros((len(mesh.node_sets[name]), 3)) for name in ("bone", "skin") if name in mesh.node_sets
+    }
+    bone, skin = (mesh.points[mesh.node_sets.get(name, np.zeros(0, np.int64))] for name in ("bone", "skin"))
+    away = bone - rod.centre
+    radial = np.linalg.norm(away - np.outer(away @ rod.axis, rod.axis), axis=1)
+    own = (np.abs(radial - rod.radius) < 0.5 * rod.radius)[:, None]
+    if variation.kind == "roundness":
+        moves["skin"] = flatter(skin, rod, np.zeros(3), value)
+    else:
+        move = wider if variation.kind == "radius" else deeper
+        moves["bone"] = np.where(own, move(bone, rod, value), 0.0)
+    return morphed(mesh, moves)
+
+
+def _solve_all(
+    fitted: LimbModel, forces: Array, rod: Rod, todo: tuple[Variation, ...], progress: Progress
+) -> GeometryDoubt:
+    clock = time.perf_counter()
+    found: list[Varied] = []
+    before: ReferenceSession | None = None
+    for number, each in enumerate(todo, 1):
+        progress.event("task", name=f"geometry: {each.words}", done=number, total=len(todo))
+        try:
+            model, part = _shaped(fitted, rod, each)
+            session = ReferenceSession(model, progress=progress, tolerance=_TOLERANCE)
+            if before is not None:
+                session.start_like(before)
+                before.close()
+            before = session
+            solved = session.solve(model).must_points.forces
+            change = np.log(np.maximum(solved, 1e-9) / np.maximum(forces, 1e-9)) / part
+            found.append(Varied(each, np.asarray(change), part))
+        except (LimbError, ArithmeticError) as error:
+            found.append(Varied(each, None, why_not=str(getattr(error, "what", error))))
+    if before is not None:
+        before.close()
+    return GeometryDoubt("", tuple(found), len(todo), time.perf_counter() - clock)
+
+
+def _shaped(fitted: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel, float]:
+    """The model in its varied shape, and how much of the variation its cells could take."""
+    for part in _PARTS[:-1]:
+        try:
+            return fitted.with_mesh(varied_mesh(fitted.mesh, rod, variation, part)), part
+        except LimbError:
+            continue
+    return fitted.with_mesh(varied_mesh(fitted.mesh, rod, variation, _PARTS[-1])), _PARTS[-1]
+
+
+def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryDoubt | None:
+    """What an earlier fit of the same model left."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["key"] != key:
+            return None
+        varied = [
+            Varied(
+                each,
+                None if row["log_force"] is None else np.array(row["log_force"]),
+                row["part"],
+                row["why_not"],
+            )
+            for each, row in zip(todo, content["varied"], strict=True)
+        ]
+        return GeometryDoubt("", tuple(varied), 0, float(content["seconds"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,84 @@
+"""What `fit` tells of an assumed geometry: every variation, and both parts of the intervals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.shape_doubt import at_depths, ends, shifts, total_share
+from limbcli.inference.two_step_fit import sensitivities
+from limbcli.results import StageWriter
+from limbcli.stages.fitting.geometry import GeometryDoubt
+from limbcli.stages.fitting.table import NAMES, Identified, inside
+
+
+def leave_geometry(
+    found: Identified, doubt: GeometryDoubt, of_noise: Intervals | None, writer: StageWriter
+) -> None:
+    """`geometry_doubt` of fit.json, and a line of the summary.
+
+    of_noise : intervals of the measurement's noise alone; None where none were computed
+    """
+    rows = _rows(found, doubt)
+    share = total_share(list(doubt.modes))
+    reported: dict[str, Any] = {
+        "words": doubt.words,
+        "gain_fraction": share,
+        "variations": rows,
+        "n_solves": doubt.n_solves,
+        "seconds": doubt.seconds,
+        "interval_95_noise": ends(of_noise) if of_noise is not None else {},
+        "interval_95": ends(found.intervals[-1]) if found.intervals else {},
+        "standard_error_fraction": _deviations(rows, doubt),
+    }
+    writer.data["geometry_doubt"] = reported
+    if doubt.words not in writer.warnings:
+        writer.warnings.insert(0, doubt.words)
+    writer.summary.append(
+        f"the assumed geometry puts the force off by {100 * share:.2g} % (one deviation, {len(doubt.done)} "
+        f"shapes); {_widening(reported)}"
+    )
+
+
+def _rows(found: Identified, doubt: GeometryDoubt) -> list[dict[str, Any]]:
+    step = found.steps[-1]
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    assert answer.jacobian is not None
+    free = inside(step)
+    depth = found.data.depth[found.data.loaded]
+    moved = np.full((len(doubt.done), len(NAMES)), np.nan)
+    if free:
+        change = np.array([each.known for each in doubt.done])
+        newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
+        moved[:, free] = shifts(answer.jacobian[:, free], newtons)
+    return [
+        {
+            "kind": each.variation.kind, "words": each.variation.words, "part": each.part,
+            "weight": weight, "force_change_fraction": np.expm1(each.known),
+            "log_shift": dict(zip(NAMES, row, strict=True)),
+        }
+        for each, weight, row in zip(doubt.done, doubt.weights, moved, strict=True)
+    ]  # fmt: skip
+
+
+def _deviations(rows: list[dict[str, Any]], doubt: GeometryDoubt) -> dict[str, float]:
+    """Of ln f_kappa and ln m by the geometry alone."""
+    weights = doubt.weights
+    return {
+        name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))
+        for name in NAMES
+    }
+
+
+def _widening(reported: dict[str, Any]) -> str:
+    """
+    >>> _widening({"interval_95_noise": {"m": [4.0, 5.0]}, "interval_95": {"m": [3.5, 5.5]}})
+    '95 % of m: 4 to 5 by noise alone, 3.5 to 5.5 with it'
+    """
+    before, after = (reported[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
+    if None in before or None in after:
+        return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
+    narrow, wide = (f"{low:.3g} to {high:.3g}" for low, high in (before, after))
+    return f"95 % of m: {narrow} by noise alone, {wide} with it"

@@ -1,0 +1,76 @@
+"""The picture of a joint fit: force over depth, speed, layers over force, a row a site; the profiles."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from limbcli.drawing import save_figure
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction
+from limbcli.measurement.levels import LAYERS
+from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
+from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
+from limbcli.results import StageWriter
+from limbcli.units import kpa_from_mpa
+
+
+def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> None:
+    """fit-joint.png and profiles.png."""
+    sites = problem.task.data
+    with style():
+        layered = any(len(each.layers) for each in sites)
+        figure = new_figure(10.4 if layered else 7.6, 3.0 * len(sites))
+        panels = figure.subplots(len(sites), 3 if layered else 2, squeeze=False)
+        for k, (data, (left, right, *more)) in enumerate(zip(sites, panels, strict=True)):
+            seen = problem.predict(k, found.best)
+            order = np.argsort(data.force)
+            left.errorbar(
+                data.depth, data.force, xerr=data.depth_deviation, yerr=data.force_deviation,
+                fmt="o", ms=4, color=INK, label="measured (±1 SD)",
+            )  # fmt: skip
+            left.plot(
+                np.r_[0, seen.depth[order]], np.r_[0, data.force[order]], color=VERMILION, label="joint fit"
+            )
+            left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]", title=f"site {data.name}")
+            left.legend(loc="upper left")
+            speed = np.exp(data.log_speed)
+            right.errorbar(
+                data.speed_force, speed, yerr=speed * data.speed_deviation, fmt="o", ms=4, color=INK
+            )
+            order = np.argsort(data.speed_force)
+            right.plot(data.speed_force[order], np.exp(seen.log_speed)[order], color=VERMILION)
+            right.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]")
+            if not len(speed):
+                right.text(0.5, 0.5, "no speeds enter", ha="center", transform=right.transAxes)
+            for each in more:
+                _layers(each, data, seen)
+        save_figure(figure, writer.file("picture", "fit-joint.png"))
+    _draw_profiles(found, writer)
+
+
+def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
+    """Thickness of every layer that is counted, over force."""
+    for j, colour in zip(np.unique(data.layers.layer), (INK, BLUE, GREEN), strict=False):
+        here = np.flatnonzero(data.layers.layer == j)
+        order = here[np.argsort(data.layers.force[here])]
+        spread = np.sqrt(np.diag(data.layers.covariance)[order])
+        force, name = data.layers.force[order], LAYERS[j]
+        read = data.layers.thickness[order]
+        axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=name)
+        axes.plot(force, seen.layers[order], color=colour)
+    axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
+    axes.legend(loc="best")
+
+
+def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
+    profiles = []
+    for k, (name, each) in enumerate(found.profiles.items()):
+        unit = kpa_from_mpa(1.0) if name == "c" else 1.0
+        values = unit * each.values
+        profiles.append(
+            ProfileCurve(
+                name, values, each.deviance, unit * float(found.best[k]), "kPa" if name == "c" else "–"
+            )
+        )
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))

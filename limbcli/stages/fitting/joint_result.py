@@ -1,0 +1,136 @@
+"""What the joint fit leaves: fit-joint.json, tables, exports, and the table of laws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.identifiability import Verdict, correlation, verdict
+from limbcli.inference.joint import JointProblem, held_out_error
+from limbcli.measurement.levels import LAYERS
+from limbcli.model import Array, LimbModel
+from limbcli.reporting.headline import headline
+from limbcli.results import StageWriter
+from limbcli.stages.fitting.exports import leave_exports, parameter_rows, write_table
+from limbcli.stages.fitting.joint_picture import draw_joint
+from limbcli.stages.fitting.laws import FitLaw
+from limbcli.units import kpa_from_mpa
+
+
+def leave_joint(
+    writer: StageWriter,
+    measured: Sequence[tuple[str, LimbModel]],
+    law: FitLaw,
+    problem: JointProblem,
+    found: Intervals,
+    n_solves: int,
+) -> None:
+    """fit-joint.json, levels by site, exports and pictures; `measured`: site name and its model."""
+    parameters = parameter_table(problem, found)
+    c = float(found.best[0])
+    fitted = measured[0][1].with_material("tissue", law.material(c, problem.solved_at(found.best)))
+    values = {name: each["value"] for name, each in parameters.items()}
+    gains = {measured[k][0]: float(found.best[1 + problem.n_shape + j]) for j, k in enumerate(problem.gained)}
+    writer.data.update(
+        objective="joint", law=law.name, law_words=law.words, **values,
+        kappa_kpa=values["c_kpa"] * values["f_kappa"], parameters=parameters,
+        flags={name: each["flag"] for name, each in parameters.items()},
+        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
+        gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
+        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
+        element="+".join(sorted({b.kind for _, model in measured for b in model.mesh.solid_blocks})),
+        n_solves=n_solves, sites=[name for name, _ in measured], solver="reference",
+    )  # fmt: skip
+    rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
+    _leave_levels(writer, problem, found)
+    leave_exports(writer, rows, writer.data, fitted)
+    draw_joint(problem, found, writer)
+    for name, each in parameters.items():
+        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    n_layers = sum(len(each.layers) for each in problem.task.data)
+    writer.data["n_layer_readings"] = n_layers
+    if n_layers:
+        writer.summary.append(f"{n_layers} readings of layers entered")
+    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
+    for theta in found.unsolved:
+        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+
+
+def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[str, Any]]:
+    """c in kPa and the shape: value, error, interval, flag and words."""
+    n = 1 + problem.n_shape
+    logs = found.fit.jacobian * found.fit.theta
+    covariance: Array = np.asarray(np.linalg.pinv(logs.T @ logs)[:n, :n] * found.scale)
+    rho = correlation(np.asarray(covariance))
+    table: dict[str, dict[str, Any]] = {}
+    for k, parameter in enumerate(problem.parameters[:n]):
+        profile, value = found.profiles[parameter.name], float(found.best[k])
+        others = [(problem.parameters[j].name, float(rho[k, j])) for j in range(n) if j != k]
+        spoken: Verdict = verdict(parameter, value, profile, influence=True, correlations=others)
+        unit = kpa_from_mpa(1.0) if k == 0 else 1.0
+        words = spoken.words
+        if k == 0:
+            words = words.replace(f"{profile.low:.4g} to {profile.high:.4g}",
+                                  f"{unit * profile.low:.4g} to {unit * profile.high:.4g} kPa")  # fmt: skip
+        low = None if profile.open_low else unit * profile.low
+        high = None if profile.open_high else unit * profile.high
+        table["c_kpa" if k == 0 else parameter.name] = {
+            "value": unit * value,
+            "headline": headline(
+                unit * value, low, high, spoken.flag, why=words, unit="" if k else "kPa"
+            ),
+            "standard_error": unit * value * float(np.sqrt(covariance[k, k])),
+            "low": low, "high": high, "flag": spoken.flag, "words": words,
+        }  # fmt: skip
+    return table
+
+
+def _leave_levels(writer: StageWriter, problem: JointProblem, found: Intervals) -> None:
+    """levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
+    for k, data in enumerate(problem.task.data):
+        seen = problem.predict(k, found.best)
+        quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
+        quantity += [f"{LAYERS[j]}_mm" for j in data.layers.layer]
+        write_table(
+            writer.file(f"levels_{data.name}", f"levels-{data.name}.csv"),
+            {
+                "force_n": np.r_[data.force, data.speed_force, data.layers.force], "quantity": quantity,
+                "measured": np.r_[data.depth, np.exp(data.log_speed), data.layers.thickness],
+                "predicted": np.r_[seen.depth, np.exp(seen.log_speed), seen.layers],
+            },
+        )  # fmt: skip
+
+
+def law_row(law: FitLaw, problem: JointProblem, found: Intervals, n_solves: int) -> dict[str, Any]:
+    """One law of the comparison: what it missed of the levels left out, and what it found."""
+    depth, speed = held_out_error(problem, found)
+    shape = dict(zip([each.name for each in law.shape], problem.solved_at(found.best), strict=True))
+    return {
+        "law": law.name, "n_parameters": 1 + problem.n_shape,
+        "held_out_depth_mm": depth,
+        "held_out_speed_fraction": speed if np.isfinite(speed) else None,
+        "chi_square": found.chi_square, "n_freedom": found.n_freedom,
+        "c_kpa": kpa_from_mpa(float(found.best[0])), "shape": shape, "n_solves": n_solves,
+    }  # fmt: skip
+
+
+def leave_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
+    """laws.csv, best first: by the error of levels that were left out, never by R2."""
+    table.sort(key=lambda row: row["held_out_depth_mm"])
+    writer.data["laws"] = table
+    writer.data["best_law"] = table[0]["law"]
+    columns = [key for key in table[0] if key != "shape"]
+    cells = {key: [row[key] if row[key] is not None else "" for row in table] for key in columns}
+    cells["shape"] = [
+        "; ".join(f"{name} {value:.4g}" for name, value in row["shape"].items()) for row in table
+    ]
+    write_table(writer.file("laws", "laws.csv"), cells)
+    for row in table:
+        speed = row["held_out_speed_fraction"]
+        writer.summary.append(
+            f"{row['law']}: left-out depths missed by {row['held_out_depth_mm']:.3f} mm"
+            + (f", speeds by {100 * speed:.1f} %" if speed is not None else "")
+        )

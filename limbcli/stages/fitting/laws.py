@@ -1,0 +1,119 @@
+"""The laws that `fit` can identify, written so that c scales every stress.
+
+A law's shape is what is left once c = 2 mu is taken out: f_kappa, m, ... At fixed shape
+forces are proportional to c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
+from limbcli.inference.two_step_fit import M_STEP_FACTOR
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, Material
+from limbcli.problems import suggestion
+
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class FitLaw:
+    """name, what it is in words, the shape's parameters, and (c, shape) -> Material."""
+
+    name: str
+    words: str
+    shape: tuple[FitParameter, ...]
+    build: Callable[[float, Array], Material]
+
+    def material(self, c: float, shape: Array | Sequence[float]) -> Material:
+        return self.build(c, np.asarray(shape, dtype=float))
+
+    def searched(self, c: float, shape: Array) -> dict[str, Array]:
+        """Material parameters that depend on the shape, with d parameter / d shape (n_shape,)."""
+        base = _numbers(self.material(c, shape))
+        slopes = {name: np.zeros(len(shape)) for name in base}
+        for k, value in enumerate(shape):
+            up, down = np.array(shape, float), np.array(shape, float)
+            up[k], down[k] = value * (1 + _STEP), value * (1 - _STEP)
+            above, below = _numbers(self.material(c, up)), _numbers(self.material(c, down))
+            for name in base:
+                slopes[name][k] = (above[name] - below[name]) / (up[k] - down[k])
+        return {name: slope for name, slope in slopes.items() if np.any(slope)}
+
+
+def _numbers(material: Material) -> Mapping[str, float]:
+    return {name: float(value) for name, value in material.parameters.items()}  # type: ignore[arg-type]
+
+
+def _two_terms(c: float, shape: Array) -> Material:
+    f_kappa, share, m = (float(each) for each in shape)
+    half = c / 2
+    soft, stiff = (1 - share) * half, share * half
+    terms = {"c1": soft, "m1": 2.0, "c2": soft, "m2": -2.0, "c3": stiff, "m3": m, "c4": stiff, "m4": -m}
+    return Material("ogden", {**terms, "kappa": f_kappa * c})
+
+
+def _holmes_mow(c: float, shape: Array) -> Material:
+    return Material("holmes_mow", {"mu": c / 2, "lambda": float(shape[0]) * c, "beta": float(shape[1])})
+
+
+_F_KAPPA = FitParameter("f_kappa", 100.0, *F_KAPPA_BOUNDS, "log")
+_M = FitParameter("m", 2.0, *M_BOUNDS, "log", step_factor=M_STEP_FACTOR)
+
+LAWS: Mapping[str, FitLaw] = {
+    law.name: law
+    for law in (
+        FitLaw(
+            "ogden", "Ogden type: one pair of exponents m, -m", (_F_KAPPA, _M),
+            lambda c, s: ogden_type(c=c, f_kappa=float(s[0]), m=float(s[1])),
+        ),
+        FitLaw(
+            "mooney-rivlin", "Mooney-Rivlin type: m = 2", (_F_KAPPA,),
+            lambda c, s: ogden_type(c=c, f_kappa=float(s[0]), m=2.0),
+        ),
+        FitLaw(
+            "neo-hooke", "neo-Hookean, lambda = f_kappa c", (_F_KAPPA,),
+            lambda c, s: Material("neo_hooke", {"mu": c / 2, "lambda": float(s[0]) * c}),
+        ),
+        FitLaw(
+            "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m that carries a share of c",
+            (
+                _F_KAPPA,
+                FitParameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),
+                FitParameter("m", 8.0, 2.5, 60.0, "log", step_factor=M_STEP_FACTOR),
+            ),
+            _two_terms,
+        ),
+        FitLaw(
+            "holmes-mow", "Holmes-Mow: exponential, lambda = f_kappa c",
+            # Its exponent grows with lambda: nearly incompressible it cannot be solved far.
+            (
+                FitParameter("f_kappa", 2.0, 0.01, 50.0, "log"),
+                FitParameter("beta", 0.3, 0.01, 50.0, "log", step_factor=M_STEP_FACTOR),
+            ),
+            _holmes_mow,
+        ),
+    )
+}  # fmt: skip
+
+
+def law_named(name: str) -> FitLaw:
+    """One law by its name.
+
+    Raises
+    ------
+    CaseError
+        If there is none of that name.
+    """
+    if name not in LAWS:
+        raise CaseError(
+            f"there is no law {name!r}",
+            where="--law",
+            fix=f"{suggestion(name, LAWS)} Laws: {', '.join(LAWS)}",
+        )
+    return LAWS[name]

@@ -1,0 +1,120 @@
+"""Where the fitted model puts the borders of skin, fat and muscle, beside where they were seen.
+
+Nothing of the layers went into the fit of the force: a homogeneous tissue moves its material lines in its own
+way, and where that is not how the layers moved, the tissue is not homogeneous.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from limbcli.case import Site
+from limbcli.drawing import save_figure
+from limbcli.errors import LimbError
+from limbcli.measurement.levels import Levels
+from limbcli.model import Array, IntArray, LimbModel
+from limbcli.reporting.figures.layers import LayerPicture, layers_figure
+from limbcli.results import StageWriter
+from limbcli.solvers.base import Simulation
+from limbcli.solvers.material_lines import displacements
+from limbcli.stages.fitting.exports import write_table
+from limbcli.stages.fitting.predicted_speeds import AT_REST, simulated_rows
+from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+
+_FAR = 3.0  # mm sideways: beyond it a border on the beam is no longer where it was marked
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedLayers:
+    """Loading levels (numbers of rows of levels.csv); thickness (n, n_layers) mm; drift mm, off the beam."""
+
+    levels: IntArray
+    thickness: Array
+    drift: float
+
+
+def leave_layers(
+    fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
+) -> None:
+    """layers.csv and layers.png, where layers were read; a warning where they cannot be predicted."""
+    layers = layer_readings(levels, site)
+    if layers is None:
+        return
+    try:
+        found = predict_layers(fitted, simulation, levels, layers)
+    except LimbError as error:
+        writer.warnings.append(f"no layers could be predicted: {error.what}")
+        return
+    k = found.levels
+    columns: dict[str, object] = {
+        "level": k.tolist(), "force_n": levels.force[k], "depth_mm": levels.depth[k],
+    }  # fmt: skip
+    for j, name in enumerate(layers.names):
+        read = layers.thickness[k, j]
+        columns[f"{name}_measured_mm"] = [float(each) if np.isfinite(each) else "" for each in read]
+        columns[f"{name}_predicted_mm"] = found.thickness[:, j]
+    write_table(writer.file("layers", "layers.csv"), columns)  # type: ignore[arg-type]
+    picture = LayerPicture(
+        levels.force[k], layers.names, layers.thickness[k], found.thickness, layers.deviation
+    )
+    save_figure(layers_figure(picture), writer.file("layers_picture", "layers.png"))
+    _tell(layers, found, levels, writer)
+
+
+def predict_layers(
+    model: LimbModel, simulation: Simulation, levels: Levels, layers: LayerReadings
+) -> PredictedLayers:
+    """What the simulation makes of the layers at every loading level.
+
+    Raises
+    ------
+    MeasurementError
+        If a border lies beyond the model's tissue, or no displacements were recorded.
+    """
+    numbers, rows = simulated_rows(levels, simulation.probe_depth())
+    lines = layers.lines(model)
+    u = displacements(lines, simulation)
+    at = np.where(rows == AT_REST, 0, rows)
+    moved = np.where((rows == AT_REST)[:, None], 0.0, u[at][..., 2])
+    return PredictedLayers(numbers, layers.predicted(lines, moved), lines.drift(u))
+
+
+def _tell(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer: StageWriter) -> None:
+    """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
+    used, k = layers.used(levels)[found.levels], found.levels
+    deviance, n, reported = 0.0, 0, {}
+    for j, name in enumerate(layers.names[: layers.n_told]):
+        rows = used[:, j]
+        if not rows.any():
+            continue
+        off = (layers.thickness[k, j] - found.thickness[:, j])[rows]
+        covariance = layers.covariance(found.thickness[rows, j], j)
+        deviance, n = deviance + float(off @ np.linalg.solve(covariance, off)), n + int(rows.sum())
+        reported[name] = {
+            "rms_mm": float(np.sqrt(np.mean(off**2))), "last_mm": float(off[-1]),
+            "last_deviations": float(off[-1] / np.sqrt(covariance[-1, -1])),
+        }  # fmt: skip
+    p = float(chi2.sf(deviance, n)) if n else None
+    writer.data["layers"] = {
+        "names": list(layers.names), "deviation_mm": layers.deviation, "n_readings": n,
+        "chi_square": deviance, "p": p, "measured_less_predicted": reported, "drift_mm": found.drift,
+    }  # fmt: skip
+    parts = ", ".join(f"{name} {each['last_mm']:+.2f} mm" for name, each in reported.items())
+    if parts:
+        writer.summary.append(
+            f"layers, measured less predicted at the last level: {parts}; "
+            f"chi-square {deviance:.1f} for {n} readings"
+        )
+    if p is not None and p < 0.01:
+        writer.warnings.append(
+            f"the layers do not move as in this model (p {p:.2g}): fat or skin of a stiffness of its own, or "
+            "something in the tissue; `limbcli diagnose` looks which"
+        )
+    if found.drift > _FAR:
+        writer.warnings.append(
+            f"the tissue slides up to {found.drift:.1f} mm off the beam: the prediction follows the layers' "
+            "own material, the image what has come below the probe"
+        )

@@ -1,0 +1,91 @@
+"""How far a mesh alone may put the simulated force off: what intervals have to allow for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError
+from limbcli.model import LimbModel
+from limbcli.results import StageWriter, read_result, stage_folder
+from limbcli.stages.provenance.chain import Chain
+
+# What the mesh may add to the force, relative: of tet10 the change under refinement and with
+# the penalty (2 to 3 % at 2.5 mm edges); of tet4 what locking leaves at f_kappa 1 (13 %).
+GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
+_USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
+# Force of tet4 over that of tet10, by f_kappa: a punch of the probe's size on a 25 mm layer, edges 2.5 to
+# 3 mm. Limbs give the same (2.2 to 2.6 at 98, 6.1 to 7.4 at 641); halving the edges helps little.
+_LOCKED_F_KAPPA = (1.0, 10.0, 50.0, 100.0, 200.0, 650.0, 1000.0)
+_LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
+
+
+def gain_deviation(model: LimbModel, given: float | None, *, f_kappa: float | None = None) -> float:
+    """Numerical error of ln force, one standard deviation: stated, or by element and edge length.
+
+    f_kappa : where it is known, what locking makes of linear tetrahedra there counts too; an error of
+        one sign, taken for two standard deviations.
+    """
+    if given is not None:
+        return given
+    kind = model.mesh.solid_blocks[0].kind
+    usual = GAIN_DEVIATION.get(kind, 0.05) * edge_under_probe(model) / _USUAL_SIZE
+    if kind != "tet4" or f_kappa is None:
+        return usual
+    locked = np.interp(np.log(f_kappa), np.log(_LOCKED_F_KAPPA), np.log(_LOCKED_FORCE))
+    return max(usual, 0.5 * float(locked))
+
+
+def edge_under_probe(model: LimbModel) -> float:
+    """Median edge (mm) of the skin's facets within 10 mm of the probe's centre; 2.5 where there are none."""
+    surface, points = model.mesh.surfaces.get("contact"), model.mesh.points
+    if surface is None:
+        return _USUAL_SIZE
+    lengths = []
+    for facets in surface.facets.values():
+        corners = points[facets[:, :3]]
+        near = np.hypot(*corners.mean(axis=1)[:, :2].T) < _NEAR_CENTRE
+        lengths.append(np.linalg.norm(corners[near] - np.roll(corners[near], 1, axis=1), axis=2).ravel())
+    edges = np.concatenate(lengths) if lengths else np.zeros(0)
+    return float(np.median(edges)) if len(edges) else _USUAL_SIZE
+
+
+def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> float | None:
+    """What the mesh study of this site found, if there is one of a mesh like today's."""
+    study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
+    if not study.is_file():
+        return None
+    writer.used(f"{label}mesh-study", study)
+    try:
+        result = Chain(case, out).result("mesh-study", site=site.name)
+    except CaseError as error:
+        writer.warnings.append(
+            f"the mesh study of site {site.name} is not used: {error.what}; run {error.fix}"
+        )
+        return None
+    studied = result.data
+    other = _differences(studied, site, out)
+    if other:
+        writer.warnings.append(
+            f"the mesh study of site {site.name} is of another mesh ({other}) and is not used: run "
+            "`limbcli mesh --study` again"
+        )
+        return None
+    writer.used_result(result, data=["numerical_error_fraction"])
+    found = studied.get("numerical_error_fraction")
+    return float(found) if found is not None else None
+
+
+def _differences(studied: Mapping[str, Any], site: Site, out: Path) -> str:
+    """In words, where the mesh that was studied is not the one in the output folder."""
+    try:
+        meshed = read_result(out, "mesh", site=site.name).data
+    except CaseError:
+        return ""
+    keys = ("element", "size_under_probe_mm", "margin_mm")
+    unlike = [key for key in keys if key in studied and key in meshed and studied[key] != meshed[key]]
+    return ", ".join(f"{key} {studied[key]} instead of {meshed[key]}" for key in unlike)

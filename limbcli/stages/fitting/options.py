@@ -1,0 +1,110 @@
+"""How to fit, and whether what is asked for goes together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from limbcli.errors import CaseError
+from limbcli.stages.provenance.asked import asked_of_options
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How to fit.
+
+    c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
+        standard deviation `c_deviation` (None: that of the shear-wave reading)
+    stiffness_map : c(x), element by element, from the shear-wave map of level 0
+    intervals : profile intervals (more simulations), or only standard errors
+    gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
+        `mesh --study` where it was run, else by element and edge length)
+    contact_check : solve the fitted model once more with a harder contact, and tell what that changes
+    """
+
+    c_kpa: float | None = None
+    c_deviation: float | None = None
+    stiffness_map: bool = False
+    tolerance: float = 1e-3
+    max_iterations: int = 50
+    max_interval_solves: int = 12
+    intervals: bool = True
+    gain_deviation: float | None = None
+    contact_check: bool = True
+    templates: Path | None = None
+    time_limit_s: float | None = None
+
+    def asked(self) -> dict[str, Any]:
+        """What another run of the same kind needs to be given."""
+        return asked_of_options(self)
+
+
+def check_choice(
+    objective: str,
+    *,
+    compare_element: bool,
+    solver: str,
+    stiffness_map: bool = False,
+    joint_only: Sequence[str] = (),
+) -> None:
+    """Whether these options go together.
+
+    joint_only : options given that speak to the joint fit alone
+
+    Raises
+    ------
+    CaseError
+        If the objective is unknown, FEBio is asked for what only the reference solver does, a
+        stiffness map for what takes one c, or an option says nothing to what was asked for.
+    """
+    if objective not in ("force", "joint"):
+        raise CaseError(f"there is no objective {objective!r}", where="--objective", fix="use force or joint")
+    joint = objective == "joint"
+    if joint and compare_element:
+        raise CaseError(
+            "two different things are asked for",
+            where="--objective joint, --compare-element",
+            fix="ask for one at a time",
+        )
+    if joint_only and not joint:
+        raise CaseError(
+            f"{joint_only[0]} says nothing to the fit of the force alone",
+            where=joint_only[0],
+            fix="add --objective joint, or leave it out",
+        )
+    if solver == "febio" and (joint or compare_element):
+        raise CaseError(
+            "this needs derivatives that FEBio does not give",
+            where="--solver febio",
+            fix="leave --solver out: the reference solver does it",
+        )
+    if stiffness_map and (joint or compare_element):
+        raise CaseError(
+            "a stiffness map goes with the fit of the force alone",
+            where="--stiffness-map",
+            fix="leave --objective joint and --compare-element out, or the map",
+        )
+
+
+def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
+    """Whether the numbers given by hand can be meant.
+
+    Raises
+    ------
+    CaseError
+        Naming the option and what is possible.
+    """
+    rules = (
+        ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
+        ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
+        ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
+        ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),
+        ("--gain-deviation-fraction", gain_deviation, 0.0, 2.0, "a share of the force, e.g. 0.03"),
+    )
+    for name, value, low, high, meaning in rules:
+        if value is not None and not low <= value <= high:
+            raise CaseError(
+                f"{name} is {value:g}; possible is {low:g} to {high:g}", where=name, fix=f"give {meaning}"
+            )

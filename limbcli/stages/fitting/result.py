@@ -1,0 +1,176 @@
+"""What `fit` leaves: the numbers of fit.json, the curves, the pictures."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Site
+from limbcli.drawing import save_figure
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
+from limbcli.model import LimbModel
+from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.results import StageWriter
+from limbcli.solvers.base import Simulation
+from limbcli.stages.fitting.exports import leave_exports, parameter_rows
+from limbcli.stages.fitting.table import NAMES, Identified, step_misfit, step_table
+from limbcli.units import kpa_from_mpa
+
+__all__ = ["Identified", "draw_fit", "leave_result", "write_curves"]
+
+_FINE = 120
+_TOP = (
+    "c_kpa", "f_kappa", "kappa_kpa", "m", "r2", "rmse_n",
+    "standard_error", "interval_95", "flags", "words",
+)  # fmt: skip
+
+
+def leave_result(
+    found: Identified, fitted: LimbModel, simulation: Simulation, writer: StageWriter, site: Site, *,
+    seconds: float,
+) -> None:  # fmt: skip
+    """Fill fit.json, curves.csv and the pictures."""
+    tables = {step.name: step_table(found, k) for k, step in enumerate(found.steps)}
+    last = tables[OGDEN]
+    writer.data.update({key: last[key] for key in _TOP})
+    writer.data.update(
+        law="ogden type", objective="force", element=_element(fitted),
+        solver=simulation.solver, solver_version=simulation.version,
+        linear_solver=simulation.linear_solver, c_source=found.c_source,
+        c_deviation_fraction=found.stiffness.log_deviation,
+        numerical_error_fraction=found.stiffness.gain_deviation,
+        correlation=last["correlations"], steps=tables,
+        n_iterations=sum(step.fit.n_iterations for step in found.steps),
+        n_solves=sum(step.n_solves for step in found.steps) + 1,
+        n_interval_solves=sum(each.n_solves for each in found.intervals or ()),
+        seconds=seconds, cold_solve_seconds=found.cold_seconds,
+        identification_seconds=found.cold_seconds + sum(step.seconds for step in found.steps),
+        n_levels=len(found.data.force),
+        noise={"force_n": site.noise.force, "depth_mm": site.noise.depth,
+               "swe_level_fraction": site.noise.swe_level_fraction,
+               "swe_pixel_fraction": site.noise.swe_pixel_fraction, "source": site.noise.source},
+        variance="force residual: sigma_F^2 + (dF/dd sigma_d)^2",
+    )  # fmt: skip
+    if found.intervals:
+        best = found.intervals[-1]
+        writer.data["chi_square"], writer.data["n_freedom"] = best.chi_square, best.n_freedom
+        writer.data["noise_scale"] = float(np.sqrt(best.scale))
+        writer.data["most_likely"] = dict(
+            zip(("c_kpa", *NAMES), (kpa_from_mpa(float(best.best[0])), *best.best[1:]), strict=True)
+        )
+        _warn_unsolved(best, writer)
+    write_curves(found, writer.file("curves", "curves.csv"))
+    rows = [
+        row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
+    ]
+    leave_exports(writer, rows, writer.data, fitted)
+    draw_fit(found, site, writer)
+    _summarise(found, last, writer)
+
+
+def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
+    for theta in best.unsolved:
+        writer.warnings.append(
+            f"no simulation converged at f_kappa {theta[0]:.3g}, m {theta[1]:.3g}: "
+            "the intervals stop before it and are marked open there"
+        )
+
+
+def write_curves(found: Identified, path: Path) -> None:
+    """curves.csv: measured force where measured, and the simulated curves at first guess and steps."""
+    depths = np.unique(np.r_[np.linspace(0.0, found.knots[-1], _FINE), np.maximum(found.data.depth, 0.0)])
+    thetas = [found.start, *(step.theta for step in found.steps)]
+    curves = [found.simulated(theta, depths) for theta in thetas]
+    measured = {float(d): f for d, f in zip(np.maximum(found.data.depth, 0.0), found.data.force, strict=True)}
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"])
+        for k, depth in enumerate(depths):
+            force = measured.get(float(depth))
+            simulated = [f"{each[k]:.6g}" for each in curves]
+            rows.writerow([f"{depth:.6g}", "" if force is None else f"{force:.6g}", *simulated])
+
+
+def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
+    """fit.png: measured levels, the curves, what is left between; profiles.png where computed."""
+    from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
+
+    depths = np.linspace(0.0, found.knots[-1], _FINE)
+    labels = ("start (f_κ 100, m 2)", "Mooney-Rivlin type (m = 2)", "Ogden type")
+    thetas = [found.start, *(step.theta for step in found.steps)]
+    curves = [
+        SimulatedCurve(key, label, depths, found.simulated(theta, depths))
+        for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
+    ]
+    measured = MeasuredCurve(found.data.depth, found.data.force, site.noise.depth, site.noise.force)
+    save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
+    if not found.intervals:
+        return
+    profiles = [
+        ProfileCurve(name, each.values, each.deviance, float(value))
+        for (name, each), value in zip(
+            found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
+        )
+    ]
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+
+
+def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
+    met = step_misfit(found, found.steps[-1])
+    writer.data["misfit"] = {
+        "poor": met.poor, "noise_rms_n": met.noise, "times_noise": met.times_noise, "words": met.words
+    }  # fmt: skip
+    if met.poor:
+        writer.summary.append(met.words)
+        writer.warnings.insert(0, f"{met.words}. {_POOR}")
+    writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
+    for name in NAMES:
+        writer.summary.append(_headline(name, last["parameters"][name]))
+    first = writer.data["steps"][MOONEY_RIVLIN]
+    writer.summary.append(
+        f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (with m = 2: f_kappa "
+        f"{first['parameters']['f_kappa']['headline']}, R2 {first['r2']:.4f}); "
+        f"{writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
+    )
+    error = 100 * found.stiffness.gain_deviation
+    writer.summary.append(f"counted as uncertainty of the simulated force: {error:.2g} % by the mesh")
+    if "tet4" in writer.data["element"]:
+        writer.warnings.append(
+            "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
+            "interval holds on this mesh; tet10 elements do not lock (--compare-element shows both)"
+        )
+    for name in NAMES:
+        if last["flags"][name] not in ("identified", "fixed"):
+            writer.warnings.append(last["words"][name])
+
+
+_POOR = (
+    "The parameters are those of the nearest curve, not of the tissue: look at fit.png, at the units and "
+    "signs of levels.csv, and at what `limbcli diagnose` finds missing"
+)
+
+
+def _headline(name: str, content: Mapping[str, Any]) -> str:
+    """
+    >>> told = {"headline": "15.2", "low": 14.0, "high": 16.5, "flag": "identified"}
+    >>> _headline("f_kappa", told)
+    'f_kappa = 15.2 (95 %: 14 to 16.5): identified'
+    >>> _headline("m", {"headline": "above 3.30", "low": 3.3, "high": None, "flag": "at bound"})
+    'm: above 3.30 (95 %): at bound'
+    """
+    said, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
+    if not said[0].isdigit():
+        return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
+    if "(" in said:  # its interval, or that it has none, is reported with it
+        return f"{name} = {said}: {flag}"
+    interval = "no interval" if None in ends else f"95 %: {ends[0]:.3g} to {ends[1]:.3g}"
+    return f"{name} = {said} ({interval}): {flag}"
+
+
+def _element(model: LimbModel) -> str:
+    return "+".join(sorted({block.kind for block in model.mesh.solid_blocks}))

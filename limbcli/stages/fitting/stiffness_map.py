@@ -1,0 +1,173 @@
+"""The stiffness map of a fit: c(x) of the level-0 wave speeds on the elements of a site's model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.case import Site
+from limbcli.drawing import save_figure
+from limbcli.errors import CaseError, MeasurementError, MeshError
+from limbcli.inference.interval import Stiffness
+from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at
+from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.problems import raise_errors
+from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
+from limbcli.results import StageWriter
+from limbcli.stages.site_model.indentation_model import PROBE, TISSUE
+from limbcli.units import kpa_from_mpa
+
+_MOST_OUTSIDE = 0.2  # share of pixels without tissue that goes without a warning
+
+
+@dataclass(frozen=True, eq=False)
+class TissueMap:
+    """c of every element of the tissue (MPa), and the map that it comes from.
+
+    median : MPa, of the map, and of all elements far from it
+    n_inside, n_outside : elements within the image; pixels of the map without tissue of the model
+    """
+
+    c: ElementMap
+    swe: SweMap
+    median: float
+    n_inside: int
+    n_outside: int
+
+    @property
+    def words(self) -> str:
+        low, high = (kpa_from_mpa(float(each)) for each in (self.c.values.min(), self.c.values.max()))
+        return (
+            f"2 rho v^2 of the shear-wave map at level 0, element by element: median "
+            f"{kpa_from_mpa(self.median):.2f} kPa, {low:.2f} to {high:.2f} kPa"
+        )
+
+    def stiffness(self, site: Site) -> Stiffness:
+        """The median, and the deviation of its logarithm: what all pixels of a level share, and
+        the pixels' own part divided by the root of their number."""
+        noise = site.noise
+        own = noise.swe_pixel_fraction / np.sqrt(len(self.swe))
+        return Stiffness(self.median, 2.0 * float(np.hypot(noise.swe_level_fraction, own)))
+
+
+def tissue_map(model: LimbModel, site: Site) -> TissueMap:
+    """c(x) = 2 rho v0(x)^2 at the middle of every tissue element, from the site's level-0 map.
+
+    Raises
+    ------
+    CaseError
+        If the site has no maps.
+    MeasurementError
+        If the map of level 0 is missing, faulty, too small, or beside the model.
+    MeshError
+        If the tissue is not one block.
+    """
+    swe = _level_0(site)
+    raise_errors(check_width(swe, probe_length(model)), MeasurementError)
+    block = _tissue_block(model)
+    middles = model.mesh.points[block.cells].mean(axis=1)
+    found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
+    if not found.inside.any():
+        raise MeasurementError(
+            f"the shear-wave map of level 0 lies outside the model: lateral {_range(swe.lateral)}, "
+            f"depth {_range(swe.depth)} hold none of its {len(middles)} elements",
+            where=str(swe.path),
+            fix="lateral_mm is 0 under the probe's centre, depth_mm is 0 at its face and grows downwards",
+        )
+    c = ElementMap(f"{TISSUE}_c", block.name, found.c)
+    return TissueMap(c, swe, found.median, int(found.inside.sum()), _without_tissue(swe, middles))
+
+
+def probe_length(model: LimbModel) -> float:
+    """Of the probe's face along x, mm; 0 where the model has no probe."""
+    blocks = next((each.blocks for each in model.bodies if each.name == PROBE), ())
+    nodes = [model.mesh.block(name).cells.ravel() for name in blocks]
+    return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
+
+
+def _level_0(site: Site) -> SweMap:
+    if site.swe_maps is None:
+        raise CaseError(
+            f"site {site.name} has no shear-wave maps to make a stiffness map of",
+            where="case.toml, [[site]]",
+            fix='name their folder (swe_maps = "folder"), or fit without --stiffness-map',
+        )
+    path = map_file(site.swe_maps, 0)
+    if not path.is_file():
+        raise MeasurementError(
+            f"there is no shear-wave map of level 0 ({path.name})",
+            where=str(site.swe_maps),
+            fix="export the map at 0 N, or fit without --stiffness-map",
+        )
+    return read_map(path)
+
+
+def _tissue_block(model: LimbModel) -> Block:
+    names = [each.block for each in model.domains if each.material == TISSUE]
+    if len(names) != 1:
+        raise MeshError(
+            f"{len(names)} blocks are made of {TISSUE!r}; a stiffness map needs one",
+            where=", ".join(names) or "the model has none",
+            fix="mesh without layers, or fit without --stiffness-map",
+        )
+    return model.mesh.block(names[0])
+
+
+def _range(values: Array) -> str:
+    return f"{values.min():g} to {values.max():g} mm"
+
+
+def _without_tissue(swe: SweMap, middles: Array) -> int:
+    """Pixels with no element nearby, on the scale of the elements there."""
+    tree = cKDTree(middles)
+    places = np.column_stack([swe.lateral, np.zeros(len(swe)), -swe.depth])
+    distance, nearest = tree.query(places)
+    spacing = tree.query(middles[nearest], k=min(9, len(middles)))[0][:, -1]
+    return int((distance > spacing).sum())
+
+
+def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter) -> None:
+    """What fit.json says of the map, its picture, and a warning where it does not suit the levels."""
+    assert found.swe.path is not None
+    role = f"site/{site.name}/swe_maps/{found.swe.path.name}"
+    writer.used("swe_map_level_0", found.swe.path, role=role)
+    values = kpa_from_mpa(found.c.values)
+    writer.data["stiffness_map"] = {
+        "map": found.swe.path.name, "n_pixels": len(found.swe), "n_pixels_without_tissue": found.n_outside,
+        "n_elements": len(values), "n_elements_within_image": found.n_inside,
+        "median_kpa": kpa_from_mpa(found.median),
+        "low_kpa": float(values.min()), "high_kpa": float(values.max()),
+        "smoothing_mm": SMOOTHING, "fade_mm": FADE,
+        "extruded": "along elevation; outside the image it fades into the median",
+    }  # fmt: skip
+    writer.summary.append(
+        f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
+    )
+    writer.warnings.extend(_doubts(found, levels))
+    block = model.mesh.block(found.c.block)
+    section = StiffnessSection(
+        model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
+        {name: dict(each.facets) for name, each in model.mesh.surfaces.items() if name in ("skin", "bone")},
+    )  # fmt: skip
+    save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
+
+
+def _doubts(found: TissueMap, levels: Levels) -> list[str]:
+    doubts = []
+    if found.n_outside > _MOST_OUTSIDE * len(found.swe):
+        doubts.append(
+            f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map lie where the model has no "
+            "tissue: check lateral_mm, depth_mm and the site's place"
+        )
+    if not levels.begins_at_zero:
+        doubts.append(
+            f"there is no level 0: the stiffness map is that of {levels.force[0]:g} N and "
+            f"{levels.depth[0]:g} mm, of tissue under load already"
+        )
+    odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
+    return doubts + [f"{map_file(Path(), 0).name}: {each.what} ({each.fix})" for each in odd]

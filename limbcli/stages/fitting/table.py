@@ -1,0 +1,196 @@
+"""The numbers of fit.json: values, standard errors, intervals, verdicts of each step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.identifiability import (
+    Verdict,
+    correlation,
+    force_variance,
+    has_influence,
+    log_covariance,
+    verdict,
+)
+from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.interval import Stiffness
+from limbcli.inference.misfit import Misfit, misfit
+from limbcli.inference.prediction import SolvedPoints, slopes_at
+from limbcli.inference.shape_doubt import at_depths, shifts
+from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
+from limbcli.model import Array
+from limbcli.reporting.headline import headline
+from limbcli.stages.fitting.geometry import GeometryDoubt
+from limbcli.units import kpa_from_mpa
+
+NAMES = ("f_kappa", "m")
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Everything the two steps found, before it is written down."""
+
+    curve: SolvedPoints
+    knots: Array
+    data: ForceDepth
+    stiffness: Stiffness
+    c_source: str
+    start: Array
+    steps: Sequence[FittedStep]
+    intervals: Sequence[Intervals] | None
+    cold_seconds: float
+    why_no_intervals: str = "no interval was asked for"
+    geometry: GeometryDoubt | None = None
+
+    def simulated(self, theta: Array, depths: Array) -> Array:
+        values = self.curve(theta).values
+        return pchip_sample(np.r_[0.0, self.knots], np.r_[0.0, values], depths).values
+
+
+def step_table(found: Identified, k: int) -> dict[str, Any]:
+    """One step of the identification as plain values, keys with units."""
+    step, c = found.steps[k], found.stiffness.c
+    f_kappa, m = (float(each) for each in step.theta)
+    covariance = total_covariance(found, step)
+    deviation = np.sqrt(np.diag(covariance))
+    verdicts = _verdicts(found, k, covariance)
+    values = {"c_kpa": kpa_from_mpa(c), "f_kappa": f_kappa, "m": m, "kappa_kpa": kpa_from_mpa(c * f_kappa)}
+    errors = {
+        "c_kpa": values["c_kpa"] * deviation[0],
+        "f_kappa": f_kappa * deviation[1],
+        "m": m * deviation[2],
+    }
+    spread = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
+    errors["kappa_kpa"] = values["kappa_kpa"] * float(np.sqrt(spread))
+    intervals = _intervals(found, k, values["c_kpa"])
+    rho = correlation(covariance)
+    searched = [parameter.name for parameter in step.fit.parameters]
+    return {
+        **values,
+        "r2": step.r2, "rmse_n": step.rmse, "cost_n2": step.fit.cost, "reason": step.fit.reason,
+        "n_iterations": step.fit.n_iterations, "n_solves": step.n_solves, "seconds": step.seconds,
+        "standard_error": errors,
+        "interval_95": intervals,
+        "correlation": float(rho[1, 2]),
+        "correlations": {"f_kappa,m": rho[1, 2], "c,f_kappa": rho[0, 1], "c,m": rho[0, 2]},
+        "flags": {name: each.flag for name, each in verdicts.items()},
+        "words": {name: each.words for name, each in verdicts.items()},
+        "parameters": {
+            name: _parameter(found, values[name], intervals.get(name), verdicts[name], errors[name])
+            for name in ("c_kpa", *NAMES) if name in verdicts
+        },
+        "profiles": _profiles(found, k),
+        "history": [
+            {"cost_n2": each.cost, **dict(zip(searched, each.theta, strict=True))}
+            for each in step.fit.history
+        ],
+    }  # fmt: skip
+
+
+def total_covariance(found: Identified, step: FittedStep) -> Array:
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen."""
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    assert answer.jacobian is not None
+    variance = _variance(found, step)
+    free = inside(step)
+    columns = answer.jacobian[:, free]
+    sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
+    covariance = np.full((3, 3), np.nan)
+    covariance[0, 0] = sigma_c**2
+    if not free:
+        return covariance
+    if not variance.any():  # without stated noise there is no standard error
+        return covariance
+    block = log_covariance(columns, variance, nuisance=answer.values, nuisance_deviation=sigma)
+    if found.geometry is not None:
+        moved = shifts(columns, geometry_spread(found, step))
+        block = block + moved.T @ moved
+    places = [1 + k for k in free]
+    covariance[np.ix_(places, places)] = block
+    if np.isfinite(block).all():
+        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
+        covariance[0, places] = covariance[places, 0] = carried
+    return covariance
+
+
+def geometry_spread(found: Identified, step: FittedStep) -> Array:
+    """N (n, n_modes) at the loaded levels, one deviation each, by what is assumed of the geometry."""
+    assert found.geometry is not None
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    depth = found.data.depth[found.data.loaded]
+    return np.asarray(answer.values[:, None] * at_depths(found.geometry.modes, found.knots, depth))
+
+
+def step_misfit(found: Identified, step: FittedStep) -> Misfit:
+    """How far a step's curve lies from the measured forces, against their stated noise."""
+    return misfit(step.rmse, step.r2, _variance(found, step))
+
+
+def _variance(found: Identified, step: FittedStep) -> Array:
+    """Of the force residuals, (n,) N^2."""
+    data = found.data
+    slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
+    return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
+
+
+def inside(step: FittedStep) -> list[int]:
+    """The searched parameters that did not end on a bound."""
+    pairs = zip(step.free, step.fit.parameters, step.fit.theta, strict=True)
+    return [k for k, parameter, value in pairs if parameter.at_bound(float(value)) is None]
+
+
+def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict]:
+    step = found.steps[k]
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    assert answer.jacobian is not None
+    influence = has_influence(answer.jacobian, answer.values)
+    rho = np.nan_to_num(correlation(covariance))
+    verdicts = {"c_kpa": Verdict("fixed", f"c is held fixed: {found.c_source}.")}
+    for parameter, index in zip(step.fit.parameters, step.free, strict=True):
+        profile = found.intervals[k].profiles.get(parameter.name) if found.intervals else None
+        others = [("c", rho[1 + index, 0])]
+        others += [(NAMES[j], rho[1 + index, 1 + j]) for j in step.free if j != index]
+        verdicts[parameter.name] = verdict(
+            parameter, float(step.theta[index]), profile,
+            influence=bool(influence[index]), correlations=others,
+            log_deviation=float(np.sqrt(covariance[1 + index, 1 + index])),
+            why_no_profile=found.why_no_intervals,
+        )  # fmt: skip
+    return verdicts
+
+
+def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float | None]]:
+    """[low, high] by parameter; None where the data exclude nothing up to the bound."""
+    sigma = found.stiffness.log_deviation
+    intervals: dict[str, list[float | None]] = {
+        "c_kpa": [c_kpa * float(np.exp(-1.96 * sigma)), c_kpa * float(np.exp(1.96 * sigma))]
+    }
+    for name, profile in (found.intervals[k].profiles if found.intervals else {}).items():
+        intervals[name] = [
+            None if profile.open_low else profile.low, None if profile.open_high else profile.high
+        ]  # fmt: skip
+    return intervals
+
+
+def _parameter(
+    found: Identified, value: float, interval: Sequence[float | None] | None, said: Verdict, error: float
+) -> dict[str, Any]:
+    low, high = interval or (None, None)
+    reason = "open to both bounds: nothing is excluded" if interval else found.why_no_intervals
+    return {
+        "value": value, "low": low, "high": high, "standard_error": error,
+        "headline": headline(value, low, high, said.flag, why=said.words, computed=interval is not None),
+        "interval_reason": reason if low is None and high is None else "",
+        "flag": said.flag, "words": said.words,
+    }  # fmt: skip
+
+
+def _profiles(found: Identified, k: int) -> dict[str, dict[str, Array]]:
+    """The profile likelihoods: values, and the rise of -2 ln likelihood there."""
+    profiles = found.intervals[k].profiles if found.intervals else {}
+    return {name: {"values": each.values, "deviance": each.deviance} for name, each in profiles.items()}

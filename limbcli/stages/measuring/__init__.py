@@ -1,0 +1,1 @@
+"""What `measure` reads beside the load cell: elastography screens and B-mode images."""

@@ -1,0 +1,153 @@
+"""measure: elastography screens to speeds, in the tissue between skin, fat and bone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import MeasurementError
+from limbcli.measurement.elastography import SweMap, map_file, statistics, write_map
+from limbcli.measurement.overlay_places import find_bar, find_box
+from limbcli.measurement.swe_image import Box, DecodedMap, Overlay, decode_overlay
+from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
+from limbcli.progress import Progress
+from limbcli.results import StageWriter
+from limbcli.stages.provenance.chain import Chain
+
+_IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
+_OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
+
+
+@dataclass(frozen=True)
+class TissueBetween:
+    """Where muscle lies below the probe face, mm: from the fat's lower side to the bone, level by level.
+
+    top : None where the images told no layers; bottom : (n_levels,) or None without B-mode
+    """
+
+    top: float | None
+    bottom: tuple[float, ...] | None
+
+    def range(self, level: int) -> tuple[float, float]:
+        low = -np.inf if self.top is None else self.top
+        known = self.bottom is not None and level < len(self.bottom)
+        return low, self.bottom[level] if known and self.bottom is not None else np.inf
+
+    @property
+    def words(self) -> str:
+        parts = [] if self.top is None else [f"from {self.top:.1f} mm (skin and fat as segment found them)"]
+        if self.bottom is not None:
+            parts.append(f"to {min(self.bottom):.1f} mm or deeper (above the bone)")
+        return " ".join(parts)
+
+
+def tissue_between(
+    case: Case, site: Site, out: Path, skin_bone: Sequence[float] | None, writer: StageWriter
+) -> TissueBetween:
+    """From what `segment` found at the site and the B-mode images of the levels."""
+    bottom = tuple(each - _OFF_BONE for each in skin_bone) if skin_bone is not None else None
+    segmented = Chain(case, out).present("segment", about=[site.name])
+    layers = None
+    if segmented is not None:
+        layers = segmented.value(f"layers/{site.name}")
+        writer.used_result(segmented, data=[f"layers/{site.name}"])
+    top = None if layers is None else float(layers["skin_mm"]) + float(layers["fat_mm"])
+    return TissueBetween(top, bottom)
+
+
+def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
+    """One image a level, in the order of their names."""
+    folder: Path = table["path"]
+    paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in _IMAGE_SUFFIXES)
+    if not paths:
+        fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
+        raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
+    return [read_image(each, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels) for each in paths]
+
+
+def measured_speeds(
+    table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter, progress: Progress
+) -> dict[str, Sequence[float]]:
+    """The columns of speeds; leaves the maps of all levels and a box plot."""
+    from limbcli.measurement.picture import draw_speeds
+
+    images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
+    if table["image_pixels"] is None and table["mm_per_pixel"] is not None:
+        writer.warnings.append(
+            "the top of the elastography pictures is taken for the probe face and their middle for its "
+            "centre; say where the ultrasound image lies in them with image_pixels"
+        )
+    overlays = _overlays(images, table, writer)
+    decoded: list[DecodedMap] = []
+    for k, (image, overlay) in enumerate(zip(images, overlays, strict=True), 1):
+        decoded.append(decode_overlay(image, overlay))
+        progress.event("task", name="SWE images", done=k, total=len(images))
+    maps = _within_tissue(decoded, table, tissue, writer)
+    for k, each in enumerate(maps):
+        write_map(map_file(writer.file("maps", "swe").parent / "swe", k), each)
+    figures = [statistics(each) for each in maps]
+    draw_speeds(maps, writer.file("speed_picture", "speeds.png"))
+    writer.data["swe"] = [
+        {"n_masked": d.n_masked, "n_unlike": d.n_unlike, "n_ambiguous": d.n_ambiguous,
+         "n_saturated": int(d.saturated.sum()), "box_pixels": list(o.box_pixels), **vars(f)}
+        for d, o, f in zip(decoded, overlays, figures, strict=True)
+    ]  # fmt: skip
+    for k, level in enumerate(decoded):
+        share = 100 * float(level.saturated.mean())
+        if share > 10.0:
+            writer.warnings.append(f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar")
+    return {
+        "swe_mean_m_per_s": [each.mean_m_per_s for each in figures],
+        "swe_sd_m_per_s": [each.sd_m_per_s for each in figures],
+        "swe_pixels": [each.n_pixels for each in figures],
+    }
+
+
+def _overlays(
+    images: Sequence[UltrasoundImage], table: Mapping[str, Any], writer: StageWriter
+) -> list[Overlay]:
+    """Bar and box of every image: as case.toml says, else found (the bar once, the box in each)."""
+    bar = box_of(table["bar_pixels"]) if table["bar_pixels"] else find_bar(images[0])
+    stated = box_of(table["box_pixels"]) if table["box_pixels"] else None
+    boxes = [stated or find_box(each, bar) for each in images]
+    for name, found in (("bar_pixels", bar), ("box_pixels", boxes[0])):
+        if not table[name]:
+            writer.summary.append(f"{name} found at {list(found)}")
+    low, high = float(table["low_m_per_s"]), float(table["high_m_per_s"])
+    return [Overlay(box, bar, low, high, float(table["opacity"])) for box in boxes]
+
+
+def _within_tissue(
+    decoded: Sequence[DecodedMap], table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter
+) -> list[SweMap]:
+    """The unsaturated pixels of the region of interest: as stated, else between fat and bone."""
+    lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
+    stated = tuple(table["roi_depth_mm"]) if table["roi_depth_mm"] else None
+    if stated is None and tissue.words:
+        writer.summary.append(f"speeds are those of the depths {tissue.words}")
+    if stated is None and tissue.top is None:
+        writer.warnings.append(
+            "speeds are those of the whole colour box from its top: run `limbcli segment` first, or state "
+            "roi_depth_mm, so that skin and fat are left out"
+        )
+    maps = []
+    for k, each in enumerate(decoded):
+        depth = stated or tissue.range(k)
+        part = each.unsaturated.within(lateral=lateral, depth=depth)
+        if not len(part):
+            raise MeasurementError(
+                f"level {k}: no readable pixel lies between {depth[0]:.1f} and {depth[1]:.1f} mm",
+                where=str(each.swe.path),
+                fix="state roi_depth_mm, or image_pixels, box_pixels and mm_per_pixel of the pictures",
+            )
+        maps.append(part)
+    return maps
+
+
+def box_of(values: Sequence[float]) -> Box:
+    return int(values[0]), int(values[1]), int(values[2]), int(values[3])

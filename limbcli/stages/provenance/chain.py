@@ -1,0 +1,225 @@
+"""The chain of results: each is used only while all that it was made from is as it was.
+
+A result carries hashes of its inputs and of its own files, the values of the case that it used, and
+what it took of earlier results (`made_from` and `files_sha256` in its provenance). Before a stage uses
+a result, the whole chain behind it is looked at again; the first link that does not hold, from the
+images on, is named with the commands that mend it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError
+from limbcli.files import sha256
+from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
+from limbcli.stages.provenance.chain_inputs import SITES, case_value, in_words, input_path, note_case
+from limbcli.stages.provenance.commands import CommandStep, commands
+from limbcli.version import __version__
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A link that does not hold: what changed, where, and the stages to run again, the first one first.
+
+    before : what to do instead, or before, in words that lead up to the commands
+    """
+
+    what: str
+    where: str
+    steps: tuple[CommandStep, ...]
+    before: str = ""
+
+    def fix(self, case: Case, out: Path) -> str:
+        """What is to be thought of before, and the commands."""
+        return self.before + commands(self.steps, case.folder, out)
+
+    def error(self, case: Case, out: Path) -> CaseError:
+        first = self.steps[0]
+        return CaseError(
+            self.what,
+            where=self.where,
+            fix=self.fix(case, out),
+            stage=first.stage,
+            site=first.site,
+        )
+
+
+class Chain:
+    """The results below an output folder, as one case may use them."""
+
+    def __init__(self, case: Case, out: Path):
+        self.case, self.out = case, out
+
+    def result(self, stage: str, *, site: str | None = None, about: Collection[str] = ()) -> StageResult:
+        """A stage's result, after the whole chain behind it was looked at.
+
+        about : sites whose own values in a result of the whole case are going to be used
+
+        Raises
+        ------
+        CaseError
+            If there is none, or a link of the chain does not hold; with the commands that mend it.
+        """
+        found = self._read(stage, site)
+        broken = found if isinstance(found, Broken) else self.broken(found, about=about)
+        if broken is not None:
+            raise broken.error(self.case, self.out)
+        assert isinstance(found, StageResult)
+        return found
+
+    def present(
+        self, stage: str, *, site: str | None = None, about: Collection[str] = ()
+    ) -> StageResult | None:
+        """The same, or None where the stage was not run."""
+        there = (stage_folder(self.out, stage, site) / f"{stage}.json").is_file()
+        return self.result(stage, site=site, about=about) if there else None
+
+    def broken(self, found: StageResult, *, about: Collection[str] | None = None) -> Broken | None:
+        """The first link behind a result that does not hold, from the images on; None if all hold.
+
+        about : as in `result`; None: every site of the case
+        """
+        own = CommandStep.of(found)
+        made = _links(found)
+        for label, link in made["results"].items():
+            earlier = self._broken_at(label, link)
+            if earlier is not None:
+                return replace(earlier, steps=(*earlier.steps, own))
+        if found.subject != self.case.subject:
+            what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
+            before = f"name another --out; to replace the results of {found.subject} for good: "
+            return Broken(what, str(found.folder), (own,), before)
+        if made["version"] != __version__:
+            by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
+            what = f"the result of `{found.label}` was made by {by}, this is {__version__}"
+            return Broken(what, str(found.folder), (own,))
+        changed = next(self._changes(found, made, about), None)
+        return None if changed is None else Broken(*changed, (own,))
+
+    def _broken_at(self, label: str, link: Mapping[str, Any]) -> Broken | None:
+        upstream = self._read(*_named(label))
+        about = [key.split("/")[1] for key in link["data"] if "/" in key]
+        return upstream if isinstance(upstream, Broken) else self.broken(upstream, about=about)
+
+    def _read(self, stage: str, site: str | None) -> StageResult | Broken:
+        try:
+            return read_result(self.out, stage, site=site)
+        except CaseError as error:
+            return Broken(error.what, error.where, (CommandStep(stage, site),))
+
+    def _changes(
+        self, found: StageResult, made: Mapping[str, Any], about: Collection[str] | None
+    ) -> Iterator[tuple[str, str]]:
+        """(what, where) of every link of this result alone that does not hold."""
+        after = f"changed after `{found.label}` was run"
+        for key, value in made["case"].items():
+            if self._matters(key, found, about) and not self._is_as_it_was(key, value, about):
+                yield f"{in_words(key)} {after}", str(self.case.file)
+        for role, digest in made["files"].items():
+            path = input_path(self.case, role)
+            if path is None or not path.exists():
+                yield (
+                    f"{in_words(role)} is gone, of which `{found.label}` was made",
+                    str(path or self.case.file),
+                )
+            elif sha256(path) != digest:
+                yield f"{in_words(role)} {after}", str(path)
+        for label, link in made["results"].items():
+            upstream = _read_named(self.out, label)
+            for name in _unlike(link, upstream):
+                yield f"the result of `{label}` ({name}) {after}", str(upstream.folder)
+        for name, digest in found.provenance.get("files_sha256", {}).items():
+            path = found.path(name)
+            if not path.exists():
+                yield f"{path.name}, which `{found.label}` left, is gone", str(path)
+            elif sha256(path) != digest:
+                yield f"{path.name}, which `{found.label}` left, is not as it was left", str(path)
+
+    def _matters(self, key: str, found: StageResult, about: Collection[str] | None) -> bool:
+        """Values of one site in a result of the whole case matter where that site is asked about."""
+        if found.site is not None or not key.startswith("site/"):
+            return True
+        name = key.split("/")[1]
+        return name in self._names() if about is None else name in about
+
+    def _is_as_it_was(self, key: str, value: Any, about: Collection[str] | None) -> bool:
+        if key == SITES:
+            return set(self._names() if about is None else about) <= set(value)
+        return bool(case_value(self.case, key) == value)
+
+    def _names(self) -> list[str]:
+        return [each.name for each in self.case.sites]
+
+
+def _links(found: StageResult) -> dict[str, Any]:
+    """What a result says that it was made from; nothing, by no version, where that is damaged or absent."""
+    made = found.provenance.get("made_from")
+    kinds = ("case", "files", "results")
+    if (
+        isinstance(made, dict)
+        and all(isinstance(made.get(each), dict) for each in kinds)
+        and all(_is_link(each) for each in made["results"].values())
+    ):
+        return {"version": "", **made}
+    return {"version": "", **{each: {} for each in kinds}}
+
+
+def _is_link(link: object) -> bool:
+    return isinstance(link, dict) and all(isinstance(link.get(each), dict) for each in ("files", "data"))
+
+
+def _named(label: str) -> tuple[str, str | None]:
+    stage, _, site = label.partition(" ")
+    return stage, site or None
+
+
+def _read_named(out: Path, label: str) -> StageResult:
+    stage, site = _named(label)
+    return read_result(out, stage, site=site)
+
+
+def _unlike(link: Mapping[str, Mapping[str, Any]], upstream: StageResult) -> Iterator[str]:
+    """Names of files and data that are no longer what was taken."""
+    now = upstream.provenance.get("files_sha256", {})
+    for name, digest in link["files"].items():
+        if now.get(name) != digest:
+            yield name
+    for key, value in link["data"].items():
+        if plain(upstream.value(key)) != value:
+            yield key.replace("/", " of ")
+
+
+def check_earlier(case: Case, out: Path, sites: Iterable[Site]) -> None:
+    """Look at the chain behind all that earlier stages left for these sites.
+
+    Raises
+    ------
+    CaseError
+        As `Chain.result`; a stage that was not run is no error here.
+    """
+    chain = Chain(case, out)
+    for site in sites:
+        for stage in reversed(_EARLIER):  # what the last one rests on is looked at with it
+            chain.present(stage, site=None if stage == "segment" else site.name)
+
+
+def note_earlier(case: Case, out: Path, site: Site, writer: StageWriter) -> None:
+    """Record all that earlier stages left for a site, and its measurement, as what a result is made from."""
+    for stage, names in _EARLIER.items():
+        of = None if stage == "segment" else site.name
+        if (stage_folder(out, stage, of) / f"{stage}.json").is_file():
+            found = read_result(out, stage, site=of)
+            writer.used_result(found, files=[name for name in found.files if name.startswith(names)])
+    for kind, path in (("levels", site.levels), ("trace", site.trace), ("swe_maps", site.swe_maps)):
+        if path is not None:
+            writer.used(kind.replace("_", " "), path, role=f"site/{site.name}/{kind}")
+    own = ["place", "long_axis", "density_kg_per_m3", "noise"]
+    note_case(writer, case, ["probe", "model/margin"], site=site, own=own)
+
+
+_EARLIER = {"segment": ("skin", "bone"), "mesh": ("model",), "build-feb": ("feb",), "run": ("force_depth",)}

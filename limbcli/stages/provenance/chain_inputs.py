@@ -1,0 +1,89 @@
+"""What a stage takes from the case, by names that hold wherever the case lies.
+
+A role names a file or folder ("site/p1/levels", "imaging/mri"), a key the values of case.toml
+("site/p1/place", "probe"). Anything else a role can be is the absolute path of a file outside the case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from limbcli.case import Case, Site
+from limbcli.results import StageWriter, plain
+
+SITES = "sites"
+_WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
+
+
+def input_path(case: Case, role: str) -> Path | None:
+    """Where the file or folder of a role lies today; None where the case names none."""
+    if Path(role).is_absolute():
+        return Path(role)
+    section, name, *rest = role.split("/")
+    if section == "imaging":
+        return _image(case, name, rest)
+    site = _site(case, name)
+    if site is None:
+        return None
+    kind, *inside = rest
+    instrument = site.instruments.get(kind)
+    found: Path | None = instrument["path"] if instrument else getattr(site, kind, None)
+    return found.joinpath(*inside) if found is not None else None
+
+
+def case_value(case: Case, key: str) -> Any:
+    """The value of a key today, defaults filled in; None where the case has none."""
+    section, *rest = key.split("/")
+    if section == SITES:
+        return [each.name for each in case.sites]
+    if section == "imaging":
+        return plain(case.raw.get("imaging"))
+    if section == "site":
+        site = _site(case, rest[0])
+        return None if site is None else plain(_of_site(site, rest[1]))
+    found = plain(vars(getattr(case, section)))
+    return found[rest[0]] if rest else found
+
+
+def note_case(
+    writer: StageWriter, case: Case, keys: Iterable[str], *, site: Site | None = None, own: Iterable[str] = ()
+) -> None:
+    """Note these keys of the case, and those of one site's own, as what a result is made from."""
+    several = [*keys, *(f"site/{site.name}/{each}" for each in own if site is not None)]
+    writer.made_from["case"].update({key: case_value(case, key) for key in several})
+
+
+def in_words(key: str) -> str:
+    """
+    >>> in_words("site/p1/place"), in_words("model/margin"), in_words("imaging/mri")
+    ('place (position_mm, marker) of site p1', 'model.margin', 'imaging.mri')
+    """
+    if key.startswith("site/"):
+        _, name, *rest = key.split("/")
+        said = "/".join(rest)
+        return f"{_WORDS.get(said, said)} of site {name}"
+    return key if Path(key).is_absolute() else key.replace("/", ".")
+
+
+def _image(case: Case, name: str, rest: list[str]) -> Path | None:
+    if name == "bones":
+        number = int(rest[0])
+        return case.imaging.bones[number] if number < len(case.imaging.bones) else None
+    found: Path | None = getattr(case.imaging, name)
+    return found
+
+
+def _site(case: Case, name: str) -> Site | None:
+    return next((each for each in case.sites if each.name == name), None)
+
+
+def _of_site(site: Site, key: str) -> Any:
+    if key == "place":
+        return {"position_mm": site.position, "marker": site.marker}
+    if key == "noise":
+        return vars(site.noise)
+    if key in site.instruments:
+        return {name: value for name, value in site.instruments[key].items() if name != "path"}
+    return getattr(site, key, None)

@@ -1,0 +1,55 @@
+"""The command that makes a result again, as one pastes it into a shell."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from limbcli.results import StageResult
+from limbcli.stages.provenance.asked import in_words
+
+_WORDS = {
+    "fit-joint": ("fit", "--objective", "joint"),
+    "fit-elements": ("fit", "--compare-element"),
+    "mesh-study": ("mesh", "--study"),
+}
+
+
+@dataclass(frozen=True)
+class CommandStep:
+    """A stage to be run again, for one site or the whole case, and how it was asked for."""
+
+    stage: str
+    site: str | None = None
+    asked: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    sites: tuple[str, ...] = field(default=(), compare=False)
+
+    @staticmethod
+    def of(result: StageResult) -> CommandStep:
+        """As it was made; a joint fit with the same law and of the same sites."""
+        asked = dict(result.data.get("asked") or {})
+        if result.stage != "fit-joint":
+            return CommandStep(result.stage, result.site, asked)
+        law = {"law": result.data["law"]} if "law" in result.data else {}
+        return CommandStep(result.stage, None, {**law, **asked}, tuple(result.data.get("sites") or ()))
+
+    def command(self, case: Path, out: Path) -> str:
+        """
+        >>> Step("mesh", "p1", {"fat_layer": "mri"}).command(Path("my limb"), Path("out/S1"))
+        "limbcli mesh 'my limb' --site p1 --out out/S1 --fat-mm mri"
+        >>> Step("fit-joint", sites=("p1", "p2")).command(Path("limb"), Path("out"))
+        'limbcli fit limb --objective joint --site p1 --site p2 --out out'
+        """
+        command, *words = _WORDS.get(self.stage, (self.stage,))
+        sites = [word for each in (self.site, *self.sites) if each for word in ("--site", each)]
+        asked = in_words({key: value for key, value in self.asked.items() if value is not None})
+        said = shlex.join(["limbcli", command, str(case), *words, *sites, "--out", str(out)])
+        return f"{said} {asked}" if asked else said
+
+
+def commands(steps: Iterable[CommandStep], case: Path, out: Path) -> str:
+    """All of them in turn, each once; one that fails stops the rest."""
+    return " && ".join(each.command(case, out) for each in dict.fromkeys(steps))

@@ -1,0 +1,43 @@
+"""The page of a subject whose case folder cannot even be read."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from limbcli.errors import LimbError
+from limbcli.pasting import pasted
+from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.page import render
+from limbcli.results import StageResult, open_stage, provenance
+
+PAGE_FILE = "report.html"
+
+
+def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
+    """Write `<out>/report/report.html` that shows why a case could not be opened.
+
+    One subject's unusable folder does not stop a batch; this is that subject's page,
+    and its row in the index.
+    """
+    shown = pasted(error, folder, out)
+    failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))
+    name = folder.resolve().name
+    own = provenance()
+    with open_stage(out, "report", subject=name) as writer:
+        facts = {
+            "subject": name,
+            "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
+            "own": own,
+            "failure": failure,
+            "command": f"limbcli check {shlex.quote(str(folder))}",
+        }
+        page = render("failure.html.j2", facts)
+        writer.file("page", PAGE_FILE).write_text(page, encoding="utf-8")
+        writer.data["mood"] = "failed"
+        writer.data["failures"] = [{"stage": "check", "site": None, **vars(failure)}]
+        writer.data["n_warnings"] = 0
+        writer.data["sites"] = {}
+        writer.summary.append(f"the case cannot be used: {error.what}")
+    assert writer.result is not None
+    return writer.result

@@ -1,0 +1,150 @@
+"""The index of several subjects' reports, as a batch leaves them in one folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from limbcli.drawing import data_file, write_data
+from limbcli.errors import CaseError
+from limbcli.files import atomic_file
+from limbcli.progress import SILENT, Progress
+from limbcli.reporting.figures.study import study_figure
+from limbcli.reporting.figures.style import style
+from limbcli.reporting.fit_view import read_fit_view
+from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
+from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.page import data_uri, render
+from limbcli.results import StageResult, plain, provenance, read_result, stage_folder
+
+INDEX_FILE = "index.html"
+
+
+@dataclass(frozen=True)
+class IndexResult:
+    page: Path
+    rows: tuple[IndexRow, ...]
+
+    @property
+    def n_subjects(self) -> int:
+        return len({row.folder for row in self.rows})
+
+    def to_json(self) -> dict[str, Any]:
+        rows = [
+            {"subject": row.subject, "site": row.site, "state": row.state, "report": row.link}
+            for row in self.rows
+        ]
+        return {"page": str(self.page), "n_subjects": self.n_subjects, "rows": rows}
+
+
+def report_index(folder: Path, *, templates: Path | None = None, progress: Progress = SILENT) -> IndexResult:
+    """Write `<folder>/index.html`: a row a site of every subject with results below `folder`.
+
+    Raises
+    ------
+    CaseError
+        If the folder is absent or holds no subject's results.
+    """
+    if not folder.is_dir():
+        raise CaseError(
+            f"there is no folder {folder}", where="--index", fix="name the output folder of a batch"
+        )
+    outs = sorted(each for each in (folder, *folder.iterdir()) if _is_output(each))
+    if not outs:
+        raise CaseError(
+            "the folder holds no subject's results",
+            where=str(folder),
+            fix=f"run `limbcli batch CASE... --out {folder}` first",
+        )
+    rows: list[IndexRow] = []
+    for k, out in enumerate(outs, 1):
+        rows += _rows(out, folder)
+        progress.event("task", name="index", done=k, total=len(outs))
+    own = provenance()
+    facts = {
+        "rows": rows, "headings": HEADINGS, "own": own, "n_subjects": len(outs),
+        "study": _picture(rows, folder),
+        "name": folder.resolve().name,
+        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
+    }  # fmt: skip
+    html = render("index.html.j2", facts, templates=templates)
+    with atomic_file(folder / INDEX_FILE) as path:
+        path.write_text(html, encoding="utf-8")
+    return IndexResult(folder / INDEX_FILE, tuple(rows))
+
+
+def _picture(rows: list[IndexRow], folder: Path) -> str:
+    """The parameters side by side as a data URI, with SVG and data beside the page; nothing without a fit."""
+    known = study_rows(rows)
+    if not known:
+        return ""
+    svg = folder / "study.svg"
+    with style(), atomic_file(svg) as path, atomic_file(data_file(svg)) as table:
+        figure = study_figure(known)
+        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "limbcli"})
+        write_data(figure, table)
+    return data_uri(svg)
+
+
+_STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
+
+
+def _is_output(folder: Path) -> bool:
+    """A subject's output folder holds at least one stage's folder."""
+    if not folder.is_dir() or folder.name.startswith("."):
+        return False
+    return any(any(stage_folder(folder, stage).glob("**/*.json")) for stage in _STAGES)
+
+
+def _rows(out: Path, folder: Path) -> list[IndexRow]:
+    try:
+        report = read_result(out, "report")
+    except CaseError as error:
+        return [_row_without_report(out, error)]
+    link = quote(relative(report.path("page"), folder))
+    sites = list(report.data.get("sites", {})) or [""]
+    return [_row(out, report, site, link) for site in sites]
+
+
+def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
+    failures = [each for each in report.data.get("failures", []) if each.get("site") in (site, None)]
+    n_warnings = int(report.data.get("n_warnings", 0))
+    name, assumed = out.resolve().name, str(report.data.get("geometry_assumed") or "")
+    if failures:
+        state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
+        shown = tuple(_failure(each) for each in failures)
+        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, shown, assumed)
+    try:
+        view = read_fit_view(read_result(out, "fit", site=site))
+    except CaseError:
+        return IndexRow(
+            name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
+        )
+    return IndexRow(
+        name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
+        assumed=assumed,
+    )  # fmt: skip
+
+
+def _failure(content: Mapping[str, Any]) -> Failure:
+    error, what, where, fix = (str(content.get(key) or "–") for key in ("error", "what", "where", "fix"))
+    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
+
+
+def _row_without_report(out: Path, error: CaseError) -> IndexRow:
+    """A subject whose report is missing; its first failure, if one was noted, is the state."""
+    state, shown = error.what, Failure("CaseError", error.what, error.where, error.fix)
+    for path in sorted(out.glob("**/error.json")):
+        try:
+            content = json.loads(path.read_text())
+            what = content["what"].splitlines()[0]
+            state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
+            break
+        except (ValueError, KeyError, TypeError, IndexError):
+            continue
+    name = out.resolve().name
+    return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))

@@ -1,0 +1,147 @@
+"""Collects what a report page needs from the packages that can read it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError, MeasurementError
+from limbcli.measurement.indentation import Levels, check_levels, doubts_about_levels
+from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
+from limbcli.problems import errors_of
+from limbcli.progress import SILENT, Progress
+from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.wave_speed import SpeedReadings
+from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
+from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.results import StageResult
+from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
+from limbcli.stages.report_pages.stale import stale_results
+from limbcli.stages.site_model.site_levels import layer_noise
+
+
+def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
+    """Read everything the page shows; what cannot be read becomes a reason on the page."""
+    names = tuple(site.name for site in case.sites)
+    outcomes = read_outcomes(out, names, case_name=str(case.folder), subject=case.subject)
+    sites = []
+    for k, site in enumerate(case.sites):
+        progress.event("task", name="report: reading results", done=k, total=len(names))
+        sites.append(_deformed(_measured(site), outcomes))
+    progress.event("task", name="report: reading results", done=len(names), total=len(names))
+    return ReportData(
+        case,
+        str(case.folder),
+        out,
+        outcomes,
+        tuple(sites),
+        (*stale_results(case, out, outcomes), *_older_results(outcomes, names)),
+    )
+
+
+def _measured(site: Site) -> SiteMaterial:
+    """The levels with their speed lines, or why there are none."""
+    material = SiteMaterial(site.name, _place(site))
+    levels, problems = check_levels(site.levels, noise=layer_noise(site))
+    if levels is None or errors_of(problems):
+        why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
+        return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
+    warnings = doubts_about_levels(site.levels)
+    noise = site.noise
+    curve = MeasuredCurve(levels.depth, levels.force, noise.depth, noise.force, unloading=~levels.loading)
+    return replace(_with_speeds(material, levels), measured=curve, warnings=warnings)
+
+
+def _place(site: Site) -> str:
+    axis = site.long_axis if isinstance(site.long_axis, str) else "along a given direction"
+    where = f"marker {site.marker}" if site.marker is not None else ""
+    if site.position is not None:
+        where = "at " + ", ".join(f"{each:.1f}" for each in site.position) + " mm (LPS)"
+    return f"{where}, probe {axis}"
+
+
+def _with_speeds(material: SiteMaterial, levels: Levels) -> SiteMaterial:
+    if not levels.has_swe:
+        return material
+    speeds = SpeedReadings(levels.force, levels.depth, levels.swe_mean_m_per_s, levels.swe_sd_m_per_s)
+    loading = np.asarray(levels.loading, dtype=bool)
+    lines: list[Line | None] = []
+    why = ""
+    for find, x in ((speed_against_force, levels.force), (speed_against_depth, levels.depth)):
+        try:
+            lines.append(find(x[loading], levels.swe_mean_m_per_s[loading]))
+        except MeasurementError as error:
+            lines.append(None)
+            why = f"No line: {error.what}."
+    return replace(material, speeds=speeds, against_force=lines[0], against_depth=lines[1], why_no_line=why)
+
+
+def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
+    """The simulated state, of the fitted model where there is one, and the solver's residuals."""
+    for stage in ("fit", "run"):
+        outcome = outcomes.of(stage, material.name)
+        if outcome.result is None or outcome.status == "failed":
+            continue
+        if material.residuals is None:
+            material = replace(material, residuals=read_residuals(outcome.result))
+        if material.deformed is None:
+            material = _with_state(material, outcome, outcome.result)
+    return material
+
+
+def _with_state(material: SiteMaterial, outcome: Outcome, result: StageResult) -> SiteMaterial:
+    try:
+        state = read_deformed(result)
+    except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
+        what = error.what if isinstance(error, LimbError) else f"{type(error).__name__} {error}"
+        why = f"The deformed model of “{outcome.label}” cannot be drawn: {what}."
+        return replace(material, why_not_deformed=why)
+    return replace(material, deformed=state, deformed_source=f"the records of “{outcome.label}”")
+
+
+_ORDER = ("segment", "mesh", "build-feb", "run", "fit")
+_EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "diagnose"))
+
+
+def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
+    """Results that are older than what they were made from, where they do not say what that was."""
+    pairs: list[tuple[Outcome | None, Outcome | None]] = []
+    for site in sites:
+        chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
+        if _is_of_the_model(outcomes.of("build-feb", site), outcomes.of("fit", site)):
+            chain.pop()
+        pairs += pairwise(each for each in chain if each.result)
+        pairs += [(outcomes.of(before, site), outcomes.maybe(after, site)) for before, after in _EXTRA]
+        joint = outcomes.maybe("fit-joint")
+        if joint and joint.result and site in joint.result.data.get("sites", ()):
+            pairs.append((outcomes.of("build-feb", site), joint))
+    reported = [_older(before, after) for before, after in pairs]
+    return [each for each in reported if each]
+
+
+def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
+    """Whether a fit was made from the very model that lies there, whenever that was written."""
+    if built.result is None or fitted.result is None:
+        return False
+    model = built.result.data.get("model_sha256")
+    return model is not None and fitted.result.provenance.get("inputs_sha256", {}).get("model") == model
+
+
+def _older(before: Outcome | None, after: Outcome | None) -> str:
+    """The sentence for a result made before what it builds on, or nothing."""
+    if before is None or after is None or before.result is None or after.result is None:
+        return ""
+    if before.label in after.result.provenance.get("made_from", {}).get("results", {}):
+        return ""
+    early, late = (str(r.provenance.get("finished_utc", "")) for r in (before.result, after.result))
+    if not late or early <= late:
+        return ""
+    return (
+        f"The result of “{after.label}” ({late}) is older than that of “{before.label}” ({early}) "
+        f"it builds on; run it again: {after.command}"
+    )

@@ -1,0 +1,31 @@
+"""Results on a page that no longer belong to what they were made from: one sentence a cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from limbcli.case import Case
+from limbcli.reporting.outcome import Outcomes
+from limbcli.stages.provenance.chain import Broken, Chain
+from limbcli.stages.provenance.commands import commands
+
+
+def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
+    """What changed since, the results that it puts in doubt, and the commands that mend them."""
+    chain = Chain(case, out)
+    causes: dict[str, list[tuple[str, Broken]]] = {}
+    for outcome in outcomes.done:
+        assert outcome.result is not None
+        broken = chain.broken(outcome.result)
+        if broken is not None:
+            causes.setdefault(broken.what, []).append((outcome.label, broken))
+    return [_sentence(case, out, what, found) for what, found in causes.items()]
+
+
+def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, Broken]]) -> str:
+    labels = ", ".join(f"“{label}”" for label, _ in found)
+    steps = [step for _, broken in found for step in broken.steps]
+    return (
+        f"{what[0].upper()}{what[1:]} ({found[0][1].where}): what is shown of {labels} is not of today's "
+        f"case; run {commands(steps, case.folder, out)}"
+    )

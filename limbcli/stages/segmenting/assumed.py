@@ -1,0 +1,54 @@
+"""segment without images: the surfaces of a limb whose shape is assumed, said to be so wherever they go."""
+
+from __future__ import annotations
+
+from limbcli.case import Case
+from limbcli.results import StageWriter
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, assumed_limb
+from limbcli.stages.segmenting.assumed_picture import draw_assumed
+from limbcli.stages.segmenting.places import tell_places
+from limbcli.stages.segmenting.surfaces import check_limb, write_surfaces
+
+ASSUMED = "assumed"
+FIX = "bring an MRI or surfaces of the bones where numbers depend on it; a fit's intervals allow for it"
+
+
+def from_assumed(case: Case, writer: StageWriter) -> None:
+    """Skin and bones of the case's numbers, or of its skin and what ultrasound saw, under the usual names."""
+    limb = assumed_limb(case)
+    words = case.imaging.assumed
+    writer.data["source"] = "numbers" if limb.shape is not None else "skin and ultrasound"
+    writer.data["markers"] = []
+    writer.data["geometry"] = limb.to_json(words)
+    writer.summary.append(words)
+    writer.warnings.append(words)
+    _note_inputs(case, limb, writer)
+    check_limb(dict(limb.surfaces), case, writer, where=str(case.imaging.skin or case.file))
+    write_surfaces(dict(limb.surfaces), writer)
+    tell_places(case, limb.surfaces, [], writer)
+    for name, each in limb.sites.items():
+        made = "no bone" if each.made is None else f"{each.made:.1f} mm"
+        writer.summary.append(
+            f"site {name}: {each.measured:g} mm from skin to bone ({each.source}), {made} in the model"
+        )
+    writer.summary.extend(limb.notes)
+    writer.warnings.extend(limb.warnings)
+    if limb.shape is not None:
+        writer.data["layers"] = {
+            name: {"skin_mm": limb.shape.skin, "fat_mm": limb.shape.fat} for name in limb.sites
+        }
+    writer.data["quality"] = {"verdict": ASSUMED}
+    draw_assumed(writer.file("contact_sheet", "contact-sheet.png"), limb, title=f"{case.subject}: {words}")
+
+
+def _note_inputs(case: Case, limb: AssumedLimb, writer: StageWriter) -> None:
+    """Of a bone that ultrasound saw, all that its place was made from."""
+    if case.imaging.skin is not None:
+        writer.used("skin", case.imaging.skin, role="imaging/skin")
+        note_case(writer, case, ["probe"])
+    for site in case.sites:
+        own = ["skin_bone"] if limb.shape is not None else ["skin_bone", "place", "long_axis"]
+        note_case(writer, case, [], site=site, own=own)
+        if limb.shape is None and limb.sites[site.name].source.startswith("levels"):
+            writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")

@@ -1,0 +1,228 @@
+"""The limb of a case without images: what is assumed of its shape, made into surfaces.
+
+Of numbers only: a straight round tube, one round bone as deep in front as the layers are thick. Of a skin
+that was scanned and a bone that ultrasound saw: a straight round rod along the limb, whose nearest line lies
+at the measured distance under the probe; sites whose rods would overlap by half look at one bone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.case_parts import Shape
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface
+from limbcli.meshing.frame import proximal_direction, site_frame
+from limbcli.meshing.mending import Limb, mend, skin_and_bones
+from limbcli.meshing.places import place_problems
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.rods import Rod, Seen, limb_axis, rods_for, tube
+from limbcli.meshing.surfaces import Triangles
+from limbcli.problems import Problem, errors_of, raise_errors
+from limbcli.stages.segmenting.surfaces import read_body
+from limbcli.stages.site_model.mesh_checks import measured_skin_bone
+
+LENGTH = 300.0  # mm of a limb in numbers: longer than any usual model with its margin
+SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, as of imaged surfaces
+_SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0  # mm, and deviations, that the layers may differ from the thickness
+_DEPTH_OFF = 1.0  # mm between a bone that several sites share and what one of them saw
+BONE = "bone_1"
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """One site's skin-bone distance (mm): measured, and where that comes from, and in the model made."""
+
+    measured: float
+    source: str
+    made: float | None
+    bone: str
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "skin_bone_mm": self.measured, "source": self.source, "made_mm": self.made, "bone": self.bone,
+            "skin_point_mm": list(self.point), "normal": list(self.normal),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class AssumedLimb:
+    """Surfaces by the names that segment gives them, the bones as rods, and what each site saw."""
+
+    surfaces: Mapping[str, ClosedSurface]
+    bones: Mapping[str, Rod]
+    sites: Mapping[str, Looked]
+    notes: tuple[str, ...] = ()
+    shape: Shape | None = None
+    warnings: tuple[str, ...] = field(default=())
+
+    def to_json(self, words: str) -> dict[str, Any]:
+        """`geometry` of segment.json, by which a fit varies what is assumed."""
+        return {
+            "words": words,
+            "kind": "from-ultrasound" if self.shape is None else "numbers",
+            "circumference_mm": None if self.shape is None else self.shape.circumference,
+            "bones": {
+                name: {"centre_mm": each.centre, "axis": each.axis, "radius_mm": each.radius,
+                       "towards": each.towards, "from_mm": each.low, "to_mm": each.high}
+                for name, each in self.bones.items()
+            },
+            "sites": {name: each.to_json() for name, each in self.sites.items()},
+        }  # fmt: skip
+
+
+def assumed_limb(case: Case) -> AssumedLimb:
+    """Skin and bones of a case without images of them.
+
+    Raises
+    ------
+    CaseError
+        With everything that hinders it: layers that do not add up, a site that tells no distance to the bone.
+    """
+    raise_errors(assumed_problems(case), CaseError)
+    return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
+
+
+def assumed_problems(case: Case) -> list[Problem]:
+    """What numbers and measurements say against each other, before any surface is made."""
+    if case.imaging.shape is not None:
+        return [each for site in case.sites for each in _off_the_sum(case.imaging.shape, site, case)]
+    if case.imaging.bone_radius is None:
+        return []
+    where = str(case.file)
+    if not case.sites:
+        fix = "add a [[site]] with position_mm, long_axis and the distance to the bone; then segment"
+        return [Problem("there is no site yet under which ultrasound saw the bone", where, fix)]
+    found = []
+    if not np.isfinite(case.probe.length):
+        fix = "fill in [probe]: the bone's distance is that under its face"
+        found.append(Problem("the probe under which ultrasound saw the bone is unknown", where, fix))
+    for site in case.sites:
+        if seen_depth(site) is None:
+            what = f"site {site.name} tells no distance from skin to bone, and no image shows the bone"
+            fix = (
+                "fill skin_bone_mm of the first row of levels.csv (or all layers there), or write "
+                "`skin_bone_mm = ...` in its [[site]]"
+            )
+            found.append(Problem(what, where, fix))
+    return found
+
+
+def seen_depth(site: Site) -> tuple[float, str] | None:
+    """mm from skin to bone at first touch, and its source: by hand, else levels.csv, else [b_mode]."""
+    if site.skin_bone is not None:
+        return site.skin_bone, "skin_bone_mm of the site"
+    measured = measured_skin_bone(site)
+    if measured is not None:
+        return measured, "levels.csv, first row"
+    marked: Any = site.instruments.get("b_mode", {}).get("bone_mm")
+    first = marked[0] if isinstance(marked, list) else marked
+    return None if first is None else (float(first), "bone_mm of [site.b_mode]")
+
+
+def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
+    seen = seen_depth(site)
+    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # of three layers and the whole
+    if seen is None or abs(seen[0] - shape.skin_bone) <= allowed:
+        return []
+    parts = f"skin {shape.skin:g} + fat {shape.fat:g} + muscle {shape.muscle:g} = {shape.skin_bone:g} mm"
+    what = (
+        f"the layers do not add up to the thickness: {parts}, but the skin-bone distance of site {site.name} "
+        f"is {seen[0]:g} mm ({seen[1]})"
+    )
+    return [
+        Problem(what, str(case.file), "read layers and bone on one image; muscle_mm goes down to the bone")
+    ]
+
+
+# ---------------------------------------------------------------- made
+
+
+def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
+    skin = tube(shape.radius, LENGTH)
+    inward = shape.radius - shape.skin_bone - shape.bone_radius
+    bone = Rod(inward * skin.towards, skin.axis, shape.bone_radius, skin.low, skin.high, skin.towards)
+    surfaces = {"skin": _closed(skin.surface(edge=SKIN_EDGE)), BONE: _closed(bone.surface(edge=BONE_EDGE))}
+    sites = {}
+    for site in case.sites:
+        assert site.position is not None
+        point = np.array(site.position)
+        normal = np.array([point[0], point[1], 0.0]) / max(float(np.hypot(point[0], point[1])), 1e-9)
+        on_skin = np.array([*(shape.radius * normal[:2]), point[2]])
+        made = bone.depth_under(on_skin, -normal)
+        sites[site.name] = Looked(
+            shape.skin_bone, "[imaging] shape", made, BONE, _triple(on_skin), _triple(normal)
+        )
+    aside = [
+        name for name, each in sites.items() if each.made is None or abs(each.made - shape.skin_bone) > 0.5
+    ]
+    warnings = tuple(
+        f"site {name} does not lie in front, where [imaging] shape tells the layers: the tissue there is as "
+        "thick as the round limb makes it" for name in aside
+    )  # fmt: skip
+    return AssumedLimb(surfaces, {BONE: bone}, sites, (), shape, warnings)
+
+
+def _of_a_scan(case: Case) -> AssumedLimb:
+    path, radius = case.imaging.skin, case.imaging.bone_radius
+    assert path is not None
+    assert radius is not None
+    skin, warnings = read_body(path)
+    pieces = skin_and_bones(Triangles(skin.points, skin.triangles))
+    notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are left out"] if len(pieces) > 1 else []
+    limb = mend(pieces[0], [], where=str(path))
+    proximal = proximal_direction(limb)
+    places = {site.name: np.array(site.position) for site in case.sites}
+    raise_errors(errors_of(place_problems(limb.skin, places, where=str(case.file))), CaseError)
+    seen = {site.name: _seen(site, limb, case) for site in case.sites}
+    axis = limb_axis(limb, np.array([each.point for each in seen.values()]), proximal)
+    bones, sites, whole = {}, {}, {"skin": _closed(pieces[0])}
+    for number, (rod, names) in enumerate(rods_for(seen, limb, axis, radius), 1):
+        bone = f"bone_{number}"
+        bones[bone], whole[bone] = rod, _closed(rod.surface(edge=BONE_EDGE))
+        notes.append(f"{bone}: as seen at {', '.join(names)}, {rod.high - rod.low:.0f} mm long")
+        for name in names:
+            each, (depth, source) = seen[name], _known(case.site(name))
+            made = rod.depth_under(each.point, -each.normal)
+            sites[name] = Looked(depth, source, made, bone, _triple(each.point), _triple(each.normal))
+            warnings += _disagreement(name, depth, made, names)
+    return AssumedLimb(whole, bones, sites, tuple(notes), None, tuple(warnings))
+
+
+def _disagreement(name: str, measured: float, made: float | None, names: list[str]) -> list[str]:
+    if made is not None and abs(made - measured) <= _DEPTH_OFF:
+        return []
+    lies = "its beam passes by it" if made is None else f"it lies {made:.1f} mm deep there"
+    return [
+        f"site {name} saw bone {measured:g} mm deep; with the one straight bone that {', '.join(names)} "
+        f"share, {lies}"
+    ]
+
+
+def _seen(site: Site, limb: Limb, case: Case) -> Seen:
+    probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
+    assert site.position is not None
+    frame = site_frame(limb, np.array(site.position), site.long_axis, probe, where=f"site {site.name}")
+    return Seen(frame.skin_point, frame.normal, _known(site)[0])
+
+
+def _known(site: Site) -> tuple[float, str]:
+    found = seen_depth(site)
+    assert found is not None
+    return found
+
+
+def _closed(surface: Triangles) -> ClosedSurface:
+    return ClosedSurface(surface.points, surface.faces)
+
+
+def _triple(point: Any) -> tuple[float, float, float]:
+    x, y, z = (float(each) for each in point)
+    return x, y, z

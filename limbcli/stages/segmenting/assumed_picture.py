@@ -1,0 +1,64 @@
+"""A section of the assumed limb at every site: what was measured, and what was made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from limbcli.meshing.sections import section
+from limbcli.meshing.surfaces import Triangles
+from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, Looked
+
+_SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
+_WRAP = 110  # letters of the title in a line
+
+
+def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
+    """A section across the bone through every site's place, with the beam, and the layers where known."""
+    names = list(limb.sites) or [""]
+    figure = Figure(figsize=(5.2 * len(names) + 1.5, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, name in enumerate(names, 1):
+        _draw_section(figure.add_subplot(1, len(names), number), limb, name, limb.sites.get(name))
+    words = title.split(" ")
+    lines = [""]
+    for word in words:
+        lines[-1:] = (
+            [f"{lines[-1]} {word}".strip()] if len(lines[-1]) < _WRAP * len(names) / 2 else [lines[-1], word]
+        )
+    figure.suptitle("\n".join(lines), fontsize=10)
+    figure.savefig(path, dpi=90, format="png")
+
+
+def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: Looked | None) -> None:
+    rod = limb.bones[site.bone] if site is not None else next(iter(limb.bones.values()))
+    origin = np.array(site.point) if site is not None else rod.centre + rod.radius * rod.towards
+    up = np.array(site.normal) if site is not None else rod.towards
+    up = up - (up @ rod.axis) * rod.axis
+    up /= np.linalg.norm(up)
+    across = np.cross(rod.axis, up)
+    for each, surface in limb.surfaces.items():
+        pieces = section(Triangles(surface.points, surface.triangles), origin, rod.axis)
+        colour = _SKIN if each == "skin" else _BONE
+        for k, piece in enumerate((pieces - origin) @ np.stack([across, up], axis=1)):
+            axes.plot(*piece.T, color=colour, linewidth=1.4, label=each if k == 0 else None)
+    if limb.shape is not None:
+        angle = np.linspace(0, 2 * np.pi, 181)
+        for word, below in (
+            ("skin to fat", limb.shape.skin),
+            ("fat to muscle", limb.shape.skin + limb.shape.fat),
+        ):
+            radius = limb.shape.radius - below
+            axes.plot(radius * np.cos(angle), radius * np.sin(angle) - limb.shape.radius, color=_FAT,
+                      linewidth=0.7, linestyle="--", label=word)  # fmt: skip
+    if site is not None:
+        axes.plot([0, 0], [0, -site.measured], color=_BEAM, linewidth=2.0, marker="_", label="measured")
+        axes.set_title(f"site {name}: {site.measured:g} mm from skin to bone ({site.source})", fontsize=9)
+    axes.set(xlabel="mm across the limb", ylabel="mm below the skin at the site")
+    axes.set_aspect("equal")
+    axes.grid(True, linewidth=0.4, alpha=0.5)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))

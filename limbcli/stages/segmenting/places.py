@@ -1,0 +1,64 @@
+"""Where a site can be: markers, a grid of skin points with their coordinates, and the case's own sites."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.errors import MeshError
+from limbcli.imaging.surface import ClosedSurface
+from limbcli.meshing.mending import mend
+from limbcli.meshing.places import place_faults, problem_of, triple
+from limbcli.meshing.surfaces import Triangles
+from limbcli.problems import Problem
+from limbcli.results import StageWriter
+from limbcli.stages.provenance.chain_inputs import SITES, note_case
+from limbcli.stages.segmenting.places_picture import draw_places
+from limbcli.stages.segmenting.site_grid import grid_points, write_grid
+
+PICTURE, TABLE = "site-grid.png", "site-grid.csv"
+
+
+def tell_places(
+    case: Case,
+    surfaces: Mapping[str, ClosedSurface],
+    markers: Sequence[Mapping[str, Any]],
+    writer: StageWriter,
+) -> None:
+    """Markers and a picture with a grid; what is wrong with the case's sites, as errors in `site_problems`.
+
+    A site that does not lie on the skin does not stop the others: `mesh` refuses it.
+    """
+    for each in markers:
+        place = np.array(each["position_mm"])
+        writer.summary.append(f"marker {each['number']}: position_mm = {triple(place)} (its middle)")
+    note_case(writer, case, [SITES, *(f"site/{site.name}/place" for site in case.sites)])
+    triangles = {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
+    places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
+    faults = place_faults(triangles["skin"], places)
+    problems = {name: problem_of(name, each, where=str(case.file)) for name, each in faults.items()}
+    writer.data["site_problems"] = {
+        name: {"what": each.what, "fix": each.fix, "severity": each.severity}
+        for name, each in problems.items()
+    }
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems.values())
+    bones = [each for name, each in triangles.items() if name != "skin"]
+    try:
+        limb = mend(triangles["skin"], bones, where="skin.ply")
+    except MeshError as error:
+        writer.warnings.append(f"no grid of places was drawn: {error.what}")
+        return
+    grid = grid_points(limb)
+    write_grid(writer.file("site_grid_table", TABLE), grid)
+    at_markers = {str(each["number"]): np.array(each["position_mm"]) for each in markers}
+    draw_places(writer.file("site_grid", PICTURE), limb, grid, at_markers, places, title=case.subject)
+    writer.summary.append(f"where a site can be: {PICTURE}, with the coordinates of its grid in {TABLE}")
+
+
+def site_errors(data: Mapping[str, Any], where: str) -> list[Problem]:
+    """The errors that `tell_places` left in a result of segment."""
+    found = data.get("site_problems", {}).values()
+    return [Problem(each["what"], where, each["fix"]) for each in found if each["severity"] == "error"]

@@ -1,0 +1,107 @@
+"""The limb from four sides with the grid of places, markers and sites."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from limbcli.drawing import save_picture
+from limbcli.meshing.mending import Limb
+from limbcli.model import Array
+from limbcli.stages.segmenting.site_grid import GridPoint
+
+# From where, the axis across the picture with its sign, and the axis towards the reader with its sign.
+_VIEWS = (
+    ("from the front (anterior)", (0, 1.0), (1, -1.0)),
+    ("from the patient's left", (1, 1.0), (0, 1.0)),
+    ("from the back (posterior)", (0, -1.0), (1, 1.0)),
+    ("from the patient's right", (1, -1.0), (0, -1.0)),
+)
+_LETTERS = ("x", "y", "z")
+_NEAR = 10.0  # mm skin to bone: thinner tissue is drawn in another colour
+
+
+def draw_places(
+    path: Path,
+    limb: Limb,
+    grid: Sequence[GridPoint],
+    markers: Mapping[str, Array],
+    sites: Mapping[str, Array],
+    *,
+    title: str,
+) -> None:
+    """Names of grid points stand where they are; their coordinates are in the table beside the picture."""
+    figure = Figure(figsize=(17, 8.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, (name, across, towards) in enumerate(_VIEWS, 1):
+        axes = figure.add_subplot(1, len(_VIEWS), number)
+        _draw_view(axes, limb, across, towards)
+        _draw_points(axes, grid, markers, sites, limb, across, towards)
+        sign = "" if across[1] > 0 else ", turned"
+        axes.set(title=name, xlabel=f"{_LETTERS[across[0]]} [mm], patient LPS{sign}", ylabel="z [mm]")
+        axes.set_aspect("equal")
+        if across[1] < 0:
+            axes.invert_xaxis()
+        axes.grid(True, linewidth=0.4, alpha=0.5)
+    figure.suptitle(
+        f"{title}: where a site can be. Grid points by name (coordinates: site-grid.csv); "
+        f"orange: less than {_NEAR:g} mm from skin to bone; magenta: markers; blue: sites of the case"
+    )
+    save_picture(figure, path, dpi=70)
+
+
+def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
+    """The skin's facets that face the reader, shaded, far ones first."""
+    skin = limb.skin
+    normals = skin.area_vectors / np.maximum(np.linalg.norm(skin.area_vectors, axis=1, keepdims=True), 1e-12)
+    facing = towards[1] * normals[:, towards[0]]
+    seen = np.flatnonzero(facing > 0)
+    depth = towards[1] * skin.centroids[seen, towards[0]]
+    seen = seen[np.argsort(depth)]
+    corners = skin.corners[seen][:, :, [across[0], 2]]
+    grey = 0.35 + 0.6 * facing[seen]
+    colours = np.clip(np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1), 0, 1)
+    axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", rasterized=True))
+    low, high = skin.points.min(axis=0) - 12, skin.points.max(axis=0) + 12
+    axes.set_xlim(low[across[0]], high[across[0]])
+    axes.set_ylim(low[2], high[2])
+
+
+def _draw_points(
+    axes: Axes,
+    grid: Sequence[GridPoint],
+    markers: Mapping[str, Array],
+    sites: Mapping[str, Array],
+    limb: Limb,
+    across: tuple[int, float],
+    towards: tuple[int, float],
+) -> None:
+    """Those that the reader can see from this side: no other is shown through the limb."""
+    middle = limb.skin.points.mean(axis=0)
+
+    def visible(point: Array) -> bool:
+        aside, front = point - middle, towards[1] * (point - middle)[towards[0]]
+        return bool(front > 0.35 * np.hypot(aside[0], aside[1]))
+
+    for each in grid:
+        if visible(each.point):
+            colour = "#c25a00" if each.skin_bone < _NEAR else "#1b3a1b"
+            axes.plot(each.point[across[0]], each.point[2], ".", color=colour, markersize=4)
+            axes.annotate(
+                each.name, (each.point[across[0]], each.point[2]), xytext=(0, 3), color=colour,
+                textcoords="offset points", fontsize=8, ha="center",
+            )  # fmt: skip
+    for points, mark, colour, word in ((markers, "D", "#c000c0", "marker "), (sites, "X", "#0050d0", "")):
+        for name, point in points.items():
+            if visible(point):
+                axes.plot(point[across[0]], point[2], mark, color=colour, markersize=9)
+                axes.annotate(
+                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, -10), fontweight="bold",
+                    textcoords="offset points", color=colour, fontsize=10,
+                )  # fmt: skip

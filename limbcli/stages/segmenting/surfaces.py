@@ -1,0 +1,147 @@
+"""Surfaces instead of an image: closed or open, one body a file or all in one; and the surfaces' files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.meshing.anatomy import limb_problems
+from limbcli.meshing.mending import skin_and_bones
+from limbcli.meshing.surfaces import Triangles
+from limbcli.problems import raise_errors
+from limbcli.results import StageWriter
+from limbcli.stages.segmenting.places import tell_places
+
+
+def from_surfaces(case: Case, writer: StageWriter) -> None:
+    """The case's own surfaces, checked and written under the usual names."""
+    assert case.imaging.skin is not None
+    writer.data["source"] = "surfaces"
+    writer.data["markers"] = []
+    surfaces, paths = read_surfaces(case)
+    for number, (name, path) in enumerate(paths.items()):
+        writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
+    if not case.imaging.bones:
+        writer.summary.append(
+            f"{case.imaging.skin.name} holds {len(surfaces)} bodies: the largest is the skin, "
+            "the others bones"
+        )
+    surfaces = {
+        name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
+        for name, each in surfaces.items()
+    }
+    check_limb(surfaces, case, writer, where=str(case.imaging.skin))
+    write_surfaces(surfaces, writer)
+    tell_places(case, surfaces, [], writer)
+
+
+def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:
+    """Skin and bones against what a limb can be; what is unusual is a warning.
+
+    Raises
+    ------
+    CaseError
+        With everything that cannot be: a bone outside the skin, sizes of another unit.
+    """
+    found = limb_problems(triangles_of(surfaces), limb=case.limb, where=where)
+    raise_errors(found, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in found)
+
+
+def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
+    return {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
+
+
+def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
+    """Skin and bones by name as they were brought, and the files that the case names.
+
+    Raises
+    ------
+    CaseError
+        If one cannot be read, is of another size than a body's in mm, or there is no bone.
+    """
+    assert case.imaging.skin is not None
+    paths = dict([("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)])
+    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
+    if not case.imaging.bones:
+        surfaces = _bodies(surfaces["skin"], case.imaging.skin)
+    return surfaces, paths
+
+
+def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
+    """Skin and bones out of one file that holds them all."""
+    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
+    if not bones:
+        raise CaseError(
+            "the skin's file holds one body only, and no bones are named",
+            where=str(path),
+            fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
+        )
+    named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
+    return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
+
+
+def _bone_names(case: Case) -> list[str]:
+    """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
+    names: list[str] = []
+    for number, path in enumerate(case.imaging.bones, 1):
+        known = [each for each in ("tibia", "fibula", "femur", "patella") if each in path.stem.lower()]
+        name = f"bone_{known[0] if len(known) == 1 else number}"
+        names.append(name if name not in names else f"bone_{number}")
+    return names
+
+
+def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
+    size = np.ptp(surface.points, axis=0).max()
+    if not 5.0 < size < 2000.0:
+        raise CaseError(
+            f"the surface `{name}` is {size:.3g} mm across",
+            where=str(path),
+            fix="save it in mm (patient LPS frame)",
+            size_mm=float(size),
+        )
+    return surface
+
+
+def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
+    """The skin alone, as it was brought, its normals outward, and what is to be said of it.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or is of another size than a limb's in mm.
+    """
+    surface = _in_mm(read_surface(path), "skin", path)
+    return _turned(surface, "skin", path)
+
+
+def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
+    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
+    surface, warnings = _turned(surface, name, path)
+    writer.warnings.extend(warnings)
+    return surface
+
+
+def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
+    warnings = []
+    if not surface.is_closed:
+        warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
+    if surface.volume < 0:
+        surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
+        warnings.append(f"the normals of {path.name} pointed inward and were turned")
+    return surface, warnings
+
+
+def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
+    """skin.ply, bone_*.ply, and their volumes."""
+    volumes = {}
+    for name, surface in surfaces.items():
+        write_surface(writer.file(name, f"{name}.ply"), surface)
+        volumes[name] = surface.volume / 1e3
+        writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
+    writer.data["volume_cm3"] = volumes

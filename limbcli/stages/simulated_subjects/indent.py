@@ -1,0 +1,194 @@
+"""Indenting a site's model with known tissue, as `synth` and `phantom` do.
+
+The probe goes down millimetre by millimetre until the force or the strain of the
+protocol is reached. How deep that is, is not known before; so the simulation is
+lengthened piece by piece, each piece starting from the converged levels before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.errors import SolveError
+from limbcli.feb.settings import schedule
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, LimbModel
+from limbcli.phantom.beam import skin_bone_distance
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
+from limbcli.phantom.simulated import Indentation, Speed, true_levels
+from limbcli.progress import SILENT, Progress
+from limbcli.shear_waves.from_simulation import ElementStates
+from limbcli.shear_waves.ogden import OgdenTerms
+from limbcli.shear_waves.pixels import Window
+from limbcli.shear_waves.speed import block_speeds
+from limbcli.solvers.base import Simulation
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
+from limbcli.units import mpa_from_kpa
+
+Change = Callable[[LimbModel], LimbModel]
+FIRST_PIECE = 6.0
+_DEEPEST = 40.0
+_ENOUGH = 1.02  # a little more than the last level's force
+_LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
+
+
+@dataclass(frozen=True)
+class KnownTissue:
+    """The truth: c = 2 mu (kPa), f_kappa = kappa' / c, m."""
+
+    c_kpa: float = 8.0
+    f_kappa: float = 80.0
+    m: float = 6.0
+
+
+def indent(
+    model: LimbModel,
+    tissue: KnownTissue,
+    *,
+    protocol: LoadingProtocol,
+    window: Window = Window(),
+    density_kg_per_m3: float = 1000.0,
+    spacing: float = 1.0,
+    tolerance: float = 1e-6,
+    progress: Progress = SILENT,
+    change: Change | None = None,
+    change_for_waves: Change | None = None,
+) -> TrueLevels:
+    """What is true at every level of the protocol on a meshed site.
+
+    spacing : mm between simulated depths; between them the force is PCHIP
+    tolerance : residual over the forces at play
+    change : of the loaded model, its tissue included; speeds then follow from the changed law,
+        or from that of `change_for_waves`; the skin-bone distance is that of the changed model
+
+    Raises
+    ------
+    SolveError
+        If the simulation fails before three levels are reached.
+    """
+    expected = skin_bone_distance(model)
+    cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
+    press = _Press(model, tissue, spacing, tolerance, progress, change)
+    model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
+    seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
+    known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
+    return true_levels(
+        _indentation(model, simulation),
+        OgdenTerms.of(known),
+        protocol=protocol,
+        skin_bone=skin_bone_distance(model),
+        window=window,
+        density_kg_per_m3=density_kg_per_m3,
+        speed=None if change is None else _speed_of(seen, simulation, density_kg_per_m3),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Press:
+    """A site's model with its tissue, to be pressed deeper and deeper."""
+
+    meshed: LimbModel
+    tissue: KnownTissue
+    spacing: float
+    tolerance: float
+    progress: Progress
+    change: Change | None = None
+
+    def until(self, force: float, cap: float) -> tuple[LimbModel, Simulation]:
+        """Lengthen the simulation until the force or the depth `cap` is reached.
+
+        A piece that fails ends it, with what was reached before.
+        """
+        end = min(FIRST_PIECE, cap)
+        model = self._loaded(end)
+        session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance)
+        try:
+            done = session.solve(model, records=True).simulation
+            while done.probe_force(PROBE)[-1] < force and end < cap:
+                further = next_end(_depth(model, done), done.probe_force(PROBE), force)
+                end = min(max(further, end + _LEAST_PIECE), cap)
+                longer = self._loaded(end)
+                try:
+                    model, done = longer, session.solve(longer, records=True).simulation
+                except SolveError as error:
+                    depth = float(_depth(model, done)[-1])
+                    self.progress.event("note", text=f"the simulation ends at {depth:.1f} mm: {error.what}")
+                    break
+            return model, done
+        finally:
+            session.close()
+
+    def bare(self, change: Change, simulation: Simulation) -> LimbModel:
+        """The model under its load with another change than that simulated."""
+        press = _Press(self.meshed, self.tissue, self.spacing, self.tolerance, self.progress, change)
+        there = self._loaded(FIRST_PIECE)  # for what its change did to the probe's place
+        return press._loaded(float(_depth(there, simulation)[-1]))
+
+    def _loaded(self, end: float) -> LimbModel:
+        """The model under its load; a depth has the same time in every piece.
+
+        By its time the session finds the converged state of a depth again.
+        """
+        plan = schedule(depths_to(end, self.spacing))
+        c = mpa_from_kpa(self.tissue.c_kpa)
+        model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
+        return model if self.change is None else self.change(model)
+
+
+def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float) -> Speed:
+    """Speeds of the changed law at the recorded elements."""
+    cells = next(iter(simulation.elements.values())).items
+
+    def speed(F: Array, near: NDArray[np.bool_]) -> Array:
+        return block_speeds(model, TISSUE, F, cells[near], density_kg_per_m3=density_kg_per_m3)
+
+    return speed
+
+
+def next_end(depth: Array, force: Array, target: float) -> float:
+    """Depth at which the force will be reached if it goes on growing by the last power of depth.
+
+    >>> float(round(next_end(np.array([4.0, 5.0, 6.0]), np.array([1.6, 2.5, 3.6]), 6.4), 3))
+    8.0
+    """
+    low, high = float(force[-2]), float(force[-1])
+    if not high > low > 0:
+        return float(depth[-1]) + _LARGEST_PIECE
+    power = max(1.0, np.log(high / low) / np.log(depth[-1] / depth[-2]))
+    piece = float(depth[-1]) * ((target / high) ** (1 / power) - 1)
+    return float(depth[-1]) + min(max(piece, _LEAST_PIECE), _LARGEST_PIECE)
+
+
+def depths_to(end: float, spacing: float) -> list[float]:
+    """Simulated depths: closer at the start, where contact grows fast; `end` is the last.
+
+    >>> depths_to(3.2, 1.0)
+    [0.25, 0.5, 1.0, 2.0, 3.2]
+    """
+    whole = [spacing * k for k in range(1, int(np.floor(end / spacing + 1e-9)) + 1)]
+    found = [each for each in [spacing / 4, spacing / 2, *whole] if each < end - 0.4 * spacing]
+    return [round(each, 3) for each in [*found, end]]
+
+
+def _depth(model: LimbModel, simulation: Simulation) -> Array:
+    """Depths of the probe's lowest point below first touch: a change may have lifted its centre."""
+    return simulation.probe_depth(PROBE) + float(model.info.get("depth_offset_mm", 0.0))
+
+
+def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
+    """States from first touch (at rest) on, as arrays over the recorded elements."""
+    states = ElementStates.of(model, simulation)
+    positions = np.stack([states.positions(row) for row in range(len(states.gradient))])
+    rest, F = states.rest, states.gradient
+    identity = np.broadcast_to(np.eye(3), (1, *F.shape[1:]))
+    return Indentation(
+        depth=np.concatenate([[0.0], _depth(model, simulation)]),
+        force=np.concatenate([[0.0], simulation.probe_force(PROBE)]),
+        positions=np.concatenate([rest[None], positions]),
+        deformation_gradient=np.concatenate([identity, F]),
+    )

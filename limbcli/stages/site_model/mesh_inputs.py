@@ -1,0 +1,30 @@
+"""What a mesh is made from: the surfaces, the site, the probe, and what the options leave to the case."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from limbcli.case import Case, Site
+from limbcli.results import StageResult, StageWriter
+from limbcli.stages.provenance.asked import Asked
+from limbcli.stages.provenance.chain_inputs import note_case
+
+
+@dataclass(frozen=True, eq=False)
+class MeshInputs:
+    """layered : sites whose layers have the thickness that `segment` saw; asked : the options given"""
+
+    case: Case
+    segmented: StageResult
+    asked: Asked
+    layered: tuple[str, ...] = ()
+
+    def note(self, writer: StageWriter, site: Site) -> None:
+        """Record it for one site."""
+        of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.asked]
+        own = ["long_axis", "layers"] + (["place"] if "place" not in self.asked else [])
+        note_case(writer, self.case, ["probe", *of_model], site=site, own=own)
+        surfaces = [name for name, path in self.segmented.files.items() if path.endswith(".ply")]
+        seen = [f"layers/{site.name}"] if site.name in self.layered else []
+        markers = ["markers"] if site.position is None else []
+        writer.used_result(self.segmented, files=surfaces, data=[*seen, *markers])

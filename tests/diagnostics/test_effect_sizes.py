@@ -1,0 +1,57 @@
+"""Intervals of effects' sizes: to first order, and in the words in which they are told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
+from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
+from limbcli.diagnostics.statistical_tests.score import Trial
+from limbcli.effects import EFFECTS
+from limbcli.stages.diagnosis.sizes import reported_sizes
+
+KNOWN = {each.name: each for each in EFFECTS if each.kind != "numerical"}
+
+
+def found(size: float, deviation: float = 1.0):
+    """The interval of one effect, size hidden in it, beside a constant that is fitted."""
+    n = 40
+    t = np.linspace(-1.0, 1.0, n)
+    rng = np.random.default_rng(3)
+    residual = size * t + deviation * rng.standard_normal(n)
+    state = LinearFit.of(residual / deviation, np.ones((n, 1)))
+    trial = Trial("force-zero", (Direction(t[:, None] / deviation, (0,), names=("force_zero_n",)),))
+    family = score_family(state, [trial], rng=rng, n_draws=200)
+    return sizes_95(state, family, {"force-zero": None})["force-zero"]["force_zero_n"], t
+
+
+@pytest.mark.parametrize("size", [0.0, 2.0])
+def test_the_interval_is_that_of_least_squares(size):
+    (low, high), t = found(size)
+    assert high - low == pytest.approx(2 * 1.96 / np.sqrt(np.sum((t - t.mean()) ** 2)), rel=1e-6)
+    assert low < size < high
+
+
+def test_sizes_are_told_by_their_usual_names_and_units():
+    given = {
+        "swe-guided-wave": {"guided_1e4_per_hz2": (0.1, 0.4)},
+        "inclusion": {"log_inclusion_ratio": (-0.5, 1.0)},
+        "contraction": {"active_stress_per_c": (-0.1, 0.3)},
+        "adipose-layer": {"log_fat_softness": (0.5, 1.2)},
+    }
+    estimates = reported_sizes(KNOWN, given, 8.0)
+    assert estimates["swe-guided-wave"]["f_c_hz"] == pytest.approx((100 / 0.4**0.5, 100 / 0.1**0.5))
+    assert estimates["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(-0.5), np.e))
+    assert estimates["contraction"]["t0_kpa"] == pytest.approx((0.0, 2.4))
+    assert estimates["adipose-layer"]["stiffness_ratio"] == pytest.approx((np.exp(-1.2), np.exp(-0.5)))
+
+
+def test_what_the_data_leave_open_has_no_end():
+    estimates = reported_sizes(KNOWN, {"depth-zero": {"depth_zero_mm": (-9.0, 1.0)}}, 8.0)
+    assert estimates["depth-zero"]["d0_mm"] == (None, 1.0)
+    assert estimates["tilt"]["about_long_axis_deg"] == (None, None)
+    assert estimates["friction"]["coefficient"] == (0.0, None)
+    assert estimates["swe-guided-wave"]["f_c_hz"][1] is None
