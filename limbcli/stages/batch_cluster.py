@@ -61,7 +61,8 @@ def together(
         call = Call(
             client=WorkerStanding.own(), asked=asked(sys.argv, [case for case, _ in cases]),
             called=CALLED.get(), threads=threads_of(jobs) if scheduler is None else 1,
-            topic=f"limbcli-{uuid.uuid4().hex}", tell_s=max(_TELL_S, n_workers / 2), wait=wait, options=options,
+            topic=f"limbcli-{uuid.uuid4().hex}", tell_s=max(_TELL_S, n_workers / 2), wait=wait,
+            options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()
 
