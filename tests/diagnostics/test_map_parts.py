@@ -63,6 +63,22 @@ def test_an_inclusion_shows_where_its_tissue_is_and_as_strongly_as_it_is(rng):
         assert np.abs(rise[away > 8.5]).max(initial=0.0) < 0.03
 
 
+def test_what_another_mesh_changes_in_one_part_alone_is_no_effects_doing(rng):
+    """A change that is even over the map comes through, a spike beside bone does not; the mean stays."""
+    windows = Windows(-20.0, 20.0, 2.0, 26.0, across=10, down=6)
+    x, z = windows.middles.T
+    even = 0.02 + 0.001 * x - 0.002 * z
+    ln_speed = np.column_stack([np.full(3, 0.3), np.outer([0.0, 1.0, 2.0], even)])
+    found = windows.without_spikes(ln_speed)
+    inner = (np.abs(x) < 17) & (z > 4) & (z < 24)
+    assert found[:, 1:][:, inner] == pytest.approx(ln_speed[:, 1:][:, inner], abs=1e-12)
+    assert np.array_equal(found[:, 0], ln_speed[:, 0])
+    spiked = ln_speed.copy()
+    spiked[2, 1 + 52] += 0.46
+    spiked[2, 1 + 27] -= 0.33
+    assert np.abs(windows.without_spikes(spiked) - found).max() < 0.01
+
+
 def test_the_covariance_of_parts_is_that_of_smoothed_pixels(rng):
     """Against 4000 drawn maps of noise."""
     n, smoothing = 4000, 1.3

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
+from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
-from limbcli.progress import Progress
+from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from tests.stages import block_case
 
@@ -218,3 +221,31 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     assert not site.solve_node(7.0)
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))
+
+
+class ThicknessBook:
+    """Changes of thickness take 1 % a per cent from all speeds, and 40 % from one part of the new mesh."""
+
+    c, spent, model = 0.006, False, None
+    windows = Windows(-20.0, 20.0, 2.0, 26.0, across=10, down=6)
+
+    def curves(self, m, ingredients=()):
+        thinner = sum(theta["thickness_change"] for _, theta in ingredients)
+        log_speed = np.full((3, 61), 0.7 - thinner)
+        if thinner:
+            log_speed[2, 41] -= 0.4
+        return Curves(np.arange(3.0), np.arange(3.0) + 1.0, log_speed, self.windows.depths, 40.0)
+
+
+def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike():
+    book, thickness = ThicknessBook(), effect("thickness")
+    change = Changes(book, progress=SILENT).of(thickness, {}).at({"thickness_change": -0.1})
+    assert change[:, 1:] == pytest.approx(np.full((3, 61), 0.1))
+    site = SiteCurves(None, book, {"thickness": thickness})
+    site.solve_nodes((4.0, 8.0))
+    site.changes.m = 4.0
+    theta = {"thickness_change": -0.1}
+    site.repair(4.0, ("thickness",), theta, [{}])
+    assert site.curves(book.c, 4.0, ("thickness",), theta, [{}]).log_speed == pytest.approx(
+        np.full((3, 61), 0.8), abs=1e-9
+    )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from limbcli.effects.frozen import Seen
 from limbcli.effects.places import Places
@@ -76,6 +77,15 @@ class Windows:
         x = self.left + (self.right - self.left) * (np.arange(self.across) + 0.5) / self.across
         z = self.top + (self.bottom - self.top) * (np.arange(self.down) + 0.5) / self.down
         return np.array([(a, b) for b in z for a in x])
+
+    def without_spikes(self, ln_speed: Array) -> Array:
+        """ln speeds (n, 1 + n_parts), each part's the median of it and its neighbours; the whole's as it is.
+
+        What another mesh changes in one part, and in none beside it, is that mesh's error.
+        """
+        parts = ln_speed[:, 1:].reshape(-1, self.down, self.across)
+        smooth = median_filter(parts, size=(1, 3, 3), mode="nearest")
+        return np.column_stack([ln_speed[:, 0], smooth.reshape(len(ln_speed), -1)])
 
     @property
     def depths(self) -> Array:

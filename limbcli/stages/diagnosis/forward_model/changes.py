@@ -21,6 +21,7 @@ from limbcli.progress import Progress
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
 from limbcli.stages.diagnosis.curves.ingredients import Ingredients, touches_loads
 from limbcli.stages.diagnosis.data.layers import line_shift
+from limbcli.stages.diagnosis.data.windows import Windows
 
 _REMEMBERED = 8  # values of the parameters
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
@@ -32,6 +33,7 @@ class Book(Typed):
 
     c: float
     model: LimbModel
+    windows: Windows
 
     @property
     def spent(self) -> bool: ...
@@ -143,8 +145,10 @@ class Changes:
         # a change hardly depends on m, and at one of these it serves other measurements too
         m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
         moved = logs(self.book.curves(m, ((effect, theta),)))
-        change = moved - logs(self.book.curves(m))
-        return None, np.array([p.null, p.start - p.null]), np.nan_to_num(change)
+        change = np.nan_to_num(moved - logs(self.book.curves(m)))
+        if effect.new_mesh:
+            change = without_spikes(self.book, change)
+        return None, np.array([p.null, p.start - p.null]), change
 
     def _by_shifting(self, effect: Effect, point: Theta, name: str) -> tuple[CubicSpline, Array, Array]:
         p = next(each for each in effect.parameters if each.name == name)
@@ -220,6 +224,14 @@ def logs(curves: Curves) -> Array:
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
     return np.column_stack([log_force, curves.columns])
+
+
+def without_spikes(book: Book, change: Array) -> Array:
+    """Of `logs`, as another mesh changes it, what neighbouring parts have in common."""
+    speeds = slice(1, 2 + book.windows.n_parts)
+    out = change.copy()
+    out[:, speeds] = book.windows.without_spikes(np.nan_to_num(change[:, speeds]))
+    return out
 
 
 def filled(moved: Array) -> Array:

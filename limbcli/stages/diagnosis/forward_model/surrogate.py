@@ -22,7 +22,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs
+from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
@@ -133,6 +133,8 @@ class SiteCurves:
         true = true + self._tied(m, true.shape[1])
         missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
         missed[0, 0] = 0.0
+        if any(effect.new_mesh for effect, _ in solving):
+            missed = without_spikes(self.book, missed)
         key = (explanation, label(points))
         self._repairs[key] = self._repairs.get(key, 0.0) + np.nan_to_num(missed)
 
