@@ -42,6 +42,9 @@ GainDeviationOpt = Annotated[
         show_default=False,
     ),
 ]
+CycleOpt = Annotated[
+    str, typer.Option("--cycle", help="Whose loading is fitted, where there are several: a number, or last.")
+]
 ContactCheckOpt = Annotated[
     bool, typer.Option(help="The fitted model once more with a harder contact: how far the probe sinks in.")
 ]

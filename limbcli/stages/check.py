@@ -20,6 +20,7 @@ from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
+from limbcli.stages.cycle_report import cycle_lines
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
     if case is not None:
         problems += _contradictions(case)
         problems += geometry_problems(case, problems)
-    shown = layer_lines(case) if case is not None else []
+    shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
     return CheckResult(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 

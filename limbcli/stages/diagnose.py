@@ -26,6 +26,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.chain import check_earlier, note_earlier
+from limbcli.stages.cycle_report import cycle_facts
 from limbcli.stages.diagnosis.bench.bench import SiteBench
 from limbcli.stages.diagnosis.bench.menu import known
 from limbcli.stages.diagnosis.bench.site import SiteCurves
@@ -35,6 +36,7 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepa
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
+from limbcli.stages.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
 
@@ -201,12 +203,16 @@ class _Diagnosed:
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
             content = self._content(found, bench, mine, all_)
+            repeated = cycle_facts(mine.site, all_levels_of(mine.site))
+            if repeated:
+                content |= {"cycles": repeated, "sentences": [*content["sentences"], *repeated["sentences"]]}
             path = writer.file("diagnosis", "diagnosis.json")
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
             writer.data.update(mine.notes.data)
             writer.data.update(content)
             writer.data["n_solves"] = mine.book.n_solves
             writer.summary.extend(content["sentences"][:10])
+            writer.summary.extend(repeated["sentences"] if repeated else ())
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
             sizes_picture(found, bench.effects, writer.file("sizes", "sizes.png"))

@@ -29,6 +29,7 @@ from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
+from limbcli.stages.fit_cycles import leave_cycle, through_cycle
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
 from limbcli.stages.layer_readings import LayerReadings, layer_readings
@@ -96,6 +97,7 @@ def fit_joint(
     with open_stage(out, STAGE, subject=case.subject) as writer:
         measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
         for each in measured:
+            leave_cycle(each.levels, each.site, writer, label=each.site.name)
             _check_noise(each.site, speeds=each.levels.has_swe)
         models = [(each.site.name, each.model) for each in measured]
         names = [law.name] + [each for each in LAWS if joint.compare_laws and each != law.name]
@@ -123,8 +125,8 @@ def fit_joint(
 
 
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
-    model = built_model(case, site, out, writer, label=site.name)
-    levels = levels_of(site)
+    levels = levels_of(site, options.cycle)
+    model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:

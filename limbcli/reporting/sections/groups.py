@@ -10,6 +10,7 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, Table, head
 from limbcli.reporting.sections.convergence import convergence, profiles
+from limbcli.reporting.sections.cycles import repeated_loading
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
@@ -33,8 +34,8 @@ class Group:
 
 
 SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, layers, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study,
-    convergence,
+    force_over_depth, repeated_loading, layers, diagnosis, profiles, elastography, elements, deformation,
+    mesh, mesh_study, convergence,
 )  # fmt: skip
 
 

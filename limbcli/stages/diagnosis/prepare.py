@@ -19,7 +19,7 @@ from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
-from limbcli.measurement.elastography import read_maps, shear_modulus_from_wave_speed
+from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
@@ -41,7 +41,7 @@ from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, 
 from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
-from limbcli.stages.site_levels import levels_of
+from limbcli.stages.site_levels import levels_of, maps_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -165,7 +165,7 @@ class _Preparation:
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
         self.levels = levels_of(site)
-        self.maps = None if site.swe_maps is None else read_maps(site.swe_maps, len(self.levels))
+        self.maps = maps_of(site, self.levels)
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
