@@ -31,6 +31,7 @@ from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.chain_inputs import note_case
+from limbcli.stages.measure_fibres import leave_pennation
 from limbcli.stages.measure_holds import Columns, force_columns
 from limbcli.stages.measure_images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measure_layers import layer_columns, read_borders
@@ -134,6 +135,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
     borders = read_borders(images, table, lines, writer)
+    leave_pennation(images[0], borders, lines[0], writer)
     draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"), borders=borders)
     writer.data["bone"] = [vars(each) for each in lines]
     worst = max(each.sd for each in lines)

@@ -41,6 +41,7 @@ from limbcli.stages.diagnosis.mesh_doubt.numerics import USUAL_C, Intervention, 
 from limbcli.stages.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.mesh_checks import measured_skin_bone
+from limbcli.stages.site_fibres import with_fibres
 from limbcli.stages.site_levels import levels_of, maps_of
 
 STAGE = "diagnose"
@@ -202,7 +203,8 @@ class _Preparation:
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
-        meshed = self._working_mesh()
+        meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
+        self.notes.data["fibres"] = fibres.source
         self._mark_layers(meshed)
         return CurveBook(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
