@@ -33,8 +33,9 @@ def leave_pennation(
         "spread_deg": found.spread_deg, "coherence": found.coherence, "n_tiles": len(found.tile_deg),
         "from_mm": top, "to_mm": bone.distance - _ABOVE_BONE,
     }  # fmt: skip
+    use = f"pennation_deg = {found.angle_deg:.1f}, deviation_deg = {found.deviation_deg:.1f}"
     writer.summary.append(
-        f"pennation {found.angle_deg:.1f} deg in the image (deviation {found.deviation_deg:.1f}; tiles spread "
-        f"by {found.spread_deg:.1f}), positive: deeper to the right; where the image is along the fibres, use "
-        f"it: [[site.pennation]] pennation_deg = {found.angle_deg:.1f}, deviation_deg = {found.deviation_deg:.1f}"
+        f"pennation {found.angle_deg:.1f} deg in the image (deviation {found.deviation_deg:.1f}; tiles "
+        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; where the image is along the "
+        f"fibres, use it: [[site.pennation]] {use}"
     )

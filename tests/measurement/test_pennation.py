@@ -56,7 +56,7 @@ def test_pixels_that_are_not_square_are_allowed_for():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_speckle_alone_has_no_direction(seed):
-    with pytest.raises(MeasurementError, match="no fibres can be told|no common direction"):
+    with pytest.raises(MeasurementError, match=r"no fibres can be told|no common direction"):
         read_pennation(image_of(speckle(np.random.default_rng(seed))), top=5.0, bottom=38.0)
 
 

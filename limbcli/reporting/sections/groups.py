@@ -14,6 +14,7 @@ from limbcli.reporting.sections.cycles import repeated_loading
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
+from limbcli.reporting.sections.fibres import fibres
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.layers import layers
@@ -35,7 +36,7 @@ class Group:
 
 SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
     force_over_depth, repeated_loading, layers, diagnosis, profiles, elastography, elements, deformation,
-    mesh, mesh_study, convergence,
+    fibres, mesh, mesh_study, convergence,
 )  # fmt: skip
 
 
