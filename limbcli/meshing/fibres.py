@@ -69,7 +69,7 @@ def direction_of_angles(
     moved = [_crossing([steps[0], angles[1]], beam, where), _crossing([angles[0], steps[1]], beam, where)]
     turned = [min(1.0, float(np.linalg.norm(np.cross(axis, each)))) for each in moved]
     rates = [float(np.degrees(np.arcsin(each))) / _STEP_DEG for each in turned]
-    deviation = float(np.hypot(*(r * a.deviation_deg for r, a in zip(rates, angles, strict=True))))
+    deviation = float(np.hypot(rates[0] * angles[0].deviation_deg, rates[1] * angles[1].deviation_deg))
     return Direction(axis, deviation, "in two image planes")
 
 
