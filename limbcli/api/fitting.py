@@ -107,7 +107,7 @@ def fit_joint(
     ----------
     case, out, wait, progress : as of `segment`
     sites : those that share the tissue; None: all
-    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden" or "holmes-mow"
+    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow" or "fibres"
     compare_laws : fit every law, and compare them by the error of levels left out
     the others : as of `fit`
 

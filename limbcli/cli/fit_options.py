@@ -29,7 +29,9 @@ ObjectiveOpt = Annotated[
 ]
 LawOpt = Annotated[
     str,
-    typer.Option(help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow."),
+    typer.Option(
+        help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres."
+    ),
 ]
 CompareLawsOpt = Annotated[
     bool, typer.Option("--compare-laws", help="Joint only: every law, by the error of left-out levels.")

@@ -28,6 +28,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.stages.diagnosis.curves.cells import softer_jumps
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.stages.fit_speeds import mean_speeds
 from limbcli.stages.indentation_model import TISSUE
@@ -140,15 +141,19 @@ class LawCurve:
         self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
-        self._session = ReferenceSession(start, progress=progress, threads=threads)
+        self._session = ReferenceSession(self._eased(start), progress=progress, threads=threads)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
+
+    def _eased(self, model: LimbModel) -> LimbModel:
+        """Fibres that begin to be stretched come in over 5 % of their squared stretch: solved sooner."""
+        return softer_jumps(model) if self._law.has_fibres else model
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
         material = self._law.material(self._c, theta)
         searched = self._law.searched(self._c, theta)
-        model = self._model.with_material(TISSUE, material)
+        model = self._eased(self._model.with_material(TISSUE, material))
         try:
             result = self._session.solve(
                 model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.identifiability import Verdict, correlation, verdict
 from limbcli.inference.joint import JointProblem, held_out_error
@@ -15,6 +16,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fit_exports import leave_exports, parameter_rows, write_table
+from limbcli.stages.fit_fibres import leave_moduli
 from limbcli.stages.fit_joint_picture import draw_joint
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.units import kpa_from_mpa
@@ -31,12 +33,15 @@ def leave_joint(
     """fit-joint.json, levels by site, exports and pictures; `measured`: site name and its model."""
     parameters = parameter_table(problem, found)
     c = float(found.best[0])
-    fitted = measured[0][1].with_material("tissue", law.material(c, problem.solved_at(found.best)))
+    model = measured[0][1]
+    own = law.along(fibre_direction(model))
+    fitted = model.with_material("tissue", own.material(c, problem.solved_at(found.best)))
     values = {name: each["value"] for name, each in parameters.items()}
     gains = {measured[k][0]: float(found.best[1 + problem.n_shape + j]) for j, k in enumerate(problem.gained)}
     writer.data.update(
         objective="joint", law=law.name, law_words=law.words, **values,
-        kappa_kpa=values["c_kpa"] * values["f_kappa"], parameters=parameters,
+        **law.fixed, parameters=parameters,
+        kappa_kpa=values["c_kpa"] * {**values, **law.fixed}["f_kappa"],
         flags={name: each["flag"] for name, each in parameters.items()},
         interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
         gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
@@ -50,6 +55,8 @@ def leave_joint(
     draw_joint(problem, found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    if law.has_fibres:
+        leave_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
     writer.data["n_layer_readings"] = n_layers
     if n_layers:
