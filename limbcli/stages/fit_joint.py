@@ -32,6 +32,7 @@ from limbcli.stages.contact_check import leave_contact_check
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fit_curves import LawCurve
 from limbcli.stages.fit_cycles import leave_cycle, through_cycle
+from limbcli.stages.fit_fibre_doubt import leave_direction_doubt, told_deviation
 from limbcli.stages.fit_fibres import leave_orientations, rest_speed
 from limbcli.stages.fit_joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fit_laws import LAWS, FitLaw, law_named
@@ -121,6 +122,8 @@ def fit_joint(
             table.append(law_row(LAWS[name], problem, found, n_solves))
             if name == law.name:
                 leave_joint(writer, models, law, problem, found, n_solves)
+                if law.has_fibres:
+                    _check_directions(writer, measured, law, problem, found, out, progress)
                 if options.contact_check:
                     _check_contacts(writer, measured, law, problem, found, progress)
         if joint.compare_laws:
@@ -185,6 +188,18 @@ def _identify(
         for each_curve in exact:
             each_curve.close()
     return problem, found, sum(each.n_solves for each in curves)
+
+
+def _check_directions(
+    writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
+    out: Path, progress: Progress,
+) -> None:  # fmt: skip
+    """What fibres one deviation off would change, at every site that states how well they are known."""
+    for each in measured:
+        deviation = told_deviation(out, each.site)
+        if deviation is not None:
+            c, shape = float(found.best[0]), problem.solved_at(found.best)
+            leave_direction_doubt(each.model, each.site, law, c, shape, deviation, writer, progress=progress)
 
 
 def _check_contacts(

@@ -148,6 +148,7 @@ def case_and_out(measured, tmp_path_factory) -> tuple[Case, Path]:
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
         with open_stage(out, "mesh", subject="B1", site=name) as writer:
             save_model(fibred(axis), writer.file("model", "model.npz"))
+            writer.data["fibres"] = {"deviation_deg": 4.0 if name == "along" else None}
     case = Case.open(folder)
     build_feb(case, out=out)
     return case, out
@@ -173,6 +174,22 @@ def test_two_orientations_give_back_one_tissue(both):
     assert data["f_kappa"] == FIBRE_F_KAPPA
     assert data["flags"]["fibre_shear"] == "identified"
     assert not any("orientation" in each or "all records" in each for each in both.warnings)
+
+
+@pytest.mark.slow
+def test_what_a_doubtful_direction_changes_is_told(both):
+    """Where the case states how well it is known: fibres 4 degrees off, against two simulations of that."""
+    assert set(both.data["direction_doubt"]) == {"along"}
+    told, values = both.data["direction_doubt"]["along"], []
+    c, shape = 1e-3 * both.data["c_kpa"], np.array([both.data[each.name] for each in LAW.shape])
+    a = np.radians(4.0)
+    for axis in ((1.0, 0.0, 0.0), (np.cos(a), 0.0, np.sin(a))):
+        curve = LawCurve(built(axis), LAW.along(axis), c=c, density_kg_per_m3=1000.0)
+        values.append(curve(shape).values)
+        curve.close()
+    change = values[1] / values[0] - 1.0
+    assert told["force_change_fraction"] == pytest.approx(change[:4][np.abs(change[:4]).argmax()], abs=2e-3)
+    assert told["speed_change_fraction"] == pytest.approx(change[4:][np.abs(change[4:]).argmax()], abs=2e-3)
 
 
 @pytest.mark.slow
