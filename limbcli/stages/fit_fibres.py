@@ -14,7 +14,7 @@ from limbcli.measurement.swe_prediction import pixel_averages
 from limbcli.meshing.fibres import mean_axis
 from limbcli.model import Array, ElementMap, IntArray, LimbModel
 from limbcli.results import StageWriter
-from limbcli.stages.fit_laws import FitLaw
+from limbcli.stages.fit_laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.stages.fit_speeds import MEAN_WINDOW
 from limbcli.units import mpa_from_pa
 
@@ -131,6 +131,13 @@ def leave_orientations(
             writer.warnings.append(
                 f"no fibre direction is told for site {name}: along the limb, within the skin, is taken"
             )
+    linear = [name for name, model in models if any(b.kind == "tet4" for b in model.mesh.solid_blocks)]
+    if linear:
+        writer.warnings.append(
+            f"linear tetrahedra lock at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds "
+            f"({', '.join(linear)}): their forces are too high, and c, m and the fibres make up for it; mesh "
+            "with --element tet10"
+        )
     writer.warnings.extend(not_told(list(shares.values()), has_speeds))
 
 

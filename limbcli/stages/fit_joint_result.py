@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import Intervals
@@ -20,6 +21,8 @@ from limbcli.stages.fit_fibres import leave_moduli
 from limbcli.stages.fit_joint_picture import draw_joint
 from limbcli.stages.fit_laws import FitLaw
 from limbcli.units import kpa_from_mpa
+
+_POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
 
 
 def leave_joint(
@@ -55,6 +58,7 @@ def leave_joint(
     draw_joint(problem, found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    _warn_poor(found, writer)
     if law.has_fibres:
         leave_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
@@ -64,6 +68,20 @@ def leave_joint(
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+
+
+def _warn_poor(found: Intervals, writer: StageWriter) -> None:
+    """Before all other warnings: that the fit misses the data by more than their stated noise explains."""
+    chance = float(chi2.sf(found.chi_square, found.n_freedom))
+    if chance >= _POOR:
+        return
+    writer.warnings.insert(
+        0,
+        f"the fit misses the data: chi-square {found.chi_square:.0f} for {found.n_freedom} degrees of "
+        f"freedom (chance {chance:.1g} by the stated noise). The parameters are those of the nearest curves, "
+        "not of the tissue: look at the pictures, at the noise of the case, and at what `limbcli diagnose` "
+        "finds missing",
+    )
 
 
 def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[str, Any]]:
