@@ -57,6 +57,12 @@ def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[P
             elif (named.position, named.marker) != (site.position, site.marker):
                 fix = "name a site at the same place (position_mm or marker), axial or transverse"
                 problems.append(Problem(f"{where} is that of another place", file, fix))
+        if [_plane(each.orientation, sites) for each in site.fibres.pennation] == ["transverse"]:
+            what = (
+                f"site {site.name}: the pennation is told in an image across the limb alone; fibres cross it"
+            )
+            fix = 'add one with orientation = "axial", or give fibre_direction'
+            problems.append(Problem(what, file, fix))
         planes = {_plane(each.orientation, sites) for each in site.fibres.pennation}
         if len(planes) < len(site.fibres.pennation):
             what = f"site {site.name}: the two pennation angles are of one image plane, named twice"

@@ -52,9 +52,10 @@ def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
         (AXIAL + AXIAL.replace('"axial"', '"p2"'), "of one image plane, named twice"),
         (AXIAL + ACROSS + ACROSS.replace('"transverse"', '"p1"'), "in 3 image planes"),
         (AXIAL.replace('"axial"', '"p9"'), "the orientation 'p9' is not known"),
+        (ACROSS, "across the limb alone"),
         (AXIAL.replace("12.0", "95.0"), "plausible is -89 to 89 deg"),
         (AXIAL.replace("pennation_deg", "angle_deg"), "unknown key 'angle_deg'"),
-        (ACROSS.replace("2.0", "0.0"), "plausible is 0.1 to 45 deg"),
+        (AXIAL + ACROSS.replace("2.0", "0.0"), "plausible is 0.1 to 45 deg"),
         ("pennation = 12.0\n", "not a list of tables"),
     ],
 )
