@@ -146,17 +146,20 @@ class LawCurve:
         self.n_solves = 0
 
     def _eased(self, model: LimbModel) -> LimbModel:
-        """Fibres that begin to be stretched come in over 5 % of their squared stretch: solved sooner."""
+        """Fibres that begin to be stretched come in over 5 % of their squared stretch: solved sooner.
+
+        Waves feel them whole: their speeds are those of the law as it is.
+        """
         return softer_jumps(model) if self._law.has_fibres else model
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
         material = self._law.material(self._c, theta)
         searched = self._law.searched(self._c, theta)
-        model = self._eased(self._model.with_material(TISSUE, material))
+        model = self._model.with_material(TISSUE, material)
         try:
             result = self._session.solve(
-                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
+                self._eased(model), wrt=[(TISSUE, name) for name in searched], records=self._speeds,
                 field_gradients=(LINES,) if self._lines is not None else False,
             )  # fmt: skip
         except ArithmeticError as error:

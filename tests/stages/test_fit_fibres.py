@@ -117,6 +117,18 @@ def test_acoustic_tensor_of_the_law_is_the_energys_second_difference(rng):
         assert a @ Q @ a == pytest.approx((W[0] - 2 * W[1] + W[2]) / h**2, rel=1e-4)
 
 
+def test_speeds_under_load_are_those_of_the_law_and_go_on_from_rest():
+    """The solve may ease the fibres in; waves feel them whole, so a small load changes the speed little."""
+    model = indentation_model(fibred(ALONG["along"]), schedule([0.1, 0.2]), c=C, f_kappa=100.0, m=2.0)
+    law = LAW.along(ALONG["along"])
+    curve = LawCurve(model, law, c=C, density_kg_per_m3=1000.0)
+    speeds = curve(SHAPE).values[2:]
+    curve.close()
+    at_rest = np.exp(rest_speed(model, law, c=C, density_kg_per_m3=1000.0)(SHAPE)[0])
+    across = np.sqrt(0.5 * C * 1e6 / 1000.0)
+    assert abs(speeds[0] / at_rest - 1) < 0.25 * (at_rest / across - 1)
+
+
 @pytest.fixture(scope="module")
 def measured() -> dict[str, np.ndarray]:
     """Forces and speeds of both orientations, without noise."""
