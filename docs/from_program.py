@@ -21,6 +21,7 @@ TABLES = {
     "[probe]": schema.PROBE,
     "[model]": schema.MODEL,
     "[[site]]": schema.SITE,
+    "[[site.pennation]]": schema.PENNATION,
     "[site.noise]": schema.NOISE,
     "[site.layers.skin], [site.layers.fat]": schema.LAYER,
     "[site.load_cell]": schema.LOAD_CELL,

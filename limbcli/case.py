@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from limbcli import case_schema as schema
+from limbcli.case_fibres import fibre_problems, read_fibres
 from limbcli.case_files import CaseFiles
 from limbcli.case_imaging import place_of, read_imaging
 from limbcli.case_instruments import read_instruments, read_layers
-from limbcli.case_parts import Imaging, ModelOptions, Noise, Probe, Site
+from limbcli.case_parts import Fibres, Imaging, ModelOptions, Noise, Probe, Site
 from limbcli.errors import CaseError
 from limbcli.problems import Problem, checked
 
@@ -198,7 +199,7 @@ def _read_sites(tables: object, files: CaseFiles, imaging: Imaging) -> tuple[lis
             problems.append(Problem(f"two sites are named {site.name!r}", file, "give each its own name"))
         names.add(site.name)
         sites.append(site)
-    return sites, problems
+    return sites, problems + fibre_problems(sites, imaging, file)
 
 
 def _read_site(
@@ -220,6 +221,8 @@ def _read_site(
     problems += found
     layers, found = read_layers(values["layers"], label, file)
     problems += found
+    fibres, found = read_fibres(values, label, file)
+    problems += found
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
         made = {"levels": bool(instruments), "swe_maps": "swe_images" in instruments}.get(key, False)
@@ -230,7 +233,7 @@ def _read_site(
         problems += found
     if problems or paths["levels"] is None:
         return None, problems
-    return _make_site(values, noise, paths, paths["levels"], instruments, layers), problems
+    return _make_site(values, noise, paths, paths["levels"], instruments, layers, fibres), problems
 
 
 def _make_site(
@@ -240,6 +243,7 @@ def _make_site(
     levels: Path,
     instruments: Mapping[str, Mapping[str, Any]],
     layers: Mapping[str, Mapping[str, Any]],
+    fibres: Fibres,
 ) -> Site:
     position, long_axis = values["position_mm"], values["long_axis"]
     return Site(
@@ -264,4 +268,5 @@ def _make_site(
         instruments=instruments,
         layers=layers,
         skin_bone=None if values["skin_bone_mm"] is None else float(values["skin_bone_mm"]),
+        fibres=fibres,
     )  # fmt: skip

@@ -35,7 +35,7 @@ def read_imaging(
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
         problems.append(Problem("[imaging] names no geometry", file, fix))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("labels", False), ("skin", False)):
+    for key, is_folder in (("mri", None), ("labels", False), ("skin", False), ("fibres", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     mri = paths["mri"]
@@ -55,7 +55,12 @@ def read_imaging(
     radius = float(table.get("bone_radius_mm") or BONE_RADIUS_MM) if table.get("bone") else None
     if found:
         shape = _FAULTY  # its sites still need no place
-    imaging = Imaging(paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
+    fibres, frame = paths["fibres"], table.get("fibre_frame")
+    if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
+        what = f"imaging.fibres: {fibres.name!r} is no NIfTI file"
+        problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
+    sources = (paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
+    imaging = Imaging(*sources, fibres, frame)
     return imaging, problems + found
 
 

@@ -59,6 +59,7 @@ class Imaging:
 
     bone_radius : mm, of a bone that no file shows, as deep as ultrasound sees it; None: a file shows it
     shape : numbers only
+    fibres : NIfTI of fibre directions of the whole limb; fibre_frame : of its components, "ras" where None
     """
 
     mri: Path | None = None
@@ -67,6 +68,8 @@ class Imaging:
     bones: tuple[Path, ...] = ()
     bone_radius: float | None = None
     shape: Shape | None = None
+    fibres: Path | None = None
+    fibre_frame: str | None = None
 
     @property
     def assumed(self) -> str:
@@ -90,6 +93,32 @@ class Imaging:
             f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, as deep "
             "below each site as ultrasound shows it; the skin is a scan"
         )
+
+
+@dataclass(frozen=True)
+class Pennation:
+    """The angle of muscle fibres in the plane of an ultrasound image, as B-mode shows it.
+
+    orientation : of the probe that made the image: "axial", "transverse", or the name of a site there
+    angle_deg : from the image's lateral axis, positive where fibres go deeper as lateral grows
+    deviation_deg : one standard deviation
+    """
+
+    orientation: str
+    angle_deg: float
+    deviation_deg: float = 5.0
+
+
+@dataclass(frozen=True)
+class Fibres:
+    """What a case says of the fibres at a site: a direction (patient LPS, any length), or image angles."""
+
+    direction: tuple[float, float, float] | None = None
+    pennation: tuple[Pennation, ...] = ()
+
+    @property
+    def given(self) -> bool:
+        return self.direction is not None or bool(self.pennation)
 
 
 @dataclass(frozen=True)
@@ -124,6 +153,7 @@ class Site:
         levels.csv and the folder of SWE maps may be missing
     layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
     skin_bone : mm from skin to bone along the beam at first touch, where it is given by hand
+    fibres : of the muscle, as far as the case tells them
     """
 
     name: str
@@ -138,3 +168,4 @@ class Site:
     instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     skin_bone: float | None = None
+    fibres: Fibres = field(default_factory=Fibres)

@@ -89,6 +89,23 @@ def axis(value: object) -> str | None:
     return wrong
 
 
+def direction(value: object) -> str | None:
+    """A vector that has a length.
+
+    >>> direction([0, 0, 0]), direction([0, 0, 1])
+    ('has length zero, so no direction', None)
+    """
+    wrong = vector(value)
+    if wrong is None and not any(value):  # type: ignore[arg-type]
+        wrong = "has length zero, so no direction"
+    return wrong
+
+
+def tables(value: object) -> str | None:
+    good = isinstance(value, list) and value and all(isinstance(each, dict) for each in value)
+    return None if good else f"is {value!r}, not a list of tables"
+
+
 def whole(low: int, high: int) -> Check:
     def check(value: object) -> str | None:
         good = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
@@ -152,6 +169,8 @@ IMAGING = {
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm")),  # with `bone`; none: BONE_RADIUS_MM
     "shape": Key("table", table),
+    "fibres": Key("NIfTI file of 3 components", text),
+    "fibre_frame": Key("ras | lps | fsl", one_of("ras", "lps", "fsl")),  # none: ras
 }
 FILES = {"allow_outside": Key("true | false", truth, default=False)}
 PROBE = {
@@ -174,6 +193,8 @@ SITE = {
     "trace": Key("file", text),
     "swe_maps": Key("folder", text),
     "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
+    "fibre_direction": Key("[x, y, z]", direction),
+    "pennation": Key("list of tables", tables),
     "noise": Key("table", table),
     "layers": Key("table", table),
     "load_cell": Key("table", table),
@@ -223,6 +244,11 @@ LAYER = {
     "f_kappa": Key("1", number(0.01, 1000.0, "")),
     "m": Key("1", number(1.0, 100.0, "")),
     "beta": Key("1", number(0.0, 50.0, "")),
+}
+PENNATION = {
+    "orientation": Key("axial | transverse | a site's name", text, required=True),
+    "pennation_deg": Key("deg", number(-89.0, 89.0, "deg"), required=True),
+    "deviation_deg": Key("deg", number(0.1, 45.0, "deg"), default=5.0),
 }
 NOISE = {
     "force_n": Key("N", number(0.0, 5.0, "N"), default=0.1),

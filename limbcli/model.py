@@ -30,6 +30,7 @@ CellKind = Literal["tet4", "tet10", "hex8", "penta6", "tri3", "tri6", "quad4"]
 NODES_PER_CELL: dict[str, int] = {
     "tet4": 4, "tet10": 10, "hex8": 8, "penta6": 6, "tri3": 3, "tri6": 6, "quad4": 4,
 }  # fmt: skip
+FIBRES = "fibres"  # the name of the map of a model's fibre directions
 SOLID_KINDS = frozenset({"tet4", "tet10", "hex8", "penta6"})
 
 
@@ -230,6 +231,8 @@ class LimbModel:
 
     `info` carries plain facts for pictures and checks (site, probe size, the
     transform `patient_from_model` as 16 numbers row by row, ...).
+    `fibres`: the direction of muscle fibres in every cell of the tissue, unit vectors (n_cells, 3) in the
+    site's frame, sign without meaning; None where nobody told them. A law uses them only where it says so.
     """
 
     mesh: Mesh
@@ -244,6 +247,7 @@ class LimbModel:
     steps: tuple[Step, ...] = (Step(),)
     records: tuple[LogRecord, ...] = ()
     info: Mapping[str, Any] = field(default_factory=dict)
+    fibres: ElementMap | None = None
 
     def with_material(self, name: str, material: Material) -> LimbModel:
         """The same model with one material replaced."""

@@ -206,7 +206,7 @@ def batch(
     within("batch", jobs=jobs)
     from limbcli.stages.batch_cases import expectations, n_processes, one_case, output_folders
     from limbcli.stages.batching.outcome import BatchOptions
-    from limbcli.stages.report_index import report_index
+    from limbcli.stages.report_pages.index import report_index
 
     several = (
         [cases]

@@ -31,6 +31,7 @@ def fit(
     intervals: bool = True,
     gain_deviation_fraction: float | None = None,
     contact_check: bool = True,
+    cycle: int | str = "last",
     templates: PathLike | None = None,
     time_limit_s: float | None = None,
     wait: bool = True,
@@ -50,6 +51,7 @@ def fit(
     gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` where
         that was run, else by element and edge length
     contact_check : solve the fitted model once more with a harder contact
+    cycle : whose loading is fitted, where the tissue was loaded several times: its number, or "last"
     templates : a folder of Jinja templates that come before ours
     time_limit_s : of each FEBio run
 
@@ -70,7 +72,7 @@ def fit(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = _options(
-            c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, time_limit_s,
+            c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, time_limit_s, cycle,
             stiffness_map=stiffness_map, intervals=intervals, gain_deviation=gain_deviation_fraction,
             templates=maybe_path(templates, "templates"),
         )  # fmt: skip
@@ -95,6 +97,7 @@ def fit_joint(
     tolerance: float = 1e-3,
     max_iterations: int = 50,
     contact_check: bool = True,
+    cycle: int | str = "last",
     wait: bool = True,
     progress: Heard = None,
 ) -> JointFitResult:
@@ -104,7 +107,7 @@ def fit_joint(
     ----------
     case, out, wait, progress : as of `segment`
     sites : those that share the tissue; None: all
-    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden" or "holmes-mow"
+    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow" or "fibres"
     compare_laws : fit every law, and compare them by the error of levels left out
     the others : as of `fit`
 
@@ -116,7 +119,7 @@ def fit_joint(
     from limbcli.stages import fit_joint as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, None)
+        options = _options(c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, None, cycle)
         within("fit", gain_deviation_fraction=gain_deviation_fraction)
         joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
         found = stage.fit_joint(
@@ -135,6 +138,7 @@ def compare_elements(
     c_kpa: float | None = None,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
+    cycle: int | str = "last",
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[ElementComparison]:
@@ -153,7 +157,7 @@ def compare_elements(
     from limbcli.stages import fit_elements as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(c_kpa, None, tolerance, max_iterations, False, None)
+        options = _options(c_kpa, None, tolerance, max_iterations, False, None, cycle)
         found = stage.compare_elements(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
@@ -167,6 +171,7 @@ def _options(
     max_iterations: int,
     contact_check: bool,
     time_limit_s: float | None,
+    cycle: int | str,
     **others: Any,
 ) -> FitOptions:
     """As the stage takes them; the stage itself says which numbers are possible."""
@@ -179,7 +184,7 @@ def _options(
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
-        contact_check=contact_check, time_limit_s=time_limit_s, **others,
+        contact_check=contact_check, time_limit_s=time_limit_s, cycle=str(cycle), **others,
     )  # fmt: skip
     check_numbers(options, gain_deviation=options.gain_deviation)
     return options

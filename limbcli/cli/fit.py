@@ -9,6 +9,7 @@ from limbcli.cli.fit_options import (
     CompareElementOpt,
     CompareLawsOpt,
     ContactCheckOpt,
+    CycleOpt,
     GainDeviationOpt,
     IntervalsOpt,
     LawOpt,
@@ -56,6 +57,7 @@ def command(
     compare_laws: CompareLawsOpt = False,
     gain_deviation: GainDeviationOpt = None,
     contact_check: ContactCheckOpt = True,
+    cycle: CycleOpt = "last",
     compare_element: CompareElementOpt = False,
     templates: TemplatesOpt = None,
     no_wait: NoWaitOpt = False,
@@ -71,7 +73,7 @@ def command(
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation, stiffness_map=stiffness_map, tolerance=tolerance,
         max_iterations=max_iterations, intervals=intervals, gain_deviation=gain_deviation,
-        contact_check=contact_check, templates=templates, time_limit_s=time_limit_s,
+        contact_check=contact_check, cycle=cycle, templates=templates, time_limit_s=time_limit_s,
     )  # fmt: skip
     given = {"--law": law != "ogden", "--compare-laws": compare_laws}
     check_choice(

@@ -29,7 +29,9 @@ ObjectiveOpt = Annotated[
 ]
 LawOpt = Annotated[
     str,
-    typer.Option(help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow."),
+    typer.Option(
+        help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres."
+    ),
 ]
 CompareLawsOpt = Annotated[
     bool, typer.Option("--compare-laws", help="Joint only: every law, by the error of left-out levels.")
@@ -41,6 +43,9 @@ GainDeviationOpt = Annotated[
         help="Numerical error of the force to allow for; default: mesh study, else by element and size.",
         show_default=False,
     ),
+]
+CycleOpt = Annotated[
+    str, typer.Option("--cycle", help="Whose loading is fitted, where there are several: a number, or last.")
 ]
 ContactCheckOpt = Annotated[
     bool, typer.Option(help="The fitted model once more with a harder contact: how far the probe sinks in.")

@@ -4,7 +4,8 @@ Psi += Psi_f(I4) with Cauchy stress (1/J) [2 ksi (I4 - 1) N + mu_f sym(N (b - 1)
 N = (F a0)(F a0)', where I4 > 1. At small strain mu_along = mu_across + mu_f/2, and the fibre adds
 4 ksi + 2 mu_f along it. The transverse image reads the speed across, while a probe across the limb
 squeezes tissue along the fibres: the force is larger than c = 2 mu_SWE promises.
-a0: the limb's long axis. FEBio: `solid mixture` with `fiber-exp-pow` (alpha 0, beta 2).
+a0: the fibres' direction as the case tells it, else the limb's long axis.
+FEBio: `solid mixture` with `fiber-exp-pow` (alpha 0, beta 2).
 Tell-tale: with the probe turned by 90 degrees speeds rise and force falls.
 Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred tissue);
 Gennisson et al. 2010, Ultrasound Med Biol 36:789 (muscle: 4 to 5 times as fast along fibres).
@@ -13,7 +14,7 @@ Gennisson et al. 2010, Ultrasound Med Biol 36:789 (muscle: 4 to 5 times as fast 
 from __future__ import annotations
 
 from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
+from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 
 EXPONENT = "fibre_exponent"
@@ -35,14 +36,14 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
         "beta": 2.0,
         "mu": shear * c,
         "lam0": 1.0,
-        "fiber": limb_axis(model),
+        "fiber": fibre_direction(model),
     }
     return with_part(model, Material("fiber_exp_pow", fibre))
 
 
 EFFECT = Effect(
     name="anisotropy",
-    sentence="muscle fibres along the limb make the tissue stiffer in their direction",
+    sentence="muscle fibres make the tissue stiffer in their direction",
     kind="tissue",
     source="Gennisson et al. 2010, Ultrasound Med Biol 36:789",
     parameters=(SHEAR, TENSION),

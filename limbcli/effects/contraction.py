@@ -11,7 +11,7 @@ Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physio
 from __future__ import annotations
 
 from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.effects.tissue import ground_modulus, limb_axis, with_part
+from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 
 TENSION = Parameter("active_stress_per_c", null=0.0, start=0.3, low=0.0, high=4.0, typical=0.6,
@@ -25,7 +25,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     tension = theta[TENSION.name]
     if tension == 0.0:
         return model
-    active: dict[str, Value] = {"T0": tension * ground_modulus(model), "fiber": limb_axis(model)}
+    active: dict[str, Value] = {"T0": tension * ground_modulus(model), "fiber": fibre_direction(model)}
     return with_part(model, Material("active_contraction", active))
 
 

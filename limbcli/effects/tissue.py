@@ -120,6 +120,17 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
     return float(axis[0]), float(axis[1]), float(axis[2])
 
 
+def fibre_direction(model: LimbModel) -> Value:
+    """Where the muscle's fibres run: as the case tells, cell by cell where they differ; else `limb_axis`."""
+    told = model.fibres
+    if told is None:
+        return limb_axis(model)
+    first = told.values[0]
+    if np.array_equal(told.values, np.broadcast_to(first, told.values.shape)):
+        return float(first[0]), float(first[1]), float(first[2])
+    return told
+
+
 def thickness(model: LimbModel) -> float:
     """Skin to bone along the beam (mm): depth of the nearest bone facet below the origin; NaN if none."""
     surface = model.mesh.surfaces.get("bone")

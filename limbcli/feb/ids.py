@@ -113,6 +113,8 @@ def element_maps(model: LimbModel) -> dict[str, ElementMap]:
 
     for material in model.materials.values():
         visit(material)
+    if model.fibres is not None:
+        _add(found, model.fibres)
     return found
 
 

@@ -25,7 +25,7 @@ from limbcli.feb.read_material import MaterialSection, read_materials
 from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
 from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
-from limbcli.model import Curved, Domain, LimbModel, Material, Mesh, Step, Surface
+from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
 UNITS = "mm-N-s"
 INFO_MARK = "limbcli-info "
@@ -72,7 +72,8 @@ def read_feb(path: Path | str) -> LimbModel:
     drives, springs = read_loads.read_rigid(root.child("Rigid"), scene)
     contacts = read_contacts(root.child("Contact"), scene)
     steps, must_curves = read_steps(root, scene, curves)
-    read_loads.refuse_unused({**element_maps, **node_maps}, materials.used_maps | scene.used_maps, data)
+    used = materials.used_maps | scene.used_maps | {FIBRES}
+    read_loads.refuse_unused({**element_maps, **node_maps}, used, data)
     records, plot_variables = read_output(root.child("Output"), mesh, bodies, materials.by_id)
     info = _info(root)
     if plot_variables:
@@ -90,8 +91,15 @@ def read_feb(path: Path | str) -> LimbModel:
         steps=steps,
         records=records,
         info=info,
+        fibres=_fibres(element_maps),
     )
     return _without_idle_curves(model, must_curves)
+
+
+def _fibres(maps: Mapping[str, ElementMap]) -> ElementMap | None:
+    """The map of fibre directions, where there is one; whether a law uses it or not."""
+    found = maps.get(FIBRES)
+    return found if found is not None and found.values.ndim == 2 else None
 
 
 def _check_module(tag: Tag | None) -> None:

@@ -215,14 +215,14 @@ def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, Ele
         return elements, nodes
     tag.allow(many=("ElementData", "NodeData"))
     for each in tag.all("ElementData"):
-        each.allow(attributes=("name", "elem_set", "datatype"), many=("e",))
+        each.allow(attributes=("name", "elem_set", "data_type", "datatype"), many=("e",))
         width = _width(each)
         block = section.block_of(each, each.attribute("elem_set"))
         values = _by_lid(each, "e", width, len(section.mesh.block(block).cells))
         name = each.attribute("name")
         elements[name] = ElementMap(name, block, values if width > 1 else values[:, 0])
     for each in tag.all("NodeData"):
-        each.allow(attributes=("name", "node_set", "datatype"), many=("node",))
+        each.allow(attributes=("name", "node_set", "data_type", "datatype"), many=("node",))
         if _width(each) != 1:
             raise each.problem("only scalar node maps are supported", fix="give one scalar map per component")
         node_set = section.node_set(each, each.attribute("node_set"))
@@ -232,8 +232,9 @@ def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, Ele
 
 
 def _width(tag: Tag) -> int:
+    """FEBio 4 reads `data_type`; `datatype` is what files of version 3 have."""
     widths = {"scalar": 1, "vec3": 3}
-    datatype = tag.optional("datatype") or "scalar"
+    datatype = tag.optional("data_type") or tag.optional("datatype") or "scalar"
     if datatype not in widths:
         raise tag.problem(f"datatype {datatype!r} is not supported", fix="use scalar or vec3")
     return widths[datatype]

@@ -21,7 +21,7 @@ from limbcli.inference.emulator import Emulator
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.residual import Objective, Residual
-from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, invert, predict_site
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, invert, predict_site
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -45,7 +45,7 @@ _LEAST = 1e-4
 class JointTask:
     """What is fitted: curves and data by site, the shape's parameters, c's start and the unloaded speed.
 
-    c0 : MPa, the c of the curves; log_speed_0: ln sqrt(c0 / (2 rho)) in m/s, by site
+    c0 : MPa, the c of the curves; log_speed_0: ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`
     c_deviation : of ln c, a prior round c0; None where the speeds themselves say it
     """
 
@@ -53,7 +53,7 @@ class JointTask:
     data: Sequence[SiteMeasurement]
     shape: Sequence[FitParameter]
     c0: float
-    log_speed_0: Sequence[float]
+    log_speed_0: Sequence[RestSpeed]
     c_deviation: float | None = None
 
 

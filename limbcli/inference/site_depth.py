@@ -6,6 +6,7 @@ minus the depth at which the simulation reaches the measured force.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,10 @@ class SitePrediction:
     layers_slope: Array
 
 
+RestSpeed = float | Callable[[Array], tuple[float, Array]]
+"""ln of the speed in unloaded tissue, or shape -> that and its derivatives by ln shape."""
+
+
 def predict_site(
     curve: PredictedCurve,
     data: SiteMeasurement,
@@ -72,14 +77,14 @@ def predict_site(
     *,
     c_ratio: float,
     gain: float,
-    log_speed_0: float,
+    log_speed_0: RestSpeed,
 ) -> SitePrediction:
     """What a site's simulation says of its measurement.
 
     curve : shape -> forces at the knots (N), then, where the data hold speeds, speeds there (m/s), then,
         where they hold layers, depths below the skin (mm) of all borders at the first knot, the second, ...;
         for c_ratio 1 and gain 1
-    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho))
+    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho)), but for laws with fibres
     stiffness (n,) : dF/dd at the forces, N/mm
     """
     n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
@@ -102,8 +107,9 @@ def predict_site(
         return SitePrediction(
             depth, reached_by[:m], stiffness[:m], np.zeros(0), none, thickness, thickness_by
         )
-    speed = np.r_[log_speed_0, np.log(answer.values[n:last])]
-    speed_by = np.vstack([np.zeros(len(shape)), by_log[n:last] / answer.values[n:last, None]])
+    rest, rest_by = log_speed_0(shape) if callable(log_speed_0) else (log_speed_0, np.zeros(len(shape)))
+    speed = np.r_[rest, np.log(answer.values[n:last])]
+    speed_by = np.vstack([rest_by, by_log[n:last] / answer.values[n:last, None]])
     sample = pchip_sample(knots, speed, np.clip(at, 0.0, knots[-1]))
     slope = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
     log_speed = sample.values + 0.5 * np.log(c_ratio)

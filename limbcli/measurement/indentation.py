@@ -15,6 +15,7 @@ from limbcli.measurement.layer_checks import LayerNoise, check_layers
 from limbcli.measurement.level_checks import (
     check_columns,
     check_count,
+    check_cycles,
     check_order,
     check_phase,
     check_plausible,
@@ -46,9 +47,10 @@ __all__ = [
 REQUIRED = ("force_n", "depth_mm")
 OPTIONAL = (
     "swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm",
-    *(f"{name}_mm" for name in LAYERS),
+    "cycle", *(f"{name}_mm" for name in LAYERS),
 )  # fmt: skip
 TEXTS = ("phase",)
+_MANY = 10**6  # beyond any count of cycles
 
 
 def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
@@ -76,6 +78,7 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
     levels = _levels(table, path)
     problems += check_count(levels, path)
     problems += check_phase(levels, table, path)
+    problems += check_cycles(levels, table, path)
     problems += check_columns(levels, table, path)
     if not any(each.severity == "error" for each in problems):
         problems += check_layers(levels, path, lines=table.lines, noise=noise)
@@ -92,6 +95,7 @@ def _levels(table: RawTable, path: Path) -> Levels:
     missing = np.full(len(table), np.nan)
     thickness = {name: table.numbers.get(f"{name}_mm", missing) for name in LAYERS}
     phase = table.texts.get("phase", ["load"] * len(table))
+    cycle = np.nan_to_num(table.numbers.get("cycle", np.ones(len(table))), nan=0.0)
     return Levels(
         force=table.numbers["force_n"],
         depth=table.numbers["depth_mm"],
@@ -104,4 +108,5 @@ def _levels(table: RawTable, path: Path) -> Levels:
         skin_bone=table.numbers.get("skin_bone_mm", missing),
         path=path,
         layers={name: each for name, each in thickness.items() if np.isfinite(each).any()},
+        cycle=np.clip(cycle, -_MANY, _MANY).astype(np.int64),
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.measurement.levels import Levels
+from limbcli.measurement.levels import FEWEST_LOADING, Levels
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
 from limbcli.problems import Problem
@@ -36,9 +36,14 @@ def check_count(levels: Levels, path: Path) -> list[Problem]:
     if len(levels) == 1:
         fix = "measure in steps of about 2 N; a curve needs at least three levels"
         return [problem("there is one level only", path, fix)]
-    if n < 3:
+    if n < FEWEST_LOADING:
         fix = "a curve with two parameters needs at least three levels of loading"
         return [problem(f"there are {n} levels of loading only", path, fix)]
+    counts = {cycle: levels.n_loading(cycle) for cycle in levels.cycles}
+    if max(counts.values()) < FEWEST_LOADING:
+        fix = "a curve needs at least three levels of loading in one cycle"
+        what = f"no cycle has more than {max(counts.values())} levels of loading"
+        return [problem(what, path, fix)]
     return []
 
 
@@ -48,6 +53,44 @@ def check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         for name, line in zip(levels.phase, table.lines, strict=True)
         if name not in ("load", "unload")
     ]
+
+
+def check_cycles(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    """Cycles count from 1 without a gap, in the order measured, and load before they unload."""
+    problems = []
+    numbers = table.numbers.get("cycle")
+    if numbers is not None:
+        for k in np.flatnonzero(~((numbers >= 1) & (numbers == np.round(numbers)))):
+            shown = "empty" if np.isnan(numbers[k]) else f"{numbers[k]:g}"
+            fix = "number the loadings 1, 2, 3, ...; a cycle is one loading with the unloading after it"
+            problems.append(problem(f"cycle is {shown}", path, fix, line=table.lines[k]))
+        if problems:
+            return problems
+    cycle = levels.cycle
+    if cycle[0] != 1:
+        fix = "the first loading is cycle 1"
+        problems.append(problem(f"the first row is of cycle {cycle[0]}", path, fix, line=table.lines[0]))
+    for row in range(1, len(levels)):
+        before, now, line = int(cycle[row - 1]), int(cycle[row]), table.lines[row]
+        if now < before:
+            what = f"the cycles are out of order: cycle {now} stands after cycle {before}"
+            problems.append(problem(what, path, "rows stand in the order measured", line=line))
+        elif now > before + 1:
+            what = f"cycle {now} follows cycle {before}: {_skipped(before, now)} without a row"
+            problems.append(problem(what, path, "number the loadings 1, 2, 3, ...", line=line))
+        elif now == before and levels.phase[row - 1] == "unload" and levels.phase[row] == "load":
+            what = f"the tissue is loaded again within cycle {now}"
+            fix = "give each loading a cycle of its own (column cycle: 1, 2, ...), or correct the phase"
+            problems.append(problem(what, path, fix, line=line))
+    return problems
+
+
+def _skipped(before: int, now: int) -> str:
+    """
+    >>> _skipped(1, 3), _skipped(1, 5)
+    ('cycle 2 is', 'cycles 2 to 4 are')
+    """
+    return f"cycle {now - 1} is" if now == before + 2 else f"cycles {before + 1} to {now - 1} are"
 
 
 # What no level can have: column, least, most, what it is and the usual slip.
@@ -93,10 +136,15 @@ def check_columns(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     return check_values(columns, path, lines=table.lines)
 
 
+_AGAIN = "rows in the order measured; mark unloading with phase = unload, and a second loading with cycle = 2"
+
+
 def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     problems = []
-    for phase, sign in (("load", 1.0), ("unload", -1.0)):
-        rows = np.array([k for k, each in enumerate(levels.phase) if each == phase], dtype=int)
+    legs = [(cycle, *leg) for cycle in levels.cycles for leg in (("load", 1.0), ("unload", -1.0))]
+    for number, phase, sign in legs:
+        rows = np.flatnonzero(levels.cycle == number)
+        rows = np.array([k for k in rows if levels.phase[k] == phase], dtype=int)
         force, depth = sign * levels.force[rows], sign * levels.depth[rows]
         lines = [table.lines[k] for k in rows]
         for k in range(1, len(rows)):
@@ -104,11 +152,11 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
             if force[k] == force[k - 1] and depth[k] == depth[k - 1]:
                 problems.append(problem(f"the level of {place} is repeated", path, "keep one", line=lines[k]))
             elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP and depth[k] > depth[k - 1]:
-                fix = "rows stand in the order measured; mark unloading with phase = unload"
+                fix = f"write the {_AGAIN}"
                 what = f"the force falls while the depth grows ({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k]))
             elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP:
-                fix = "sort the rows in the order measured; mark unloading with phase = unload"
+                fix = f"sort the {_AGAIN}"
                 what = f"the levels are not in order of force ({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k]))
             elif sign > 0 and force[k] < force[k - 1] - _SILENT_FORCE_DROP and depth[k] > depth[k - 1]:
@@ -198,8 +246,10 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         problems.append(
             problem("level 0 has no shear-wave speed", path, fix, line=table.lines[0], warning=True)
         )
-    n_missing = int(np.isnan(speed).sum())
-    if 0 < n_missing < len(speed):
-        what = f"{n_missing} of {len(speed)} levels have no shear-wave speed"
+    needed = speed[levels.loading]  # nothing reads a speed on the way back
+    n_missing = int(np.isnan(needed).sum())
+    if 0 < n_missing < len(needed):
+        way = "" if len(needed) == len(speed) else " of loading"
+        what = f"{n_missing} of {len(needed)} levels{way} have no shear-wave speed"
         problems.append(problem(what, path, "they are left out of the SWE figures", warning=True))
     return problems

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from limbcli.model import Array
+from limbcli.errors import CaseError
+from limbcli.model import Array, IntArray
 
 LAYERS = ("skin", "fat", "muscle")  # from the probe inward
 TOUCH_FORCE, TOUCH_DEPTH = 1.0, 1.0  # N, mm: what a level 0 has at most, the probe's first touch
+FEWEST_LOADING = 3  # levels of loading that a curve needs
+LAST = "last"  # the last cycle that has them
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +23,10 @@ class Levels:
 
     force N, compression positive; depth mm since level 0; swe_* m/s and pixel counts,
     hold s, probe travel and skin-bone distance mm, NaN where not measured; phase
-    "load" or "unload".
+    "load" or "unload"; cycle counts loadings from 1 (default: one cycle).
+    rows : of each level in the file, counted from 0, which is how its maps are numbered
+    n_in_file : rows of the file, of all cycles
+    zero_depth : mm of the file's depths at which these depths begin (`of_cycle`)
     layers : thickness along the beam (mm) of those of `LAYERS` that were measured at any level, in order
     """
 
@@ -35,6 +41,19 @@ class Levels:
     skin_bone: Array
     path: Path
     layers: Mapping[str, Array] = field(default_factory=dict)
+    cycle: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    n_in_file: int = 0
+    zero_depth: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(self.force)
+        usual = {"cycle": np.ones(n, dtype=np.int64), "rows": np.arange(n)}
+        for name, values in usual.items():
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, values)
+        if not self.n_in_file:
+            object.__setattr__(self, "n_in_file", n)
 
     def __len__(self) -> int:
         return len(self.force)
@@ -57,3 +76,67 @@ class Levels:
     @property
     def has_swe(self) -> bool:
         return bool(np.isfinite(self.swe_mean_m_per_s).any())
+
+    @property
+    def cycles(self) -> tuple[int, ...]:
+        """The cycles that are there, in order."""
+        return tuple(int(each) for each in np.unique(self.cycle))
+
+    def n_loading(self, cycle: int) -> int:
+        """Levels of loading in a cycle."""
+        return int((self.loading & (self.cycle == cycle)).sum())
+
+    def chosen_cycle(self, cycle: str = LAST) -> int:
+        """The number of the cycle meant by "last" (the last with three levels of loading) or a number.
+
+        Raises
+        ------
+        CaseError
+            If there is no such cycle, or it has fewer than three levels of loading.
+
+        >>> nan = np.full(4, np.nan)
+        >>> four = np.arange(4.0)
+        >>> some = Levels(four, four, nan, nan, nan, ("load",) * 4, nan, nan, nan, Path("x"))
+        >>> some.chosen_cycle(), some.chosen_cycle("1")
+        (1, 1)
+        """
+        whole = [each for each in self.cycles if self.n_loading(each) >= FEWEST_LOADING]
+        if cycle == LAST:
+            return whole[-1] if whole else self.cycles[-1]
+        listed = ", ".join(map(str, self.cycles))
+        fix = f"cycles with enough levels: {', '.join(map(str, whole)) or 'none'}; or `last`"
+        if not cycle.isdecimal() or int(cycle) not in self.cycles:
+            what = f"there is no cycle {cycle}; the levels are of cycle {listed}"
+            raise CaseError(what, where=f"--cycle, {self.path}", fix=fix, cycles=list(self.cycles))
+        if int(cycle) not in whole:
+            n = self.n_loading(int(cycle))
+            what = f"cycle {cycle} has {n} level{'s' if n != 1 else ''} of loading; a curve needs at least "
+            raise CaseError(f"{what}{FEWEST_LOADING}", where=f"--cycle, {self.path}", fix=fix, n_levels=n)
+        return int(cycle)
+
+    def of_cycle(self, number: int) -> Levels:
+        """The levels of one cycle, whose depths and travel count from its own first touch, where it has one.
+
+        Tissue that was loaded before does not come all the way back: what is left of its deformation
+        belongs to the state from which the cycle's loading begins.
+        """
+        rows = np.flatnonzero(self.cycle == number)
+        if len(rows) == len(self):
+            return self
+        columns = {
+            each.name: getattr(self, each.name)[rows]
+            for each in fields(self)
+            if isinstance(getattr(self, each.name), np.ndarray)
+        }
+        part = replace(
+            self,
+            phase=tuple(self.phase[k] for k in rows),
+            layers={name: values[rows] for name, values in self.layers.items()},
+            **columns,
+        )
+        touches = bool(part.phase[0] == "load" and part.force[0] <= TOUCH_FORCE)
+        if number == self.cycles[0] or not touches:
+            return part
+        zero = float(part.depth[0])
+        travel = part.probe_travel - part.probe_travel[0]
+        return replace(part, depth=part.depth - zero, probe_travel=travel, zero_depth=zero)

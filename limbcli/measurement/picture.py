@@ -13,6 +13,7 @@ from limbcli.drawing import save_figure, save_picture
 from limbcli.measurement.bmode import BoneLine
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.holds import Hold
+from limbcli.measurement.pennation import PennationReading
 from limbcli.measurement.trace import Trace
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 
@@ -57,6 +58,29 @@ def draw_bone_lines(
             axes.plot([-5, 5], [at, at], color="tab:cyan", lw=1.0)
             axes.text(5.3, at, name, color="tab:cyan", size=6, va="center", clip_on=True)
         axes.set_title(f"{k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
+    save_picture(figure, path, dpi=130)
+
+
+def draw_pennation(image: UltrasoundImage, reading: PennationReading, path: Path) -> None:
+    """The image with the direction read in each tile, and their mean."""
+    region = image.main_region()
+    width = (region.right - region.left + 1) * region.mm_per_pixel_x
+    height = (region.bottom - region.top + 1) * region.mm_per_pixel_y
+    figure = Figure(figsize=(6.5, 6.5 * height / width + 0.8), layout="constrained")
+    axes = figure.subplots()
+    grey = image.grey[region.top : region.bottom + 1, region.left : region.right + 1]
+    axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
+    angle = np.radians(reading.tile_deg)
+    dx, dy = 1.8 * np.cos(angle), 1.8 * np.sin(angle)
+    axes.plot(
+        [reading.lateral - dx, reading.lateral + dx], [reading.depth - dy, reading.depth + dy],
+        color="tab:orange", lw=1.4,
+    )  # fmt: skip
+    axes.set(
+        xlabel="lateral / mm", ylabel="depth / mm",
+        title=f"fibres at {reading.angle_deg:.1f} deg (deviation {reading.deviation_deg:.1f}, "
+        f"spread {reading.spread_deg:.1f})",
+    )  # fmt: skip
     save_picture(figure, path, dpi=130)
 
 

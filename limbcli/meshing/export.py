@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.meshing.quality import dihedral_angles_deg
-from limbcli.model import Block, Mesh
+from limbcli.model import Array, Block, ElementMap, Mesh
 
 _VTK = {
     "tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "penta6": "wedge",
@@ -16,11 +16,11 @@ _VTK = {
 }  # fmt: skip
 
 
-def write_vtu(mesh: Mesh, path: Path) -> None:
+def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> None:
     """All blocks as cells; every node set and surface as a point array of 0 and 1.
 
-    Cell arrays: `block` (its number), one of 0 and 1 for each block by name, and
-    `min_dihedral_deg`.
+    Cell arrays: `block` (its number), one of 0 and 1 for each block by name, `min_dihedral_deg`, and,
+    where they are told, `fibre` (3 components in the site's frame; 0 outside of the tissue).
     """
     import meshio
 
@@ -37,7 +37,14 @@ def write_vtu(mesh: Mesh, path: Path) -> None:
         cell_data[f"block_{chosen.name}"] = [
             np.full(len(each.cells), each is chosen, np.uint8) for each in mesh.blocks
         ]
+    if fibres is not None:
+        cell_data["fibre"] = [fibre_rows(each, fibres) for each in mesh.blocks]
     meshio.Mesh(mesh.points, cells, point_data=point_data, cell_data=cell_data).write(path, file_format="vtu")
+
+
+def fibre_rows(block: Block, fibres: ElementMap) -> Array:
+    """(n_cells, 3): a block's fibre directions, 0 where it has none."""
+    return fibres.values if block.name == fibres.block else np.zeros((len(block.cells), 3))
 
 
 def _marked(n: int, chosen: Any) -> Any:

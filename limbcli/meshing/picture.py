@@ -25,15 +25,15 @@ def mesh_picture(
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
-    _cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth)
-    _cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth)
+    draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth)
+    draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth)
     _from_above(axes[1, 0], mesh, probe)
     _histogram(axes[1, 1], mesh, figures)
     figure.suptitle(title)
     save_picture(figure, path, dpi=110)
 
 
-def _cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float) -> None:
+def draw_cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float) -> None:
     """Tetrahedra cut by the plane through the site whose normal is x (0) or y (1)."""
     across = 1 - axis
     for block in mesh.solid_blocks:

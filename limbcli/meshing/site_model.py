@@ -169,6 +169,7 @@ def _info(
     return {
         "site": name,
         "patient_from_model": [float(v) for v in frame.to_patient.ravel()],
+        "proximal": [float(v) for v in frame.proximal],
         "probe_length_mm": probe.length,
         "probe_width_mm": probe.width,
         "probe_edge_radius_mm": probe.edge_radius,

@@ -8,10 +8,25 @@ from pathlib import Path
 from limbcli.case import Case
 from limbcli.measurement.regression import Line
 from limbcli.reporting.figures.convergence import Residuals
+from limbcli.reporting.figures.cycles import Loop
 from limbcli.reporting.figures.deformed import DeformedState
 from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcomes
+
+
+@dataclass(frozen=True, eq=False)
+class CycleMaterial:
+    """A record's loading cycles and what is said of them.
+
+    settled : whether the last loading repeats the one before it within noise
+    contradiction : a sentence where later cycles contradict the one that was fitted
+    """
+
+    loops: tuple[Loop, ...]
+    sentences: tuple[str, ...]
+    settled: bool
+    contradiction: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +49,7 @@ class SiteMaterial:
     why_not_deformed: str = "the model has not been run"
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
+    cycles: CycleMaterial | None = None
 
 
 @dataclass(frozen=True, eq=False)

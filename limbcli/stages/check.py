@@ -20,6 +20,7 @@ from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
+from limbcli.stages.report_pages.cycles import cycle_lines
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
     if case is not None:
         problems += _contradictions(case)
         problems += geometry_problems(case, problems)
-    shown = layer_lines(case) if case is not None else []
+    shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
     return CheckResult(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 
@@ -83,6 +84,7 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     imaging = raw.get("imaging")
     if isinstance(imaging, dict):
         listed += [(imaging.get("mri"), _read_mri), (imaging.get("labels"), _read_labels)]
+        listed += [(imaging.get("fibres"), _read_fibres)]
         bones = imaging.get("bones")
         surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
         listed += [(each, _read_surface) for each in surfaces]
@@ -128,6 +130,12 @@ def _read_labels(path: Path) -> list[Problem]:
     from limbcli.imaging.label_files import read_label_file
 
     return _caught(lambda: read_label_file(path))
+
+
+def _read_fibres(path: Path) -> list[Problem]:
+    from limbcli.imaging.fibre_map import read_fibre_map
+
+    return _caught(lambda: read_fibre_map(path)) if path.is_file() else []
 
 
 def _read_surface(path: Path) -> list[Problem]:

@@ -36,6 +36,8 @@ from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, 
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
+from limbcli.stages.report_pages.cycles import cycle_facts
+from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
 
@@ -208,12 +210,16 @@ class _Diagnosed:
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
             content = self._content(found, forward_model, mine, all_)
+            repeated = cycle_facts(mine.site, all_levels_of(mine.site))
+            if repeated:
+                content |= {"cycles": repeated, "sentences": [*content["sentences"], *repeated["sentences"]]}
             path = writer.file("diagnosis", "diagnosis.json")
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
             writer.data.update(mine.notes.data)
             writer.data.update(content)
             writer.data["n_solves"] = mine.book.n_solves
             writer.summary.extend(content["sentences"][:10])
+            writer.summary.extend(repeated["sentences"] if repeated else ())
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
             sizes_picture(found, forward_model.effects, writer.file("sizes", "sizes.png"))

@@ -8,10 +8,15 @@ m       = { value = 7.0, relative = 0.05 }
 r2      = { min = 0.99 }
 [elements.p1]                          # what `fit --compare-element` found
 force_ratio_tet4_over_tet10 = { min = 2.0 }
+[mesh.p1]
+"fibres.out_of_skin_deg" = { value = 12.0, tolerance = 1.0 }
 [segment]
 "quality.verdict" = { is = "good" }    # dots walk into tables
+[fit-joint]
+fibre_shear = { value = 1.0, tolerance = 0.2 }
 ```
-Keys are those of `data` in fit.json and fit-elements.json (per site), and segment.json.
+Keys are those of `data` in fit.json, fit-elements.json and mesh.json (per site), segment.json and
+fit-joint.json.
 """
 
 from __future__ import annotations
@@ -66,7 +71,9 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
         found += _table(f"site.{site}", rules, out, "fit", site, path)
     for site, rules in content.get("elements", {}).items():
         found += _table(f"elements.{site}", rules, out, "fit-elements", site, path)
-    for stage in ("segment",):
+    for site, rules in content.get("mesh", {}).items():
+        found += _table(f"mesh.{site}", rules, out, "mesh", site, path)
+    for stage in ("segment", "fit-joint"):
         if stage in content:
             found += _table(stage, content[stage], out, stage, None, path)
     return found

@@ -30,6 +30,7 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import geometry_doubt
 from limbcli.stages.fitting.geometry_result import leave_geometry
@@ -108,8 +109,8 @@ def _fit_site(
     progress: Progress,
 ) -> None:  # fmt: skip
     clock = time.perf_counter()
-    model = built_model(case, site, out, writer)
-    levels = levels_of(site)
+    levels = levels_of(site, options.cycle)
+    model = through_cycle(built_model(case, site, out, writer), levels, site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
     curve, knots, cold = _first_solve(solver, model, c, options, progress)
@@ -143,6 +144,7 @@ def _fit_site(
     )
     simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
     leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+    leave_cycle(levels, site, writer)
     if doubt is not None:
         leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
     if options.contact_check:
@@ -179,7 +181,7 @@ def _tissue_c(
             where="--c-kpa, --stiffness-map",
             fix="leave one of the two out",
         )
-    found = tissue_map(model, site)
+    found = tissue_map(model, site, row=int(levels.rows[0]))
     leave_map(found, model, levels, site, writer)
     stiffness = found.stiffness(site)
     if options.c_deviation is not None:

@@ -30,6 +30,7 @@ from limbcli.stages.fit import (
     force_depth_data,
     initial_stiffness,
 )
+from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
 from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.force_curves import ReferenceCurve
 from limbcli.stages.site_model.site_levels import levels_of
@@ -89,8 +90,9 @@ def compare_elements(
 def _compare_site(
     case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> None:
-    model = built_model(case, site, out, writer)
-    levels = levels_of(site)
+    levels = levels_of(site, options.cycle)
+    model = through_cycle(built_model(case, site, out, writer), levels, site)
+    leave_cycle(levels, site, writer)
     stiffness, source = initial_stiffness(levels, site, options)
     data = force_depth_data(levels, site)
     found: list[ElementFit] = []

@@ -16,10 +16,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limbcli.case import Case, Site
+from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.site_depth import RestSpeed
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
@@ -28,6 +30,9 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
+from limbcli.stages.fitting.fibre_doubt import leave_direction_doubt, told_deviation
+from limbcli.stages.fitting.fibres import leave_orientations, rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, law_named
@@ -96,9 +101,14 @@ def fit_joint(
     with open_stage(out, STAGE, subject=case.subject) as writer:
         measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
         for each in measured:
+            leave_cycle(each.levels, each.site, writer, label=each.site.name)
             _check_noise(each.site, speeds=each.levels.has_swe)
         models = [(each.site.name, each.model) for each in measured]
-        names = [law.name] + [each for each in LAWS if joint.compare_laws and each != law.name]
+        told = any(model.fibres is not None for _, model in models)
+        others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
+        names = [law.name, *(others if joint.compare_laws else [])]
+        if law.has_fibres:
+            leave_orientations(models, [each.levels.has_swe for each in measured], writer)
         table = []
         for name in names:
             progress.event("note", text=f"law {name}")
@@ -112,6 +122,8 @@ def fit_joint(
             table.append(law_row(LAWS[name], problem, found, n_solves))
             if name == law.name:
                 leave_joint(writer, models, law, problem, found, n_solves)
+                if law.has_fibres:
+                    _check_directions(writer, measured, law, problem, found, out, progress)
                 if options.contact_check:
                     _check_contacts(writer, measured, law, problem, found, progress)
         if joint.compare_laws:
@@ -123,8 +135,8 @@ def fit_joint(
 
 
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
-    model = built_model(case, site, out, writer, label=site.name)
-    levels = levels_of(site)
+    levels = levels_of(site, options.cycle)
+    model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:
@@ -148,10 +160,17 @@ def _identify(
 ) -> tuple[JointProblem, Intervals, int]:
     c0 = float(np.exp(np.mean([np.log(each.c) for each in measured])))
     curves, exact, data = [], [], []
+    log_speed_0: list[RestSpeed] = []
     for each in measured:
-        speeds = each.levels.has_swe
+        speeds, density = each.levels.has_swe, each.site.density_kg_per_m3
+        own = law.along(fibre_direction(each.model))
+        log_speed_0.append(
+            rest_speed(each.model, own, c=c0, density_kg_per_m3=density)
+            if law.has_fibres and speeds
+            else 0.5 * float(np.log(c0 * 1e6 / (2 * density)))
+        )
         curve = LawCurve(
-            each.model, law, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
+            each.model, own, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
             lines=each.lines, progress=progress,
         )  # fmt: skip
         memory = SolvedPoints(curve)
@@ -162,7 +181,6 @@ def _identify(
         data.append(site_data(each, curve.depths, joint, speeds=speeds))
     try:
         prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
-        log_speed_0 = [0.5 * float(np.log(c0 * 1e6 / (2 * each.site.density_kg_per_m3))) for each in measured]
         task = JointTask(curves, data, law.shape, c0, log_speed_0, prior)
         starts = [np.r_[c0, shape] for shape in _first_shapes(law)]
         problem, found = joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
@@ -172,6 +190,18 @@ def _identify(
     return problem, found, sum(each.n_solves for each in curves)
 
 
+def _check_directions(
+    writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
+    out: Path, progress: Progress,
+) -> None:  # fmt: skip
+    """What fibres one deviation off would change, at every site that states how well they are known."""
+    for each in measured:
+        deviation = told_deviation(out, each.site)
+        if deviation is not None:
+            c, shape = float(found.best[0]), problem.solved_at(found.best)
+            leave_direction_doubt(each.model, each.site, law, c, shape, deviation, writer, progress=progress)
+
+
 def _check_contacts(
     writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
     progress: Progress,
@@ -179,8 +209,9 @@ def _check_contacts(
     """What a harder contact would change at every site."""
     c, shape = float(found.best[0]), problem.solved_at(found.best)
     for each in measured:
+        own = law.along(fibre_direction(each.model))
         curve = LawCurve(
-            each.model, law, c=c, density_kg_per_m3=each.site.density_kg_per_m3, speeds=False,
+            each.model, own, c=c, density_kg_per_m3=each.site.density_kg_per_m3, speeds=False,
             progress=progress,
         )  # fmt: skip
         try:
@@ -190,7 +221,7 @@ def _check_contacts(
             continue
         finally:
             curve.close()
-        fitted = each.model.with_material("tissue", law.material(c, shape))
+        fitted = each.model.with_material("tissue", own.material(c, shape))
         leave_contact_check(fitted, forces, curve.depths, writer, site=each.site.name, progress=progress)
 
 

@@ -19,28 +19,25 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.files import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
 from limbcli.measurement.indentation import (
     Levels,
-    Trace,
     check_levels,
     check_values,
     doubts_about_levels,
     read_levels,
 )
 from limbcli.measurement.levels import LAYERS
-from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.measuring.fibres import leave_pennation
+from limbcli.stages.measuring.holds import Columns, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measuring.layers import layer_columns, read_borders
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.site_model.site_levels import layer_noise
 
 STAGE = "measure"
-_FEW_LOST = 0.01  # of the samples
-_SMALL_FORCE = 4.0  # N, of a whole indentation
 _FEWEST_LEVELS = 3
 
 
@@ -84,15 +81,17 @@ def measure(
 def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progress: Progress) -> str:
     instruments = site.instruments
     known = read_levels(site.levels) if site.levels.is_file() else None
-    columns: dict[str, Sequence[float]] = {}
+    columns: Columns = {}
     note_case(writer, case, [], site=site, own=instruments)
     for kind, table in instruments.items():
         writer.used(kind, table["path"], role=f"site/{site.name}/{kind}")
     if "load_cell" in instruments:
-        columns |= _force(instruments["load_cell"], writer)
+        columns |= force_columns(instruments["load_cell"], writer)
         progress.event("note", text=f"{len(columns['force_n'])} holds found")
     elif known is not None:
         columns |= {"force_n": list(known.force), "depth_mm": list(known.depth)}
+        if known.cycles != (1,) or not known.loading.all():
+            columns |= {"cycle": known.cycle.tolist(), "phase": list(known.phase)}
     if "b_mode" in instruments:
         columns |= _depth(instruments["b_mode"], writer, progress)
     if "swe_images" in instruments:
@@ -100,7 +99,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
         columns |= measured_speeds(instruments["swe_images"], tissue, writer, progress)
     _check_lengths(columns, site)
     place = instruments["load_cell"]["path"] if "load_cell" in instruments else site.levels
-    raise_errors(check_values(columns, place), MeasurementError)
+    raise_errors(check_values(_numbers(columns), place), MeasurementError)
     _check_count(columns, site)
     _check_agreement(columns, known, writer)
     text = _as_csv(columns)
@@ -117,82 +116,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
     return text
 
 
-def _force(table: Mapping[str, Any], writer: StageWriter) -> dict[str, Sequence[float]]:
-    from limbcli.measurement.picture import draw_holds
-
-    path: Path = table["path"]
-    trace = read_recording(
-        path,
-        RecordingFormat(
-            columns=table["columns"],
-            force_unit=table["force_unit"],
-            length_unit=table["length_unit"],
-            separator=table["separator"],
-            decimal=table["decimal"],
-        ),
-    )
-    if table["tare_s"] is not None:
-        tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
-        mass, axis = float(table["probe_mass_kg"]), table["axis"]
-        trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
-    pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
-    holds = find_holds(pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
-    draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
-    _say_holds(holds, trace, float(table["step_n"]), writer)
-    columns: dict[str, Sequence[float]] = {
-        "force_n": [each.force for each in holds],
-        "hold_s": [each.duration_s for each in holds],
-    }
-    if all(each.depth is not None for each in holds):
-        first = holds[0].depth or 0.0
-        columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
-    return columns
-
-
-def _say_holds(holds: Sequence[Hold], trace: Trace, step: float, writer: StageWriter) -> None:
-    writer.data["holds"] = [vars(each) for each in holds]
-    noise = float(np.median([each.force_sd for each in holds]))
-    error = float(np.max([each.force_se for each in holds]))
-    writer.summary.append(
-        f"{len(holds)} holds, {min(h.duration_s for h in holds):.0f} s or longer; "
-        f"sample noise {noise:.3f} N, error of a mean at most {error:.3f} N"
-    )
-    for k, hold in enumerate(holds):
-        where = f"hold {k} ({hold.force:.2f} N, {hold.start_s:.0f} to {hold.end_s:.0f} s)"
-        if hold.creeping:
-            drift = f"{1000 * hold.drift_n_per_s:.1f} mN/s"
-            if hold.depth_drift_mm_per_s is not None:
-                drift += f", {1000 * hold.depth_drift_mm_per_s:.1f} um/s"
-            writer.warnings.append(f"{where}: creep is still going on at its end ({drift})")
-        if hold.overshoot > max(0.5, 5 * noise):
-            writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
-        if hold.n_dropouts:
-            writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
-        if hold.n_spikes:
-            writer.warnings.append(f"{where}: {hold.n_spikes} samples are spikes and were left out")
-    if holds[0].force > 0.5 * step:
-        writer.warnings.append(
-            f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "
-            "hold at about 0 N first, for hold_s"
-        )
-    _say_doubts(holds, trace, writer)
-    for force in missing_levels(list(holds), step=step):
-        writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
-
-
-def _say_doubts(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
-    """Samples without a force, and forces so small that they may be in another unit."""
-    lost = int((~np.isfinite(trace.force)).sum())
-    if lost > _FEW_LOST * len(trace.force):
-        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record hold no force")
-    largest = max(each.force for each in holds)
-    if largest < _SMALL_FORCE:
-        writer.warnings.append(
-            f"the largest hold is at {largest:.2f} N: is the record in kgf, or in volts? (force_unit)"
-        )
-
-
-def _check_count(columns: Mapping[str, Sequence[float]], site: Site) -> None:
+def _check_count(columns: Mapping[str, Sequence[Any]], site: Site) -> None:
     n = len(next(iter(columns.values())))
     if n < _FEWEST_LEVELS:
         raise MeasurementError(
@@ -211,6 +135,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
     borders = read_borders(images, table, lines, writer)
+    leave_pennation(images[0], borders, lines[0], writer)
     draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"), borders=borders)
     writer.data["bone"] = [vars(each) for each in lines]
     worst = max(each.sd for each in lines)
@@ -223,7 +148,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     }
 
 
-def _check_lengths(columns: Mapping[str, Sequence[float]], site: Site) -> None:
+def _check_lengths(columns: Mapping[str, Sequence[Any]], site: Site) -> None:
     counts = {name: len(values) for name, values in columns.items()}
     if len(set(counts.values())) > 1:
         listed = ", ".join(f"{name} {count}" for name, count in counts.items())
@@ -235,9 +160,7 @@ def _check_lengths(columns: Mapping[str, Sequence[float]], site: Site) -> None:
         )
 
 
-def _check_agreement(
-    columns: Mapping[str, Sequence[float]], known: Levels | None, writer: StageWriter
-) -> None:
+def _check_agreement(columns: Mapping[str, Sequence[Any]], known: Levels | None, writer: StageWriter) -> None:
     """Against the levels.csv that is already there (read by hand, perhaps)."""
     if known is None or len(known) != len(next(iter(columns.values()))):
         return
@@ -249,8 +172,14 @@ def _check_agreement(
                 writer.warnings.append(f"{name} differs from the existing levels.csv by up to {worst:.2f}")
 
 
-def _as_csv(columns: Mapping[str, Sequence[float]]) -> str:
+def _numbers(columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[float]]:
+    return {name: values for name, values in columns.items() if name != "phase"}
+
+
+def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:
     order = [
+        "cycle",
+        "phase",
         "force_n",
         "depth_mm",
         "swe_mean_m_per_s",
@@ -263,7 +192,8 @@ def _as_csv(columns: Mapping[str, Sequence[float]]) -> str:
     names = [name for name in order if name in columns]
     lines = [",".join(names)]
     for k in range(len(columns[names[0]])):
-        lines.append(",".join(f"{columns[name][k]:.6g}" for name in names))
+        cells = (columns[name][k] for name in names)
+        lines.append(",".join(each if isinstance(each, str) else f"{each:.6g}" for each in cells))
     return "\n".join(lines) + "\n"
 
 

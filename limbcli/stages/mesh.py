@@ -27,6 +27,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.asked import asked_of
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.site_model.fibres import leave_fibres, note_fibres, with_fibres
 from limbcli.stages.site_model.mesh_checks import geometry_warnings, measured_skin_bone
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 from limbcli.stages.site_model.mesh_study import study_site
@@ -166,8 +167,10 @@ def _mesh_site(
             writer.used(path.name, path)
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
         laws = layer_laws(site, layers_in(found.model))
-        save_model(with_layer_laws(found.model, laws), writer.file("model", "model.npz"))
-        write_vtu(found.model.mesh, writer.file("mesh", "mesh.vtu"))
+        model, fibres = with_fibres(case, site, with_layer_laws(found.model, laws))
+        note_fibres(writer, case, site)
+        save_model(model, writer.file("model", "model.npz"))
+        write_vtu(model.mesh, writer.file("mesh", "mesh.vtu"), fibres=model.fibres)
         mesh_picture(
             found.model.mesh,
             probe,
@@ -177,6 +180,7 @@ def _mesh_site(
             start_depth=options.start_depth,
         )
         _report(writer, found, options, limb, segmented, site)
+        leave_fibres(fibres, model, probe, site, writer)
         _tell_layers(writer, options.layers, layer_sources, found.quality)
     assert writer.result is not None
     return writer.result

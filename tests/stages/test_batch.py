@@ -93,6 +93,21 @@ def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: lis
     assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
 
 
+def test_changed_fibres_redo_the_meshes_that_use_them(tmp_path: Path, calls: list[str]):
+    """A map of the whole limb; site p2 tells its own direction, and does not look at it."""
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    toml = case / "case.toml"
+    text = toml.read_text().replace('mri = "mri"', 'mri = "mri"\nfibres = "v1.nii.gz"')
+    toml.write_text(text + "fibre_direction = [0.0, 0.0, 1.0]\n")
+    (case / "v1.nii.gz").write_text("one")
+    batch(case, out=out)
+    calls.clear()
+    (case / "v1.nii.gz").write_text("two")
+    batch(case, out=out)
+    assert [each for each in calls if each.startswith("mesh")] == ["mesh p1"]
+    assert "segment" not in calls
+
+
 def test_force_and_another_element_redo(tmp_path: Path, calls: list[str]):
     case = two_sites(tmp_path / "case")
     batch(case, out=tmp_path / "out")

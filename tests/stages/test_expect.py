@@ -59,3 +59,15 @@ def test_misspelt_rule_is_refused(tmp_path: Path, out: Path, rule: str):
 def test_case_without_expectations_says_how_to_write_them(tmp_path: Path, out: Path):
     with pytest.raises(CaseError, match=r"no expected\.toml"):
         compare(tmp_path, out)
+
+
+def test_fibres_of_a_mesh_and_a_joint_fit_can_be_expected(tmp_path: Path):
+    with open_stage(tmp_path / "out", "mesh", subject="S1", site="p1") as writer:
+        writer.data["fibres"] = {"out_of_skin_deg": 12.4}
+    with open_stage(tmp_path / "out", "fit-joint", subject="S1") as writer:
+        writer.data["fibre_shear"] = 1.3
+    (tmp_path / "expected.toml").write_text(
+        '[mesh.p1]\n"fibres.out_of_skin_deg" = { value = 12.0, tolerance = 1.0 }\n'
+        "[fit-joint]\nfibre_shear = { max = 1.2 }\n"
+    )
+    assert [each.holds for each in compare(tmp_path, tmp_path / "out")] == [True, False]

@@ -257,3 +257,17 @@ def test_layers_of_the_images_become_columns_that_add_up_to_the_bone(folder: Pat
     (tmp_path / "case" / "case.toml").write_text(toml.replace("[site.b_mode]\n", "[site.b_mode]\n" + alone))
     with pytest.raises(MeasurementError, match="fat_mm is stated without skin_mm"):
         measure(Case.open(case.folder), out=tmp_path / "b")
+
+
+def test_cycles_are_found_in_the_record(folder: Path, tmp_path: Path, rng):
+    """Loaded, unloaded and loaded again: levels.csv has the columns cycle and phase."""
+    trace = record(rng, levels=(0.0, 2.0, 4.0, 6.0, 4.0, 2.0, 0.0, 2.0, 4.0, 6.0))
+    case = cell_only(folder, tmp_path, trace.time, trace.force)
+    found = measure(case, out=tmp_path / "out")[0]
+    rows = found.path("levels").read_text().splitlines()
+    assert rows[0].startswith("cycle,phase,force_n")
+    assert [row.split(",")[0] for row in rows[1:]] == ["1"] * 6 + ["2"] * 4
+    assert [row.split(",")[1] for row in rows[1:]] == ["load"] * 4 + ["unload"] * 2 + ["load"] * 4
+    assert found.data["cycles"] == 2
+    assert any("2 cycles found, 2 holds on the way back" in each for each in found.summary)
+    assert not any("overshot" in each for each in found.warnings)

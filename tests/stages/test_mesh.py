@@ -85,7 +85,7 @@ def out(folder, tmp_path_factory) -> Path:
 
 def test_stage_leaves_model_picture_and_figures(out):
     result = read_result(out, "mesh", site="p1")
-    assert set(result.files) == {"model", "mesh", "picture"}
+    assert set(result.files) == {"model", "mesh", "picture", "fibre_picture"}
     assert all(result.path(name).stat().st_size > 1000 for name in result.files)
     assert result.data["quality"]["min_angle_deg"] > 4
     assert result.data["checks"]["skin_bone_mm"] == pytest.approx(30 - 9 * np.sqrt(1 - (4 / 9) ** 2), abs=0.6)

@@ -10,9 +10,11 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
 from limbcli.reporting.sections.convergence import convergence, profiles
+from limbcli.reporting.sections.cycles import repeated_loading
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
+from limbcli.reporting.sections.fibres import fibres
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.layers import layers
@@ -33,8 +35,8 @@ class SectionGroup:
 
 
 SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, layers, diagnosis, profiles, elastography, elements, deformation, mesh, mesh_study,
-    convergence,
+    force_over_depth, repeated_loading, layers, diagnosis, profiles, elastography, elements, deformation,
+    fibres, mesh, mesh_study, convergence,
 )  # fmt: skip
 
 

@@ -69,6 +69,23 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         f"stated noise: chi-square {quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} "
         "degrees of freedom."
     ]
+    if data.get("mu_along_kpa") is not None:
+        notes.append(
+            f"The shear modulus across the fibres is {quantity(data.get('mu_across_kpa'), 'kPa')}, along "
+            f"them {quantity(data.get('mu_along_kpa'), 'kPa')}."
+        )
+    for name, each in (data.get("orientations") or {}).items():
+        notes.append(
+            f"Site {name}: the image lies {quantity(each.get('fibre_to_image_deg'), '°', digits=2)} from the "
+            f"fibres" + ("." if each.get("fibres_told") else ", whose direction nobody told.")
+        )
+    for name, each in (data.get("direction_doubt") or {}).items():
+        force, speed = (100 * each[f"{key}_change_fraction"] for key in ("force", "speed"))
+        notes.append(
+            f"Site {name}: fibres one deviation ({each['deviation_deg']:.1f}°) further out of the skin "
+            f"change the force by up to {force:+.1f} %, the speeds by up to {speed:+.1f} %; intervals do not "
+            "hold that."
+        )
     gains, deviations = data.get("gains") or {}, data.get("gain_deviations") or {}
     notes += [
         f"Site {site}: the simulated force was taken times {quantity(gain, '')} "

@@ -55,7 +55,7 @@ def site_steps(
     return [
         SiteStep(
             "mesh",
-            (raw["probe"], raw.get("model"), table, *parts_of(meshed)),
+            (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
         SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
@@ -70,6 +70,16 @@ def site_steps(
             lambda: fit(case, options=fit_options, **solver, **common),
         ),
     ]
+
+
+def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:
+    """What the fibres of a site's mesh depend on beside its own table."""
+    site = case.site(name)
+    named = {each.orientation for each in site.fibres.pennation} - {name}
+    axes = [(each.name, each.long_axis) for each in case.sites if each.name in named]
+    if case.imaging.fibres is None or site.fibres.given:
+        return tuple(axes)
+    return (*axes, case.imaging.fibres, str(case.imaging.fibre_frame))
 
 
 def parts_of(asked: Asked) -> tuple[object, ...]:

@@ -19,7 +19,7 @@ from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
 from limbcli.files import sha256
-from limbcli.measurement.elastography import read_maps, shear_modulus_from_wave_speed
+from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
@@ -40,9 +40,10 @@ from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervent
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
 from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
 from limbcli.stages.mesh import read_limb, site_position
+from limbcli.stages.site_model.fibres import with_fibres
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
-from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_levels import levels_of, maps_of
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -166,7 +167,7 @@ class _Preparation:
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
         self.levels = levels_of(site)
-        self.maps = None if site.swe_maps is None else read_maps(site.swe_maps, len(self.levels))
+        self.maps = maps_of(site, self.levels)
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
@@ -205,7 +206,8 @@ class _Preparation:
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
-        meshed = self._working_mesh()
+        meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
+        self.notes.data["fibres"] = fibres.source
         self._mark_layers(meshed)
         return CurveBook(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,

@@ -29,6 +29,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.stages.diagnosis.curves.cells import softer_jumps
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
 
@@ -140,9 +141,16 @@ class LawCurve:
         self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
-        self._session = ReferenceSession(start, progress=progress, threads=threads)
+        self._session = ReferenceSession(self._eased(start), progress=progress, threads=threads)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
+
+    def _eased(self, model: LimbModel) -> LimbModel:
+        """Fibres that begin to be stretched come in over 5 % of their squared stretch: solved sooner.
+
+        Waves feel them whole: their speeds are those of the law as it is.
+        """
+        return softer_jumps(model) if self._law.has_fibres else model
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
@@ -151,7 +159,7 @@ class LawCurve:
         model = self._model.with_material(TISSUE, material)
         try:
             result = self._session.solve(
-                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
+                self._eased(model), wrt=[(TISSUE, name) for name in searched], records=self._speeds,
                 field_gradients=(LINES,) if self._lines is not None else False,
             )  # fmt: skip
         except ArithmeticError as error:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
+from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.identifiability import Verdict, correlation, verdict
 from limbcli.inference.joint import JointProblem, held_out_error
@@ -15,9 +17,12 @@ from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import leave_exports, parameter_rows, write_table
+from limbcli.stages.fitting.fibres import leave_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.units import kpa_from_mpa
+
+_POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
 
 
 def leave_joint(
@@ -31,12 +36,15 @@ def leave_joint(
     """fit-joint.json, levels by site, exports and pictures; `measured`: site name and its model."""
     parameters = parameter_table(problem, found)
     c = float(found.best[0])
-    fitted = measured[0][1].with_material("tissue", law.material(c, problem.solved_at(found.best)))
+    model = measured[0][1]
+    own = law.along(fibre_direction(model))
+    fitted = model.with_material("tissue", own.material(c, problem.solved_at(found.best)))
     values = {name: each["value"] for name, each in parameters.items()}
     gains = {measured[k][0]: float(found.best[1 + problem.n_shape + j]) for j, k in enumerate(problem.gained)}
     writer.data.update(
         objective="joint", law=law.name, law_words=law.words, **values,
-        kappa_kpa=values["c_kpa"] * values["f_kappa"], parameters=parameters,
+        **law.fixed, parameters=parameters,
+        kappa_kpa=values["c_kpa"] * {**values, **law.fixed}["f_kappa"],
         flags={name: each["flag"] for name, each in parameters.items()},
         interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
         gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
@@ -50,6 +58,9 @@ def leave_joint(
     draw_joint(problem, found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    _warn_poor(found, writer)
+    if law.has_fibres:
+        leave_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
     writer.data["n_layer_readings"] = n_layers
     if n_layers:
@@ -57,6 +68,20 @@ def leave_joint(
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+
+
+def _warn_poor(found: Intervals, writer: StageWriter) -> None:
+    """Before all other warnings: that the fit misses the data by more than their stated noise explains."""
+    chance = float(chi2.sf(found.chi_square, found.n_freedom))
+    if chance >= _POOR:
+        return
+    writer.warnings.insert(
+        0,
+        f"the fit misses the data: chi-square {found.chi_square:.0f} for {found.n_freedom} degrees of "
+        f"freedom (chance {chance:.1g} by the stated noise). The parameters are those of the nearest curves, "
+        "not of the tissue: look at the pictures, at the noise of the case, and at what `limbcli diagnose` "
+        "finds missing",
+    )
 
 
 def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[str, Any]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.errors import CaseError
+from limbcli.measurement.levels import LAST
 from limbcli.stages.provenance.asked import asked_of_options
 
 
@@ -21,6 +22,7 @@ class FitOptions:
     intervals : profile intervals (more simulations), or only standard errors
     gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
         `mesh --study` where it was run, else by element and edge length)
+    cycle : whose loading is fitted, a number or "last" (the last one with three levels of loading)
     contact_check : solve the fitted model once more with a harder contact, and tell what that changes
     """
 
@@ -33,6 +35,7 @@ class FitOptions:
     intervals: bool = True
     gain_deviation: float | None = None
     contact_check: bool = True
+    cycle: str = LAST
     templates: Path | None = None
     time_limit_s: float | None = None
 
@@ -96,6 +99,9 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
     CaseError
         Naming the option and what is possible.
     """
+    if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
+        fix = "give the number of a cycle (1, 2, ...) or last"
+        raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
     rules = (
         ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
         ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),

@@ -56,8 +56,8 @@ def leave_speeds(
         writer.warnings.append(f"no shear-wave speeds could be predicted: {error.what}")
         return
     _leave_table(found, levels, writer)
-    for level, each in zip(found.levels, found.maps, strict=True):
-        write_map(writer.file(f"swe_level_{level:02d}", map_file(Path(FOLDER), int(level)).as_posix()), each)
+    for row, each in zip(levels.rows[found.levels].tolist(), found.maps, strict=True):
+        write_map(writer.file(f"swe_level_{row:02d}", map_file(Path(FOLDER), row).as_posix()), each)
     predicted = PredictedSpeeds(found.force, levels.depth[found.levels], found.mean_m_per_s)
     loading = levels.loading & np.isfinite(levels.swe_mean_m_per_s)
     readings = None
@@ -68,7 +68,7 @@ def leave_speeds(
         )  # fmt: skip
     save_figure(wave_speed(readings, predicted=predicted), writer.file("swe_picture", "swe.png"))
     shown = [
-        LevelMaps(int(k), float(levels.force[k]), one, other or None)
+        LevelMaps(int(levels.rows[k]), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
     save_figure(speed_maps(shown), writer.file("swe_maps_picture", "swe-maps.png"))
@@ -105,16 +105,17 @@ def simulated_rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
 
 def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: StageWriter) -> SweMap | None:
     """The level's own map where there is one; one that cannot be read is left out, and said."""
-    if site.swe_maps is None or not map_file(site.swe_maps, level).is_file():
+    row = int(levels.rows[level])
+    if site.swe_maps is None or not map_file(site.swe_maps, row).is_file():
         return None
-    path = map_file(site.swe_maps, level)
+    path = map_file(site.swe_maps, row)
     swe, problems = check_map(path)
     faults = errors_of([*problems, *(check_width(swe, width) if swe and len(swe) else ())])
     if swe is None or faults or not len(swe):
         what = faults[0].what if faults else "it has no pixels"
         writer.warnings.append(f"the shear-wave map {path.name} is not shown: {what}")
         return None
-    writer.used(f"swe_map_level_{level}", path, role=f"site/{site.name}/swe_maps/{path.name}")
+    writer.used(f"swe_map_level_{row}", path, role=f"site/{site.name}/swe_maps/{path.name}")
     for each in check_mean(swe, float(levels.swe_mean_m_per_s[level])):
         text = f"{path.name}: {each.what} ({each.fix})"
         if text not in writer.warnings:
@@ -129,7 +130,7 @@ def _leave_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     write_table(
         writer.file("swe", "swe.csv"),
         {
-            "level": [int(k) for k in found.levels],
+            "level": levels.rows[found.levels].tolist(),
             "force_n": levels.force[found.levels],
             "depth_mm": levels.depth[found.levels],
             "simulated_force_n": found.force,

@@ -55,8 +55,10 @@ class TissueMap:
         return Stiffness(self.median, 2.0 * float(np.hypot(noise.swe_level_fraction, own)))
 
 
-def tissue_map(model: LimbModel, site: Site) -> TissueMap:
+def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
     """c(x) = 2 rho v0(x)^2 at the middle of every tissue element, from the site's level-0 map.
+
+    row : of the level in levels.csv, which is its map's number
 
     Raises
     ------
@@ -67,7 +69,7 @@ def tissue_map(model: LimbModel, site: Site) -> TissueMap:
     MeshError
         If the tissue is not one block.
     """
-    swe = _level_0(site)
+    swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)
     block = _tissue_block(model)
     middles = model.mesh.points[block.cells].mean(axis=1)
@@ -90,14 +92,14 @@ def probe_length(model: LimbModel) -> float:
     return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
 
 
-def _level_0(site: Site) -> SweMap:
+def _level_0(site: Site, row: int) -> SweMap:
     if site.swe_maps is None:
         raise CaseError(
             f"site {site.name} has no shear-wave maps to make a stiffness map of",
             where="case.toml, [[site]]",
             fix='name their folder (swe_maps = "folder"), or fit without --stiffness-map',
         )
-    path = map_file(site.swe_maps, 0)
+    path = map_file(site.swe_maps, row)
     if not path.is_file():
         raise MeasurementError(
             f"there is no shear-wave map of level 0 ({path.name})",
@@ -170,4 +172,6 @@ def _doubts(found: TissueMap, levels: Levels) -> list[str]:
             f"{levels.depth[0]:g} mm, of tissue under load already"
         )
     odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
-    return doubts + [f"{map_file(Path(), 0).name}: {each.what} ({each.fix})" for each in odd]
+    return doubts + [
+        f"{map_file(Path(), int(levels.rows[0])).name}: {each.what} ({each.fix})" for each in odd
+    ]

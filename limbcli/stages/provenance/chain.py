@@ -218,7 +218,7 @@ def note_earlier(case: Case, out: Path, site: Site, writer: StageWriter) -> None
     for kind, path in (("levels", site.levels), ("trace", site.trace), ("swe_maps", site.swe_maps)):
         if path is not None:
             writer.used(kind.replace("_", " "), path, role=f"site/{site.name}/{kind}")
-    own = ["place", "long_axis", "density_kg_per_m3", "noise"]
+    own = ["place", "long_axis", "density_kg_per_m3", "noise", "fibres"]
     note_case(writer, case, ["probe", "model/margin"], site=site, own=own)
 
 

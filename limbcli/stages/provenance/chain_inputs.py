@@ -7,6 +7,7 @@ A role names a file or folder ("site/p1/levels", "imaging/mri"), a key the value
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,8 @@ def _of_site(site: Site, key: str) -> Any:
         return {"position_mm": site.position, "marker": site.marker}
     if key == "noise":
         return vars(site.noise)
+    if key == "fibres":
+        return asdict(site.fibres)
     if key in site.instruments:
         return {name: value for name, value in site.instruments[key].items() if name != "path"}
     return getattr(site, key, None)

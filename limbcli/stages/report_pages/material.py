@@ -20,6 +20,7 @@ from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.results import StageResult
+from limbcli.stages.report_pages.cycles import cycle_material
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 from limbcli.stages.report_pages.stale import stale_results
 from limbcli.stages.site_model.site_levels import layer_noise
@@ -32,7 +33,7 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
     sites = []
     for k, site in enumerate(case.sites):
         progress.event("task", name="report: reading results", done=k, total=len(names))
-        sites.append(_deformed(_measured(site), outcomes))
+        sites.append(_deformed(_measured(site, _fitted_cycle(outcomes, site.name)), outcomes))
     progress.event("task", name="report: reading results", done=len(names), total=len(names))
     return ReportData(
         case,
@@ -44,17 +45,26 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
     )
 
 
-def _measured(site: Site) -> SiteMaterial:
-    """The levels with their speed lines, or why there are none."""
+def _fitted_cycle(outcomes: Outcomes, name: str) -> int | None:
+    """The cycle that the site's fit took; None where there was one only, or no fit."""
+    result = outcomes.of("fit", name).result
+    told = result.data.get("cycle") if result is not None else None
+    return int(told["fitted"]) if isinstance(told, dict) and "fitted" in told else None
+
+
+def _measured(site: Site, fitted: int | None) -> SiteMaterial:
+    """The levels of the fitted cycle (else the last) with their speed lines, or why there are none."""
     material = SiteMaterial(site.name, _place(site))
     levels, problems = check_levels(site.levels, noise=layer_noise(site))
     if levels is None or errors_of(problems):
         why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
         return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
     warnings = doubts_about_levels(site.levels)
+    repeated = cycle_material(site, levels, fitted)
+    levels = levels.of_cycle(fitted if fitted in levels.cycles else levels.chosen_cycle())
     noise = site.noise
     curve = MeasuredCurve(levels.depth, levels.force, noise.depth, noise.force, unloading=~levels.loading)
-    return replace(_with_speeds(material, levels), measured=curve, warnings=warnings)
+    return replace(_with_speeds(material, levels), measured=curve, warnings=warnings, cycles=repeated)
 
 
 def _place(site: Site) -> str:

@@ -11,6 +11,7 @@ import meshio
 import numpy as np
 
 from limbcli.feb.read import read_feb
+from limbcli.meshing.export import fibre_rows
 from limbcli.model import Array, LimbModel
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation, Table
@@ -53,6 +54,8 @@ def write_series(feb: Path, simulation: Simulation, writer: StageWriter) -> Path
 def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> None:
     mesh = model.mesh
     fields = _cell_fields(model, simulation.elements, k)
+    if model.fibres is not None:
+        fields["fibre"] = _turned_fibres(model, fields.get("deformation_gradient"))
     bounds = np.cumsum([0, *(len(block.cells) for block in mesh.blocks)])
     spans = list(itertools.pairwise(bounds))
     meshio.Mesh(
@@ -64,6 +67,21 @@ def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> 
             **{name: [values[a:b] for a, b in spans] for name, values in fields.items()},
         },
     ).write(path, file_format="vtu")
+
+
+def _turned_fibres(model: LimbModel, gradient: Array | None) -> Array:
+    """(n_cells, 3), unit: fibres turned with the tissue, F a0 / |F a0|, where F was logged, else as at rest.
+
+    0 in cells without fibres.
+    """
+    assert model.fibres is not None
+    rest = np.concatenate([fibre_rows(block, model.fibres) for block in model.mesh.blocks])
+    if gradient is None:
+        return rest
+    turned = np.einsum("nij,nj->ni", gradient.reshape(-1, 3, 3), rest)
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    known = np.isfinite(length) & (length > 0)
+    return np.where(known, turned / np.where(known, length, 1.0), rest)
 
 
 def displacement(model: LimbModel, simulation: Simulation, k: int) -> Array:

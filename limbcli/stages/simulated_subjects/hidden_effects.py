@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from limbcli.effects import effect
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.places import layer_share
-from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
+from limbcli.effects.tissue import fibre_direction, ground_modulus, scaled, with_part
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel, Material, Value
@@ -105,7 +105,7 @@ def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
         "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0, "band": 0.02,
-        "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": limb_axis(model),
+        "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": fibre_direction(model),
     }  # fmt: skip
     return with_part(model, Material("fiber_exp_pow", fibre))
 

@@ -1,0 +1,79 @@
+"""Muscle fibres in case.toml: a direction, or pennation angles in the planes of ultrasound images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from limbcli import case_schema as schema
+from limbcli.case_parts import Fibres, Imaging, Pennation, Site
+from limbcli.problems import Problem, suggestion
+
+_NAMED = ("axial", "transverse")
+
+
+def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibres, list[Problem]]:
+    """What a site says of its fibres; values : of its table, defaults filled in."""
+    direction, tables = values["fibre_direction"], values["pennation"]
+    problems: list[Problem] = []
+    found: list[Pennation] = []
+    for k, table in enumerate(tables or [], 1):
+        each, wrong = schema.check_table(table, schema.PENNATION, name=f"{label} pennation {k}", file=file)
+        problems += wrong
+        if not wrong:
+            found.append(
+                Pennation(each["orientation"], float(each["pennation_deg"]), float(each["deviation_deg"]))
+            )
+    names = [each.orientation for each in found]
+    for name in sorted({each for each in names if names.count(each) > 1}):
+        what = f"{label} tells the pennation in the image plane of {name!r} twice"
+        fix = "keep one [[site.pennation]] an orientation (their mean, where both were measured)"
+        problems.append(Problem(what, file, fix))
+    if len(set(names)) > 2:
+        what = f"{label} tells the pennation in {len(set(names))} image planes"
+        problems.append(Problem(what, file, "two planes tell a direction; keep the two best"))
+    if direction is not None and tables:
+        what = f"{label} has both fibre_direction and [[site.pennation]]"
+        problems.append(Problem(what, file, "keep the one that was measured"))
+    if direction is None:
+        return Fibres(None, tuple(found)), problems
+    x, y, z = (float(each) for each in direction)
+    return Fibres((x, y, z)), problems
+
+
+def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[Problem]:
+    """Orientations that are no site's, or of a site elsewhere; planes that are one and the same."""
+    problems = []
+    for site in sites:
+        for each in site.fibres.pennation:
+            if each.orientation in _NAMED:
+                continue
+            named = next((one for one in sites if one.name == each.orientation), None)
+            where = f"site {site.name}: the orientation {each.orientation!r}"
+            if named is None:
+                known = [*_NAMED, *(one.name for one in sites)]
+                fix = f"use axial, transverse or a site's name ({suggestion(each.orientation, known)})"
+                problems.append(Problem(f"{where} is not known", file, fix))
+            elif (named.position, named.marker) != (site.position, site.marker):
+                fix = "name a site at the same place (position_mm or marker), axial or transverse"
+                problems.append(Problem(f"{where} is that of another place", file, fix))
+        if [_plane(each.orientation, sites) for each in site.fibres.pennation] == ["transverse"]:
+            what = (
+                f"site {site.name}: the pennation is told in an image across the limb alone; fibres cross it"
+            )
+            fix = 'add one with orientation = "axial", or give fibre_direction'
+            problems.append(Problem(what, file, fix))
+        planes = {_plane(each.orientation, sites) for each in site.fibres.pennation}
+        if len(planes) < len(site.fibres.pennation):
+            what = f"site {site.name}: the two pennation angles are of one image plane, named twice"
+            problems.append(Problem(what, file, "keep one of them, or name the plane across to it"))
+    if imaging.fibres is None and imaging.fibre_frame is not None:
+        fix = 'add `fibres = "v1.nii.gz"`, or leave fibre_frame out'
+        problems.append(Problem("[imaging] has fibre_frame but no fibres that it is of", file, fix))
+    return problems
+
+
+def _plane(orientation: str, sites: Sequence[Site]) -> object:
+    """By what two planes can be told to be one: the long axis."""
+    named = next((one for one in sites if one.name == orientation), None)
+    return orientation if orientation in _NAMED or named is None else named.long_axis

@@ -1,0 +1,175 @@
+"""Fibre directions of a whole limb, from diffusion MRI: a NIfTI of three components, read as axes.
+
+The principal direction of a diffusion tensor has no sign, so neighbouring voxels may point opposite ways.
+Between voxels the dyads v v' are interpolated, and the direction is the mean dyad's principal axis; its
+eigenvalues tell how far the neighbours agree.
+Components are along the patient's axes (RAS as NIfTI has them, or LPS), or along the voxels' axes as
+FSL's dtifit writes them.
+Source: Basser & Pajevic 2000, Magn Reson Med 44:41 (the mean dyadic tensor); FSL FDT user guide (vector
+orientation convention).
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+from nibabel.filebasedimages import ImageFileError
+from nibabel.spatialimages import HeaderDataError
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from limbcli.errors import CaseError
+from limbcli.imaging.nifti import one_geometry
+from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.model import Array
+
+FRAMES = ("ras", "lps", "fsl")
+REACH = 6.0  # mm beyond the map's directions within which the nearest one is taken
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+_TEMPLATES = {3: "Talairach space", 4: "MNI space", 5: "a template's space"}
+_NO_LENGTH = 1e-6
+_SAVE = "save the principal diffusion direction (V1) as NIfTI (.nii.gz)"
+
+
+@dataclass(frozen=True, eq=False)
+class FibreMap:
+    """dyads (n_i, n_j, n_k, 6): xx yy zz xy yz xz of v v' in patient LPS, 0 where there is no direction.
+
+    grid : where the voxels lie; its values tell where there is a direction
+    """
+
+    dyads: Array
+    grid: Volume
+
+    def at(self, points: Array) -> FibreSample:
+        """The axes at points (n, 3), patient LPS, mm."""
+        index = self.grid.to_voxel(points).T
+        parts = [
+            map_coordinates(self.dyads[..., k], index, order=1, mode="constant", cval=0.0) for k in range(6)
+        ]
+        mean = _matrices(np.stack(parts, axis=-1))
+        covered = np.trace(mean, axis1=1, axis2=2) > 0.5
+        near = ~covered
+        if near.any():
+            nearest, distance = self._nearest(index[:, near])
+            rows = np.flatnonzero(near)[distance <= REACH]
+            mean[rows] = nearest[distance <= REACH]
+            near = np.zeros(len(covered), dtype=bool)
+            near[rows] = True
+        values, vectors = np.linalg.eigh(mean)
+        known = covered | near
+        trace = np.where(known, values.sum(axis=1), 1.0)
+        agreement = np.where(known, (1.5 * values[:, 2] / trace) - 0.5, 0.0)
+        return FibreSample(np.where(known[:, None], vectors[:, :, 2], np.nan), agreement, covered, near)
+
+    def _nearest(self, index: Array) -> tuple[Array, Array]:
+        """Matrices (n, 3, 3) of the nearest voxels with a direction, and how far they are (n,), mm."""
+        _, places = distance_transform_edt(
+            self.grid.values == 0, sampling=self.grid.spacing, return_indices=True
+        )
+        last = np.array(self.grid.shape)[:, None] - 1
+        inside = np.clip(np.rint(index), 0, last).astype(int)
+        chosen = places[(slice(None), *inside)]
+        distance = np.linalg.norm((chosen.T - index.T) * self.grid.spacing, axis=1)
+        return _matrices(self.dyads[tuple(chosen)]), distance
+
+
+@dataclass(frozen=True, eq=False)
+class FibreSample:
+    """axes (n, 3), unit, patient LPS, NaN where the map says nothing.
+
+    agreement (n,) : 1 where all neighbours point along the axis, 0 where they point anyhow
+    covered, near (n,) : within the map's directions; taken from the nearest one, up to `REACH` mm away
+    """
+
+    axes: Array
+    agreement: Array
+    covered: Array
+    near: Array
+
+
+def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
+    """Read a NIfTI of directions (n_i, n_j, n_k, 3), of any lengths; 0 means that there is none.
+
+    frame : of the components: "ras", "lps", or "fsl" (the voxels' axes, the first turned round where the
+        image's determinant is positive)
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be read, has another number of components, does not say where it lies, lies in a
+        template's space, or holds no direction.
+    """
+    try:
+        image = nib.load(path)
+    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
+        raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
+    if not isinstance(image, nib.Nifti1Image) or image.get_data_dtype().kind not in "fiu":
+        raise CaseError("the fibre map is no NIfTI of numbers", where=str(path), fix=_SAVE)
+    shape = _shape(tuple(image.shape), path)
+    _check_place(image, path)
+    try:
+        values = np.asarray(image.dataobj, dtype=np.float64).reshape(*shape, 3)
+    except (*DAMAGED, zlib.error) as error:
+        raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
+    if not np.isfinite(values).all():
+        values = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, 0.0)
+    affine = RAS_FROM_LPS @ np.asarray(image.affine, dtype=np.float64)
+    length = np.linalg.norm(values, axis=-1)
+    known = length > _NO_LENGTH
+    if not known.any():
+        raise CaseError("every direction of the fibre map has length 0", where=str(path), fix=_SAVE)
+    unit = np.where(known[..., None], values / np.where(known, length, 1.0)[..., None], 0.0)
+    turned = unit @ _to_lps(frame, affine).T
+    dyads = np.stack([turned[..., a] * turned[..., b] for a, b in _PAIRS], axis=-1)
+    return FibreMap(dyads, Volume(known.astype(np.uint8), affine))
+
+
+def _shape(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
+    components = math.prod(shape[3:])
+    if len(shape) < 4 or components != 3:
+        hint = {1: "a scalar image", 4: "quaternions?", 6: "the tensor itself?", 9: "the tensor itself?"}
+        what = f"the fibre map has {components} component{'s' if components != 1 else ''}, not 3"
+        note = f" ({hint[components]})" if components in hint else ""
+        raise CaseError(what + note, where=str(path), fix=_SAVE, components=components)
+    if math.prod(shape[:3]) > MOST_VOXELS:
+        raise CaseError("the fibre map has more voxels than a limb's", where=str(path), fix="crop it")
+    return int(shape[0]), int(shape[1]), int(shape[2])
+
+
+def _check_place(image: nib.Nifti1Image, path: Path) -> None:
+    code = int(image.header["sform_code"]) or int(image.header["qform_code"])
+    fix = "bring the directions in the frame of the limb's own images (scanner coordinates)"
+    if code == 0:
+        what = "the fibre map does not say how it lies in the patient (qform_code and sform_code are 0)"
+        raise CaseError(what, where=str(path), fix=fix)
+    if code in _TEMPLATES:
+        what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"
+        raise CaseError(what, where=str(path), fix=fix)
+    one_geometry(image, path, noun="fibre map")
+    if abs(np.linalg.det(np.asarray(image.affine)[:3, :3])) < _NO_LENGTH:
+        raise CaseError("the fibre map's affine is singular", where=str(path), fix=_SAVE)
+
+
+def _to_lps(frame: str, affine: Array) -> Array:
+    """(3, 3): components as stored to patient LPS; affine : voxel index to LPS."""
+    if frame == "lps":
+        return np.eye(3)
+    if frame == "ras":
+        return np.asarray(RAS_FROM_LPS[:3, :3])
+    axes = affine[:3, :3] / np.linalg.norm(affine[:3, :3], axis=0)
+    if np.linalg.det(axes) > 0:  # of LPS as of RAS: two axes are turned
+        axes = axes * np.array([-1.0, 1.0, 1.0])
+    return np.asarray(axes)
+
+
+def _matrices(six: Array) -> Array:
+    """(n, 3, 3) symmetric, from (n, 6)."""
+    full = np.empty((len(six), 3, 3))
+    for k, (a, b) in enumerate(_PAIRS):
+        full[:, a, b] = full[:, b, a] = six[:, k]
+    return full

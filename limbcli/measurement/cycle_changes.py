@@ -1,0 +1,128 @@
+"""What changed between two loadings: the tissue, the load cell, or what the limb lies on.
+
+At one force the later depth differs by
+  a (constant)            depth that did not come back, or a shift of the depth's zero
+  b times the depth       tissue that has become softer or stiffer: preconditioning
+  f times d depth/d force an offset of the force: drift of the load cell
+Each alone is fitted by generalised least squares; they are told apart by what each leaves (BIC).
+Depth is the loss of skin-bone distance, so a limb that moves as a whole does not enter it; that shows
+where the probe's own travel was read too.
+Source: Schwarz 1978, Ann Stat 6:461 (BIC).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
+from limbcli.measurement.levels import Levels
+from limbcli.model import Array
+
+TOLD_APART = 6.0  # difference of BIC beyond which the second best is out (strong evidence)
+
+
+@dataclass(frozen=True)
+class Change:
+    """One explanation: its size with one deviation, what it leaves, and whether noise explains that.
+
+    name : "residual depth" (mm), "compliance" (share) or "force offset" (N)
+    """
+
+    name: str
+    size: float
+    deviation: float
+    left: float
+    explains: bool
+
+
+def changes(difference: Difference) -> tuple[Change, ...]:
+    """Every explanation, the best first. Empty where there are no more levels than it takes."""
+    n = len(difference.depth)
+    if n < 3:
+        return ()
+    columns = {
+        "residual depth": np.ones(n),
+        "compliance": difference.earlier_depth,
+        "force offset": difference.slope,
+    }
+    found = [_fitted(name, column, difference) for name, column in columns.items() if np.any(column)]
+    return tuple(sorted(found, key=lambda each: each.left))
+
+
+def _fitted(name: str, column: Array, difference: Difference) -> Change:
+    weighted = np.linalg.solve(difference.covariance, column)
+    information = float(column @ weighted)
+    size = float(weighted @ difference.depth) / information
+    rest = difference.depth - size * column
+    left = float(rest @ np.linalg.solve(difference.covariance, rest))
+    fits = bool(chi2.sf(left, len(rest) - 1) >= LEVEL)
+    return Change(name, size, information**-0.5, left, fits)
+
+
+def change_words(difference: Difference) -> str:
+    """One sentence: what the difference looks like, or that it cannot be told."""
+    pair = f"from cycle {difference.earlier} to {difference.later}"
+    if difference.is_noise:
+        return f"{pair} nothing changed beyond noise"
+    found = changes(difference)
+    able = [each for each in found if each.explains and each.left - found[0].left < TOLD_APART]
+    if not able:
+        return f"{pair} the curve changed in a way that no single cause explains"
+    words = [_WORDS[each.name](each) for each in able]
+    if len(words) == 1:
+        return f"{pair} {words[0]}"
+    return f"{pair} either {', or '.join(words)}: these levels do not tell which"
+
+
+def _residual(change: Change) -> str:
+    way = "deeper" if change.size > 0 else "less deep"
+    size = f"{abs(change.size):.2g} mm (deviation {change.deviation:.1g})"
+    return f"all depths are {size} {way}: deformation that did not come back, or the depth's zero moved"
+
+
+def _compliance(change: Change) -> str:
+    way = "softer" if change.size > 0 else "stiffer"
+    share = f"{100 * abs(change.size):.2g} % (deviation {100 * change.deviation:.1g})"
+    return f"the tissue became {way} by {share} of the depth: preconditioning"
+
+
+def _offset(change: Change) -> str:
+    way = "less" if change.size > 0 else "more"
+    size = f"{abs(change.size):.2g} N (deviation {change.deviation:.1g})"
+    return f"the load cell reads {size} {way} at the same deformation: drift of its zero"
+
+
+_WORDS = {"residual depth": _residual, "compliance": _compliance, "force offset": _offset}
+
+
+def support_words(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:
+    """Whether the limb moved as a whole between the loadings; None where the probe's travel was not read.
+
+    Travel minus depth is what the bone gave way. It is compared at the levels of the first and the
+    last loading, by the largest force that both reach.
+    """
+    whole = [*(each.earlier for each in study.differences), *(each.later for each in study.differences[-1:])]
+    given = levels.probe_travel - levels.depth
+    ends = []
+    for cycle in whole[:1] + whole[-1:]:
+        rows = np.flatnonzero((levels.cycle == cycle) & levels.loading & np.isfinite(given))
+        if len(rows):
+            ends.append((cycle, levels.force[rows], given[rows]))
+    if len(ends) < 2 or ends[0][0] == ends[1][0]:
+        return None
+    (first, force, before), (last, other, after) = ends
+    order = np.argsort(other, kind="stable")
+    common = (force >= other.min()) & (force <= other.max())
+    if not common.any():
+        return None
+    moved = np.interp(force[common], other[order], after[order]) - before[common]
+    size, deviation = float(np.mean(moved)), 2.0 * travel_deviation / np.sqrt(common.sum())
+    if abs(size) <= 3.0 * deviation:
+        return f"travel minus depth is the same in cycles {first} and {last}: the support did not move"
+    return (
+        f"from cycle {first} to {last} the probe's travel grew by {size:.2g} mm more than the depth: the "
+        "limb or its support moved"
+    )

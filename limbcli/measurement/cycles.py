@@ -1,0 +1,214 @@
+"""Repeated loading: what a cycle takes from the work done on the tissue, and when the tissue repeats itself.
+
+Soft tissue that is loaded again and again follows a new curve each time, until its curves
+repeat ("preconditioning"). The loop between loading and unloading is the energy lost.
+Curves are compared by the depth at one force, because force is what a hold controls, with the stated
+noise of both readings carried through the interpolation.
+Source: Fung 1993, Biomechanics: Mechanical Properties of Living Tissues, 2nd ed., section 7.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import approx_fprime
+from scipy.stats import chi2
+
+from limbcli.measurement.levels import FEWEST_LOADING, TOUCH_FORCE, Levels
+from limbcli.model import Array, IntArray
+
+LEVEL = 0.01  # of the test that two loadings are one curve
+_FEWEST_COMMON = 2  # forces that both loadings reach
+_SAME_FORCE = 5.0  # deviations of a force by which readings of one level may differ
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Of one cycle, in N mm (mJ): work of loading, what unloading does not give back, one deviation of that.
+
+    closed : whether unloading was read down to first touch; else the loss is that above its last level
+    """
+
+    work: float
+    lost: float
+    lost_deviation: float
+    closed: bool
+
+    @property
+    def share(self) -> float:
+        """Lost over work of loading."""
+        return self.lost / self.work
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """How a later loading differs from an earlier one, at the forces of the earlier one that both reach.
+
+    force (n,) N; depth (n,) mm, later minus earlier, in the file's depths
+    covariance (n, n) mm^2, of the stated noise; slope (n,) mm/N, of the earlier curve
+    earlier_depth (n,) mm, from that loading's first level
+    """
+
+    earlier: int
+    later: int
+    force: Array
+    depth: Array
+    covariance: Array
+    slope: Array
+    earlier_depth: Array
+
+    @property
+    def chi_square(self) -> float:
+        return float(self.depth @ np.linalg.solve(self.covariance, self.depth))
+
+    @property
+    def p_value(self) -> float:
+        """Of so much difference or more by noise alone."""
+        return float(chi2.sf(self.chi_square, len(self.depth)))
+
+    @property
+    def is_noise(self) -> bool:
+        return self.p_value >= LEVEL
+
+    @property
+    def largest(self) -> int:
+        """Where the difference is largest against its own deviation."""
+        return int(np.argmax(np.abs(self.depth) / np.sqrt(np.diag(self.covariance))))
+
+
+@dataclass(frozen=True, eq=False)
+class CycleStudy:
+    """All cycles of one record.
+
+    energy : by cycle, of those with unloading
+    differences : of each whole loading with the last whole one
+    repeats_from : the first cycle from which on all loadings are the last one within noise; None: the
+        last differs from the one before it, or it is the only one
+    """
+
+    cycles: tuple[int, ...]
+    energy: dict[int, Energy]
+    differences: tuple[Difference, ...]
+    repeats_from: int | None
+
+    def contradicting(self, cycle: int) -> tuple[Difference, ...]:
+        """The last loading's difference with this one, where noise does not explain it."""
+        return tuple(each for each in self.differences if each.earlier == cycle and not each.is_noise)
+
+
+def study_cycles(levels: Levels, *, force_deviation: float, depth_deviation: float) -> CycleStudy:
+    """Energy lost a cycle, and from which cycle on the loadings are one curve.
+
+    levels : of all cycles (`Levels.of_cycle` was not called)
+    force_deviation, depth_deviation : N, mm, one standard deviation of a reading; where both are 0 nothing
+        is within noise, and no cycle repeats another unless it is the same to the digit
+    """
+    noise = (force_deviation, depth_deviation)
+    energy = {}
+    for cycle in levels.cycles:
+        found = cycle_energy(levels, cycle, *noise)
+        if found is not None:
+            energy[cycle] = found
+    whole = [cycle for cycle in levels.cycles if levels.n_loading(cycle) >= FEWEST_LOADING]
+    pairs = [compare(levels, each, whole[-1], *noise) for each in whole[:-1]]
+    differences = tuple(each for each in pairs if each is not None)
+    repeats = None
+    for each in reversed(differences):
+        if not each.is_noise:
+            break
+        repeats = each.earlier
+    return CycleStudy(levels.cycles, energy, differences, repeats)
+
+
+def cycle_energy(levels: Levels, cycle: int, force_deviation: float, depth_deviation: float) -> Energy | None:
+    """Work of loading and loss of one cycle by straight lines between its levels; None without unloading.
+
+    The loop is closed by the first touch of the next cycle where that follows; its deviation is that of
+    all readings, carried through numerical derivatives.
+    """
+    up = np.flatnonzero((levels.cycle == cycle) & levels.loading)
+    down = np.flatnonzero((levels.cycle == cycle) & ~levels.loading)
+    if len(up) < 2 or not len(down):
+        return None
+    after = down[-1] + 1
+    if after < len(levels) and levels.force[after] < levels.force[down[-1]]:
+        down = np.r_[down, after]
+    rows = np.r_[up, down]
+    n_up, n = len(up), len(rows)
+    readings = np.r_[levels.force[rows], levels.depth[rows]]
+    closed = bool(levels.force[down].min() <= TOUCH_FORCE)
+
+    def both(values: Array) -> Array:
+        return _work_and_loss(values[:n], values[n:], n_up, closed=closed)
+
+    work, lost = both(readings)
+    if not work > 0:
+        return None
+    rates = approx_fprime(readings, both, 1e-6)[1]
+    deviations = np.repeat([force_deviation, depth_deviation], n)
+    return Energy(float(work), float(lost), float(np.linalg.norm(rates * deviations)), closed)
+
+
+def _work_and_loss(force: Array, depth: Array, n_up: int, *, closed: bool) -> Array:
+    """(2,) N mm: the area below loading, and that between loading and unloading (from the top back).
+
+    Not closed: both from the depth of the last unloading level on.
+    """
+    up_force, up_depth = force[:n_up], depth[:n_up]
+    down_force, down_depth = force[n_up - 1 :][::-1], depth[n_up - 1 :][::-1]
+    if not closed:
+        start = down_depth[0]
+        beyond = up_depth > start
+        up_force = np.r_[np.interp(start, up_depth, up_force), up_force[beyond]]
+        up_depth = np.r_[start, up_depth[beyond]]
+    work = np.trapezoid(up_force, up_depth)
+    return np.array([work, work - np.trapezoid(down_force, down_depth)])
+
+
+def compare(
+    levels: Levels, earlier: int, later: int, force_deviation: float, depth_deviation: float
+) -> Difference | None:
+    """Depths of two loadings at the earlier one's forces; None where they have fewer than two in common."""
+    first = _loading(levels, earlier)
+    last = _loading(levels, later)
+    order = np.argsort(levels.force[last], kind="stable")
+    knots = levels.force[last][order]
+    room = _SAME_FORCE * force_deviation
+    inside = (levels.force[first] >= knots[0] - room) & (levels.force[first] <= knots[-1] + room)
+    at = first[inside]
+    if len(at) < _FEWEST_COMMON or not np.ptp(knots) > 0:
+        return None
+    force, depth = levels.force[at], levels.depth[at]
+    weights = _linear_weights(knots, force)[:, np.argsort(order, kind="stable")]
+    gap = weights @ levels.depth[last] - depth
+    own_slope = _slopes(levels.force[first], levels.depth[first])[inside]
+    knot_slope = _slopes(knots, levels.depth[last][order])[np.argsort(order, kind="stable")]
+    of_first = depth_deviation**2 + (own_slope * force_deviation) ** 2
+    of_last = depth_deviation**2 + (knot_slope * force_deviation) ** 2
+    covariance = np.diag(of_first) + weights @ np.diag(of_last) @ weights.T
+    covariance += 1e-12 * np.eye(len(at))  # mm^2: noise of 0 leaves a matrix that can be solved
+    return Difference(earlier, later, force, gap, covariance, own_slope, depth - levels.depth[first[0]])
+
+
+def _loading(levels: Levels, cycle: int) -> IntArray:
+    return np.flatnonzero((levels.cycle == cycle) & levels.loading)
+
+
+def _linear_weights(knots: Array, at: Array) -> Array:
+    """(n_at, n_knots): values at `at` of the broken line through values at the knots; its ends go on.
+
+    >>> _linear_weights(np.array([0.0, 2.0, 4.0]), np.array([1.0, 4.0])).round(3)
+    array([[0.5, 0.5, 0. ],
+           [0. , 0. , 1. ]])
+    """
+    apart = np.maximum.accumulate(knots) + 1e-6 * np.arange(len(knots))
+    line = make_interp_spline(apart, np.eye(len(knots)), k=1)
+    return np.asarray(line(at, extrapolate=True))
+
+
+def _slopes(x: Array, y: Array) -> Array:
+    """dy/dx at each point, by the chord between its neighbours; equal x are told apart by 1e-6."""
+    apart = np.maximum.accumulate(x) + 1e-6 * np.arange(len(x))
+    return np.abs(np.gradient(y, apart))

@@ -1,0 +1,49 @@
+"""Where the fibres run: two cuts through the site with the axis of the tissue's cells near them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from limbcli.drawing import save_picture
+from limbcli.meshing.picture import draw_cut
+from limbcli.meshing.probe import ProbeShape
+from limbcli.model import Array, Block, Mesh
+
+_HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0  # mm
+_COLOUR = "#8c1d18"
+
+
+def fibre_picture(
+    mesh: Mesh, block: Block, axes: Array, probe: ProbeShape, path: Path, *, title: str
+) -> None:
+    """Write PNG and SVG: fibres as short lines, dots where they stand across the cut.
+
+    block, axes (n_cells, 3) : the tissue and the unit direction in each of its cells
+    """
+    figure = Figure(figsize=(13, 5.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    middles = mesh.points[block.cells].mean(axis=1)
+    for panel, axis in ((left, 1), (right, 0)):
+        draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0)
+        _draw_axes(panel, middles, axes, axis)
+        panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
+    figure.suptitle(title)
+    save_picture(figure, path, dpi=110)
+
+
+def _draw_axes(panel: Any, middles: Array, axes: Array, axis: int) -> None:
+    """One line every few millimetres, as long as the fibre lies in the cut."""
+    across = 1 - axis
+    near = np.flatnonzero(np.abs(middles[:, axis]) <= _SLICE)
+    places = middles[near][:, [across, 2]]
+    _, first = np.unique(np.floor(places / _SPACING), axis=0, return_index=True)
+    chosen, at = near[first], places[first]
+    half = _HALF_LENGTH * axes[chosen][:, [across, 2]]
+    lines = np.stack([at - half, at + half], axis=1)
+    panel.add_collection(LineCollection(list(lines), colors=_COLOUR, linewidths=1.3))
+    panel.plot(*at.T, ".", ms=2.0, color=_COLOUR)

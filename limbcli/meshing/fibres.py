@@ -1,0 +1,109 @@
+"""A fibre direction out of pennation angles in the planes of ultrasound images.
+
+In an image of lateral axis l and beam b fibres at the angle a lie along p = cos a l + sin a b, as far as the
+image shows. One image leaves open how far they leave its plane; two fix the direction: it is perpendicular
+to q_i = -sin a_i l_i + cos a_i b of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import CaseError
+from limbcli.model import Array
+
+_LEAST_ANGLE_DEG = 10.0  # between the two planes' perpendiculars: below, they fix no direction
+_STEP_DEG = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class ImageAngle:
+    """lateral (3,) : unit, within the skin; angle_deg, deviation_deg : as `Pennation`."""
+
+    lateral: Array
+    angle_deg: float
+    deviation_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """axis (3,), unit; deviation_deg : one standard deviation of what was told of it; how : in words."""
+
+    axis: Array
+    deviation_deg: float
+    how: str
+
+
+def direction_of_angles(
+    angles: Sequence[ImageAngle], beam: Array, *, proximal: Array, where: str = "site"
+) -> Direction:
+    """The fibres' axis from one or two image angles.
+
+    beam (3,) : unit, into the tissue; proximal (3,) : unit, along the limb
+
+    Raises
+    ------
+    CaseError
+        If one image across the limb is all there is, or two images are nearly of one plane.
+
+    >>> axial = ImageAngle(np.array([0.0, 0, 1]), 30.0, 2.0)
+    >>> direction_of_angles([axial], np.array([0.0, 1, 0]), proximal=np.array([0.0, 0, 1])).axis.round(3)
+    array([0.   , 0.5  , 0.866])
+    """
+    if len(angles) == 1:
+        only = angles[0]
+        if abs(float(only.lateral @ proximal)) < np.cos(np.radians(45.0)):
+            raise CaseError(
+                "the pennation is told in an image across the limb alone; fibres cross that plane, so it "
+                "does not tell their direction",
+                where=where,
+                fix='add one with orientation = "axial", or give fibre_direction',
+            )
+        how = "in one image plane; how far the fibres leave it is not told, and taken as 0"
+        return Direction(_in_plane(only, beam), only.deviation_deg, how)
+    steps = [ImageAngle(a.lateral, a.angle_deg + _STEP_DEG, a.deviation_deg) for a in angles]
+    axis = _crossing(angles, beam, where)
+    moved = [_crossing([steps[0], angles[1]], beam, where), _crossing([angles[0], steps[1]], beam, where)]
+    turned = [min(1.0, float(np.linalg.norm(np.cross(axis, each)))) for each in moved]
+    rates = [float(np.degrees(np.arcsin(each))) / _STEP_DEG for each in turned]
+    deviation = float(np.hypot(rates[0] * angles[0].deviation_deg, rates[1] * angles[1].deviation_deg))
+    return Direction(axis, deviation, "in two image planes")
+
+
+def _in_plane(angle: ImageAngle, beam: Array) -> Array:
+    a = np.radians(angle.angle_deg)
+    return np.asarray(np.cos(a) * angle.lateral + np.sin(a) * beam)
+
+
+def _crossing(angles: Sequence[ImageAngle], beam: Array, where: str) -> Array:
+    q = []
+    for each in angles:
+        a = np.radians(each.angle_deg)
+        q.append(-np.sin(a) * each.lateral + np.cos(a) * beam)
+    crossed = np.cross(q[0], q[1])
+    size = float(np.linalg.norm(crossed))
+    if size < np.sin(np.radians(_LEAST_ANGLE_DEG)):
+        raise CaseError(
+            "the two pennation angles do not fix a direction: fibres lie nearly alike in both images",
+            where=where,
+            fix="tell them in planes further apart (axial and transverse)",
+        )
+    axis = crossed / size
+    first = angles[0].lateral
+    return np.asarray(axis if axis @ first >= 0 else -axis)
+
+
+def mean_axis(axes: Array) -> tuple[Array, float]:
+    """The mean of axes (n, 3) without a sign, and their root-mean-square angle to it (deg).
+
+    >>> mean_axis(np.array([[0.0, 0, 1], [0, 0, -1]]))[0]
+    array([0., 0., 1.])
+    """
+    mean = np.einsum("ni,nj->ij", axes, axes) / len(axes)
+    axis = np.linalg.eigh(mean)[1][:, 2]
+    axis = axis * (1.0 if axis[int(np.argmax(np.abs(axis)))] >= 0 else -1.0)
+    cosine = np.clip(np.abs(axes @ axis), 0.0, 1.0)
+    return axis, float(np.degrees(np.sqrt(np.mean(np.arccos(cosine) ** 2))))

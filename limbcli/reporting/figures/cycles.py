@@ -1,0 +1,77 @@
+"""The loops of repeated loading, and the energy that each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from limbcli.model import Array
+from limbcli.reporting.figures.style import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    QUIET,
+    VERMILION,
+    new_figure,
+    style,
+)
+
+_COLOURS = (VERMILION, ORANGE, PURPLE, GREEN, BLUE)
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One cycle: depth and force (n,) mm and N of its loading and its unloading, in the order measured.
+
+    lost, lost_deviation : N mm, None without unloading; lost_fraction : of the work of loading
+    """
+
+    number: int
+    loading: tuple[Array, Array]
+    unloading: tuple[Array, Array]
+    lost: float | None = None
+    lost_deviation: float | None = None
+    lost_fraction: float | None = None
+
+
+def cycles(loops: Sequence[Loop]) -> Figure:
+    """Left: force over depth, a colour a cycle; right: energy lost by cycle, where unloading was read."""
+    with style():
+        figure = new_figure(7.4, 3.8)
+        lossy = [each for each in loops if each.lost is not None]
+        if not lossy:
+            _draw_loops(figure.subplots(), loops)
+            return figure
+        left, right = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
+        _draw_loops(left, loops)
+        right.errorbar(
+            [each.number for each in lossy],
+            [each.lost or 0.0 for each in lossy],
+            yerr=[each.lost_deviation or 0.0 for each in lossy],
+            fmt="o-", color=INK, ecolor=QUIET, capsize=3, lw=1.0,
+        )  # fmt: skip
+        right.set(xlabel="cycle", ylabel="energy lost [N mm]", xticks=[each.number for each in lossy])
+        right.set_ylim(bottom=min(0.0, right.get_ylim()[0]))
+    return figure
+
+
+def _draw_loops(axes: Axes, loops: Sequence[Loop]) -> None:
+    for k, loop in enumerate(loops):
+        colour = _COLOURS[k * (len(_COLOURS) - 1) // max(len(loops) - 1, 1)]
+        depth, force = loop.loading
+        axes.plot(depth, force, "o-", ms=4, lw=1.3, color=colour, label=f"cycle {loop.number}")
+        back, last = loop.unloading, len(loop.loading[0]) - 1
+        if not len(back[0]):
+            continue
+        depth, force = (np.r_[up[last:], down] for up, down in zip(loop.loading, back, strict=True))
+        axes.plot(depth, force, "o--", ms=4, lw=1.0, color=colour, mfc="white", zorder=1.5)
+    axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
+    axes.legend(
+        loc="upper left", title="dashed: unloading" if any(len(x.unloading[0]) for x in loops) else None
+    )

@@ -1,0 +1,69 @@
+"""Does the tissue repeat itself when it is loaded again?"""
+
+from __future__ import annotations
+
+from limbcli.reporting.figures.cycles import Loop, cycles
+from limbcli.reporting.numbers import DASH
+from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+
+TITLE = "Does the tissue repeat itself when it is loaded again?"
+
+
+def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+    """Loops, energy lost by cycle, when the tissue repeats itself; None where it was loaded once, one way."""
+    found = site.cycles
+    if found is None:
+        return None
+    key = f"cycles-{site.name}"
+    outcome = page.outcomes.of("fit", site.name)
+    told = outcome.result.data.get("cycle") if outcome.result is not None else None
+    warned = (found.contradiction,) if found.contradiction else ()
+    notes = [*found.sentences]
+    if isinstance(told, dict) and "fitted" in told:
+        notes.append(f"The parameters on this page are of cycle {told['fitted']}.")
+    return Reportlet(
+        key,
+        TITLE,
+        "warning" if warned or not found.settled else "fine",
+        site.name,
+        pictures=(Picture(key, _alt(site.name, found.loops), figure=cycles(found.loops)),),
+        tables=(_table(found.loops),),
+        look_for="loops that lie on each other from some cycle on, with the same energy lost each time: from "
+        "there the tissue is preconditioned and its curve is its own",
+        bad="a last loop that still moves, or a fit made on a cycle that later ones do not repeat: its "
+        "parameters belong to a state that the tissue leaves",
+        notes=tuple(notes),
+        warned=warned,
+    )
+
+
+def _table(loops: tuple[Loop, ...]) -> PageTable:
+    rows = tuple(
+        (
+            Cell(str(each.number), lead=True),
+            Cell(f"{each.loading[1].max():.1f}") if len(each.loading[1]) else _none("no loading was read"),
+            Cell(f"{each.loading[0][0]:.2f}") if len(each.loading[0]) else _none("no loading was read"),
+            _none("no unloading was read")
+            if each.lost is None
+            else Cell(f"{each.lost:.1f} ± {each.lost_deviation:.1f}"),
+            _none("no unloading was read")
+            if each.lost_fraction is None
+            else Cell(f"{100 * each.lost_fraction:.0f}"),
+        )
+        for each in loops
+    )
+    names = head(
+        "cycle", "largest force [N]", "depth at its start [mm]", "energy lost [N mm]", "of the work [%]"
+    )
+    return PageTable("Loading cycles (± one standard deviation by the stated noise)", (names,), rows)
+
+
+def _none(reason: str) -> Cell:
+    return Cell(DASH, reason=reason)
+
+
+def _alt(name: str, loops: tuple[Loop, ...]) -> str:
+    losses = ", ".join(f"{each.lost:.0f}" for each in loops if each.lost is not None)
+    text = f"Force over depth of {len(loops)} loading cycle{'s' if len(loops) > 1 else ''} at site {name}"
+    return text + (f"; energy lost in each: {losses} N mm." if losses else ".")

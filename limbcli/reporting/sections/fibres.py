@@ -1,0 +1,60 @@
+"""Which way do the muscle fibres run, and who says so?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.reportlet import Picture, Reportlet
+
+TITLE = "Which way do the muscle fibres run?"
+_USE = (
+    "The direction is used by “anisotropy” and “contraction” of a diagnosis and by the law “fibres” of a "
+    "joint fit; the Ogden-type law has no fibres."
+)
+
+
+def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+    """The picture and the words that `mesh` left; None where it was not run."""
+    result = page.outcomes.of("mesh", site.name).usable
+    told = result.data.get("fibres") if result is not None else None
+    if result is None or not isinstance(told, Mapping):
+        return None
+    key = f"fibres-{site.name}"
+    path = result.folder / result.files.get("fibre_picture", "fibres.png")
+    alt = f"Two cuts through site {site.name} with the direction of the muscle fibres as short lines."
+    pictures = (Picture(key, alt, source=path, vector=False),) if path.is_file() else ()
+    return Reportlet(
+        key,
+        TITLE,
+        "fine",
+        site.name,
+        pictures=pictures,
+        look_for="lines that run as the muscle does: along the limb, or at its pennation angle",
+        bad="lines that stand out of the skin or cross the limb (another frame, a sign turned), or a "
+        "direction that nobody measured where a result depends on it",
+        notes=(*_words(told), _USE),
+    )
+
+
+def _words(told: Mapping[str, Any]) -> Sequence[str]:
+    lines = [f"Fibres: {told.get('source')}."]
+    deviation, out, beside = (
+        told.get(name) for name in ("deviation_deg", "out_of_skin_deg", "to_image_plane_deg")
+    )
+    if isinstance(out, float) and isinstance(beside, float):
+        lines.append(
+            f"On average they run {beside:.0f}° from the probe's long side and {out:.0f}° out of the skin's "
+            "plane."
+        )
+    if isinstance(deviation, float):
+        lines.append(f"One standard deviation of that direction: {deviation:.1f}°.")
+    if isinstance(told.get("agreement_of_neighbours"), float):
+        lines.append(
+            f"{100 * told['covered_share']:.0f} % of the tissue's elements lie within the map, "
+            f"{100 * told['from_nearest_share']:.0f} % take the nearest direction, "
+            f"{100 * told['from_mean_share']:.0f} % the mean near the probe; neighbouring voxels agree to "
+            f"{told['agreement_of_neighbours']:.2f} (1: all along one axis)."
+        )
+    return lines

@@ -1,0 +1,121 @@
+"""measure: the load cell's record becomes holds: their forces, cycles and phases, and doubts about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.measurement.hold_cycles import cycles_of_holds
+from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
+from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.trace import Trace
+from limbcli.results import StageWriter
+
+_FEW_LOST = 0.01  # of the samples
+_SMALL_FORCE = 4.0  # N, of a whole indentation
+_TURN = 0.5  # of the protocol's step: what the force goes back by where it turns
+
+Columns = dict[str, Sequence[Any]]
+
+
+def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
+    """Columns of levels.csv by name, a row a hold; cycle and phase where the force was taken back.
+
+    table : [site.load_cell]
+
+    Raises
+    ------
+    MeasurementError
+        If the record cannot be read, or holds nothing.
+    """
+    from limbcli.measurement.picture import draw_holds
+
+    path: Path = table["path"]
+    trace = read_recording(
+        path,
+        RecordingFormat(
+            columns=table["columns"],
+            force_unit=table["force_unit"],
+            length_unit=table["length_unit"],
+            separator=table["separator"],
+            decimal=table["decimal"],
+        ),
+    )
+    if table["tare_s"] is not None:
+        tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
+        mass, axis = float(table["probe_mass_kg"]), table["axis"]
+        trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
+    pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
+    holds = find_holds(pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
+    draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
+    step = float(table["step_n"])
+    cycle, phase = cycles_of_holds([each.force for each in holds], turn=_TURN * step)
+    _say_holds(holds, phase, trace, step, writer)
+    columns: Columns = {
+        "force_n": [each.force for each in holds],
+        "hold_s": [each.duration_s for each in holds],
+    }
+    if "unload" in phase or cycle[-1] > 1:
+        columns |= {"cycle": cycle, "phase": phase}
+        writer.data["cycles"] = cycle[-1]
+        n_unloading = phase.count("unload")
+        writer.summary.append(
+            f"{cycle[-1]} cycle{'s' if cycle[-1] > 1 else ''} found, {n_unloading} holds on the way back"
+        )
+    if all(each.depth is not None for each in holds):
+        first = holds[0].depth or 0.0
+        columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
+    return columns
+
+
+def _say_holds(
+    holds: Sequence[Hold], phase: Sequence[str], trace: Trace, step: float, writer: StageWriter
+) -> None:
+    writer.data["holds"] = [vars(each) for each in holds]
+    noise = float(np.median([each.force_sd for each in holds]))
+    error = float(np.max([each.force_se for each in holds]))
+    writer.summary.append(
+        f"{len(holds)} holds, {min(h.duration_s for h in holds):.0f} s or longer; "
+        f"sample noise {noise:.3f} N, error of a mean at most {error:.3f} N"
+    )
+    for k, hold in enumerate(holds):
+        where = f"hold {k} ({hold.force:.2f} N, {hold.start_s:.0f} to {hold.end_s:.0f} s)"
+        if hold.creeping:
+            drift = f"{1000 * hold.drift_n_per_s:.1f} mN/s"
+            if hold.depth_drift_mm_per_s is not None:
+                drift += f", {1000 * hold.depth_drift_mm_per_s:.1f} um/s"
+            writer.warnings.append(f"{where}: creep is still going on at its end ({drift})")
+        if phase[k] == "load" and hold.overshoot > max(0.5, 5 * noise) and not _follows_unloading(phase, k):
+            writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
+        if hold.n_dropouts:
+            writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
+        if hold.n_spikes:
+            writer.warnings.append(f"{where}: {hold.n_spikes} samples are spikes and were left out")
+    if holds[0].force > 0.5 * step:
+        writer.warnings.append(
+            f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "
+            "hold at about 0 N first, for hold_s"
+        )
+    _say_doubts(holds, trace, writer)
+    for force in missing_levels(list(holds), step=step):
+        writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
+
+
+def _follows_unloading(phase: Sequence[str], k: int) -> bool:
+    """Whether a level of loading was come to from above, as the trough between two cycles is."""
+    return k > 0 and phase[k - 1] == "unload"
+
+
+def _say_doubts(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
+    """Samples without a force, and forces so small that they may be in another unit."""
+    lost = int((~np.isfinite(trace.force)).sum())
+    if lost > _FEW_LOST * len(trace.force):
+        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record hold no force")
+    largest = max(each.force for each in holds)
+    if largest < _SMALL_FORCE:
+        writer.warnings.append(
+            f"the largest hold is at {largest:.2f} N: is the record in kgf, or in volts? (force_unit)"
+        )

@@ -1,0 +1,205 @@
+"""Repeated loading: energy against closed forms, when a tissue repeats itself, and why it did not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.measurement.cycle_changes import change_words, changes, support_words
+from limbcli.measurement.cycles import compare, cycle_energy, study_cycles
+from limbcli.measurement.hold_cycles import cycles_of_holds
+from limbcli.measurement.indentation import read_levels
+from limbcli.measurement.levels import Levels
+from tests.measurement.repeated import FORCE, depth_of, repeated
+
+NOISE = {"force_deviation": 0.1, "depth_deviation": 0.3}
+HEADER = "cycle,phase,force_n,depth_mm\n"
+
+
+def parallelogram() -> Levels:
+    """Loading along (0,0) (2,2) (6,4), unloading along (4,4)(0,2) [force, depth]: area by hand."""
+    force = np.array([0.0, 2.0, 6.0, 4.0, 0.0])
+    depth = np.array([0.0, 2.0, 4.0, 4.0, 2.0])
+    nan = np.full(5, np.nan)
+    phase = ("load",) * 3 + ("unload",) * 2
+    return Levels(force, depth, nan, nan, nan, phase, nan, nan, nan, Path("x.csv"))
+
+
+def test_energy_is_the_area_of_the_loop():
+    found = cycle_energy(parallelogram(), 1, 0.1, 0.3)
+    assert found is not None
+    assert found.work == pytest.approx(2.0 + 8.0, abs=1e-12)
+    assert found.lost == pytest.approx(10.0 - 4.0, abs=1e-12)
+    assert found.share == pytest.approx(0.6)
+    assert found.closed
+
+
+def test_energy_of_a_loop_that_stays_open_is_that_above_its_last_level():
+    levels = parallelogram()
+    force = levels.force.copy()
+    force[-1] = 2.0  # at 2 mm, where loading had 2 N too: from there on
+    found = cycle_energy(
+        Levels(force, levels.depth, *[levels.swe_mean_m_per_s] * 3, levels.phase,
+               *[levels.hold] * 3, levels.path), 1, 0.1, 0.3,
+    )  # fmt: skip
+    assert not found.closed
+    assert found.work == pytest.approx(8.0, abs=1e-12)
+    assert found.lost == pytest.approx(8.0 - 6.0, abs=1e-12)
+
+
+def test_deviation_of_the_energy_is_that_of_repeated_readings():
+    told = cycle_energy(repeated({}), 1, 0.1, 0.3).lost_deviation
+    losses = [cycle_energy(repeated({}, seed=k), 1, 0.1, 0.3).lost for k in range(300)]
+    assert told == pytest.approx(np.std(losses), rel=0.15)  # 300 draws know a deviation to 4 %
+
+
+def test_equal_loadings_are_one_curve_at_the_stated_rate():
+    """1 % of pairs are called different by noise alone; of 400, 4 expected."""
+    p_values = []
+    for seed in range(400):
+        levels = repeated({}, {}, unload=False, seed=seed)
+        p_values.append(compare(levels, 1, 2, 0.1, 0.3).p_value)
+    assert (np.array(p_values) < 0.01).sum() <= 12
+    assert 0.4 < np.mean(p_values) < 0.62, "neither too wide nor too narrow a covariance"
+
+
+def test_the_cycle_from_which_the_tissue_repeats_itself_is_found():
+    states = ({}, {"softer": 0.25}, {"softer": 0.4}, {"softer": 0.4})
+    found = [study_cycles(repeated(*states, seed=k), **NOISE).repeats_from for k in range(20)]
+    assert sum(each in (2, 3) for each in found) >= 18
+    assert found.count(1) == 0
+
+
+def test_tissue_that_still_changes_is_said_to():
+    study = study_cycles(repeated({}, {"softer": 0.3}, {"softer": 0.8}, seed=7), **NOISE)
+    assert study.repeats_from is None
+    assert [each.earlier for each in study.contradicting(1)] == [1]
+    assert not study.contradicting(3)
+
+
+def test_one_loading_tells_nothing_of_repeats():
+    study = study_cycles(repeated({}), **NOISE)
+    assert study.repeats_from is None
+    assert not study.differences
+    assert set(study.energy) == {1}
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "size"),
+    [({"softer": 0.5}, "compliance", 0.5), ({"left": 2.0}, "residual depth", 2.0),
+     ({"drift": 2.0}, "force offset", 2.0)],
+)  # fmt: skip
+def test_what_changed_is_told_apart_and_measured(change, name, size):
+    hits, sizes = 0, []
+    for seed in range(20):
+        difference = compare(repeated({}, change, unload=False, seed=seed), 1, 2, 0.1, 0.3)
+        best = changes(difference)[0]
+        hits += best.name == name
+        sizes.append(next(each.size for each in changes(difference) if each.name == name))
+    assert hits >= 17
+    assert np.mean(sizes) == pytest.approx(size, rel=0.2)  # first order in the offset
+
+
+def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
+    told = change_words(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
+    assert "preconditioning" in told
+    same = change_words(compare(repeated({}, {}, unload=False, seed=7), 1, 2, 0.1, 0.3))
+    assert "nothing changed beyond noise" in same
+    slight = [
+        change_words(compare(repeated({}, {"left": 0.9}, unload=False, seed=k), 1, 2, 0.1, 0.3))
+        for k in range(10)
+    ]
+    assert any("do not tell which" in each for each in slight)
+
+
+def test_a_support_that_moved_shows_in_the_travel_only():
+    moved = repeated({}, {"moved": 3.0}, unload=False, seed=7, travel=True)
+    assert "support moved" in support_words(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
+    still = repeated({}, {}, unload=False, seed=7, travel=True)
+    assert "did not move" in support_words(still, study_cycles(still, **NOISE), travel_deviation=0.3)
+    silent = repeated({}, {}, unload=False, seed=7)
+    assert support_words(silent, study_cycles(silent, **NOISE), travel_deviation=0.3) is None
+
+
+def test_a_cycle_counts_its_depth_from_its_own_first_touch():
+    levels = repeated({}, {"left": 0.8})
+    second = levels.of_cycle(2)
+    assert second.zero_depth == pytest.approx(0.8)
+    np.testing.assert_allclose(second.depth[second.loading], depth_of(FORCE), atol=1e-12)
+    assert second.rows[0] == (levels.cycle == 1).sum(), "its maps are those of its rows in the file"
+    assert second.n_in_file == len(levels)
+
+
+def test_a_cycle_that_begins_under_load_keeps_its_depths():
+    levels = repeated({}, {"left": 0.8, "drift": -3.0})
+    np.testing.assert_allclose(levels.of_cycle(2).depth[0], 0.8)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [("3", "there is no cycle 3"), ("0", "no cycle 0"), ("first", "no cycle first"), ("-1", "no cycle -1")],
+)
+def test_a_cycle_that_is_not_there_is_refused(asked, says):
+    with pytest.raises(CaseError, match=says) as caught:
+        repeated({}, {}).chosen_cycle(asked)
+    assert "1, 2; or `last`" in caught.value.fix
+
+
+def test_the_last_cycle_is_the_last_whole_one(tmp_path: Path):
+    rows = "1,load,0,0\n1,load,2,1\n1,load,4,2\n1,unload,0,0.2\n2,load,0,0.3\n2,load,2,1.2\n"
+    (tmp_path / "levels.csv").write_text(HEADER + rows)
+    levels = read_levels(tmp_path / "levels.csv")
+    assert levels.chosen_cycle() == 1
+    with pytest.raises(CaseError, match="cycle 2 has 2 levels"):
+        levels.chosen_cycle("2")
+
+
+GOOD = ["1,load,0,0", "1,load,2,1", "1,load,4,2", "1,unload,2,1.3", "2,load,0,0.2", "2,load,2,1.1",
+        "2,load,4,2"]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({4: "1,load,0,0.2"}, "loaded again within cycle 1"),
+        ({4: "3,load,0,0.2", 5: "3,load,2,1.1", 6: "3,load,4,2"}, "cycle 2 is without a row"),
+        ({0: "2,load,0,0"}, "the first row is of cycle 2"),
+        ({1: "2,load,2,1", 2: "1,load,4,2"}, "out of order: cycle 1 stands after cycle 2"),
+        ({1: "1.5,load,2,1"}, "cycle is 1.5"),
+        ({1: "0,load,2,1"}, "cycle is 0"),
+        ({1: ",load,2,1"}, "cycle is empty"),
+        ({1: "1e30,load,2,1"}, "out of order"),
+        ({3: "1,back,2,1.3"}, "phase is 'back'"),
+        ({6: "2,load,0.5,2"}, "force falls while the depth grows"),
+    ],
+)
+def test_cycles_that_cannot_be_meant_are_refused_with_their_line(tmp_path: Path, change, says):
+    rows = [change.get(k, row) for k, row in enumerate(GOOD)]
+    path = tmp_path / "levels.csv"
+    path.write_text(HEADER + "\n".join(rows) + "\n")
+    with pytest.raises(MeasurementError, match=says) as caught:
+        read_levels(path)
+    assert "line" in str(caught.value)
+
+
+def test_good_cycles_are_read(tmp_path: Path):
+    (tmp_path / "levels.csv").write_text(HEADER + "\n".join(GOOD) + "\n")
+    levels = read_levels(tmp_path / "levels.csv")
+    assert levels.cycles == (1, 2)
+    assert len(levels.of_cycle(1)) == 4
+
+
+def test_holds_give_cycles_and_phases_where_the_force_turns():
+    forces = [0.05, 2, 4.1, 6, 4, 2.05, 0.1, 2, 4, 6.1, 3, 0]
+    cycle, phase = cycles_of_holds(forces, turn=1.0)
+    assert cycle == [1] * 6 + [2] * 6
+    assert phase == ["load"] * 4 + ["unload"] * 2 + ["load"] * 4 + ["unload"] * 2
+
+
+def test_a_force_that_sags_in_one_hold_is_no_new_cycle():
+    cycle, phase = cycles_of_holds([0, 2, 4, 3.4, 6, 8], turn=1.0)
+    assert set(cycle) == {1}
+    assert set(phase) == {"load"}
