@@ -25,7 +25,7 @@ class FitParameter:
     tolerances and steps independent of the parameter's unit. No search changes it by more
     than the factor `step_factor` at a time.
 
-    >>> f_kappa = Parameter("f_kappa", start=100.0, low=0.01, high=1000.0)
+    >>> f_kappa = FitParameter("f_kappa", start=100.0, low=0.01, high=1000.0)
     >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
     (6.5, 650.0)
     """

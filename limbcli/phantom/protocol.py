@@ -29,7 +29,7 @@ class LoadingProtocol:
     def forces(self, *, reached: float) -> Array:
         """The levels' forces from 0 up, as far as a simulation reached.
 
-        >>> Protocol(step=2.0, max_force=20.0).forces(reached=7.0)
+        >>> LoadingProtocol(step=2.0, max_force=20.0).forces(reached=7.0)
         array([0., 2., 4., 6.])
         """
         top = min(self.max_force, reached) + 1e-9

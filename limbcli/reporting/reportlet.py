@@ -56,7 +56,7 @@ class PageTable:
         """Rows of cells, each with the words of its column, for screens too narrow for columns.
 
         >>> names = (Cell("site", down=2), Cell("Ogden", span=2)), (Cell("c"), Cell("m"))
-        >>> [label for _, label in Table("", names, ((Cell("p1"), Cell("8"), Cell("6")),)).labelled[0]]
+        >>> [label for _, label in PageTable("", names, ((Cell("p1"), Cell("8"), Cell("6")),)).labelled[0]]
         ['site', 'Ogden: c', 'Ogden: m']
         """
         columns: dict[int, list[str]] = {}

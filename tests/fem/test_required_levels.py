@@ -32,7 +32,7 @@ def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
     session = ReferenceSession(too_deep(), threads=1)
     reached = session.solve(required=1).must_points
     assert reached.depths == pytest.approx([1.05])
-    with pytest.raises(SolveError, match="level 2 of 2"):
+    with pytest.raises(SolveError, match="load step 2 of 2"):
         session.solve()
     assert session.solve(required=1).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
     brief = session._analysis.counts.retries

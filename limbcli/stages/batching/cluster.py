@@ -59,10 +59,10 @@ class WorkerStanding:
     def why_not(self, client: WorkerStanding) -> str:
         """Why a client of that code may not use this worker; empty where it may.
 
-        >>> ours = Standing("1.0", "abcdef0123", 1)
-        >>> Standing("1.0", "abcdef0123", 1).why_not(ours)
+        >>> ours = WorkerStanding("1.0", "abcdef0123", 1)
+        >>> WorkerStanding("1.0", "abcdef0123", 1).why_not(ours)
         ''
-        >>> Standing("1.0", "9876543210", 1).why_not(ours)
+        >>> WorkerStanding("1.0", "9876543210", 1).why_not(ours)
         'it has limbcli 1.0 with other sources (98765432, here abcdef01)'
         """
         if self.version != client.version:

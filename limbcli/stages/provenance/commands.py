@@ -38,9 +38,9 @@ class CommandStep:
 
     def command(self, case: Path, out: Path) -> str:
         """
-        >>> Step("mesh", "p1", {"fat_layer": "mri"}).command(Path("my limb"), Path("out/S1"))
+        >>> CommandStep("mesh", "p1", {"fat_layer": "mri"}).command(Path("my limb"), Path("out/S1"))
         "limbcli mesh 'my limb' --site p1 --out out/S1 --fat-mm mri"
-        >>> Step("fit-joint", sites=("p1", "p2")).command(Path("limb"), Path("out"))
+        >>> CommandStep("fit-joint", sites=("p1", "p2")).command(Path("limb"), Path("out"))
         'limbcli fit limb --objective joint --site p1 --site p2 --out out'
         """
         command, *words = _WORDS.get(self.stage, (self.stage,))
