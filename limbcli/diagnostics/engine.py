@@ -3,7 +3,8 @@
 1. Fit the base model; look at what is left (all of it, its parts, along every candidate).
 2. If something is left beyond chance, refit the candidates that could be behind it and
    those that look like them; keep every explanation that cannot be excluded.
-3. One left: named, and added. Several: ambiguous. None: pairs, then triples, else unexplained.
+3. One left, or one that all others contain: named, and added. Several: ambiguous. None: pairs, then triples,
+   else unexplained.
 4. Show what shrank, what stays invisible, and which measurement would tell the rest apart.
 """
 
@@ -164,29 +165,41 @@ class _Run:
             why = "something is left that no candidate, alone or together, explains"
             return self._finish("unexplained", why, None)
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        if len(kept) > 1:
-            why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
-            return self._finish("ambiguous", why, best, tuple(kept))
+        doubt = self._doubt(best, promising)
+        if len(kept) == 1 and doubt is not None:
+            word, why = doubt
+            return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
+        if len(kept) == 1:
+            return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
+        if doubt is None and all(set(best.explanation) <= set(each.explanation) for each in kept):
+            why = "every explanation that fits has it; whether there is one effect more these data do not say"
+            return self._finish("named", why, best, tuple(kept))
+        why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
+        return self._finish("ambiguous", why, best, tuple(kept))
+
+    def _doubt(self, best: Refit, promising: list[str]) -> tuple[Word, str] | None:
+        """Why the best explanation is not to be named, and what is to be said instead; None: it may be."""
         if not self._speaks_for_itself(best):
             why = "the one explanation that fits is not significant by itself; what is, does not fit"
-            return self._finish("unexplained", why, None, tuple(kept))
+            return "unexplained", why
         if not Closing(self.baseline, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
-            return self._finish("unexplained", why, None, tuple(kept))
+            return "unexplained", why
         if best.left_p < thresholds.LEFT:
-            why = "one explanation fits, but it leaves something; it may not be all"
-            return self._finish("ambiguous", why, best, (best,))
+            return "ambiguous", "one explanation fits, but it leaves something; it may not be all"
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:
             why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"
-            return self._finish("ambiguous", why, best, (best,))
+            return "ambiguous", why
         rivals = [
             label for label, refit in self._at_bounds() if len(refit.explanation) == len(best.explanation)
         ]
         if rivals:
-            why = f"one explanation fits; {', '.join(rivals)} would too, with a size on its bound"
-            return self._finish("ambiguous", why, best, (best,))
-        return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
+            return (
+                "ambiguous",
+                f"one explanation fits; {', '.join(rivals)} would too, with a size on its bound",
+            )
+        return None
 
     def _at_bounds(self) -> list[tuple[str, Refit]]:
         """Refits that fit but for a parameter on a bound: hardly believed, yet not excluded either."""

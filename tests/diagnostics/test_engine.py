@@ -186,3 +186,21 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
     refits = SimpleNamespace(compared=lambda several: [member, barely], known={})
     candidates = SimpleNamespace(of_size=lambda *facts: [])
     assert run._explanations(candidates, [], refits) == ([member, barely] if adequate else [])
+
+
+@pytest.mark.parametrize(
+    ("several", "doubt", "word"),
+    [([("a",), ("a", "b")], None, "named"), ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous"),
+     ([("a",), ("b",)], None, "ambiguous"), ([("a",), ("b", "c")], None, "ambiguous"),
+     ([("a",)], None, "named"),
+     ([("a", "b"), ("a", "c")], None, "ambiguous"), ([("a",)], ("unexplained", "why"), "unexplained")],
+)  # fmt: skip
+def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word):
+    run = _Run(SimpleNamespace(), 3, False)
+    run._doubt = lambda best, promising: doubt
+    run._finish = lambda said, why, best, kept=(): (said, [each.explanation for each in kept])
+    kept = [
+        SimpleNamespace(explanation=each, is_adequate=True, state=SimpleNamespace(chi2=10.0 - len(each)))
+        for each in several
+    ]
+    assert run._conclude(kept, []) == (word, several)

@@ -15,14 +15,16 @@ _WORDS = {
     "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
     "untestable": "UNTESTABLE: no absolute test can be made of these data.",
 }
+_AND_MORE = (
+    "NAMED: one missing effect explains the gap; one more may be there, which these data do not establish."
+)
 _ALONE = "AMBIGUOUS: one explanation fits, but it may be another, or not all."
 
 
 def sentences(found: Diagnosis) -> list[str]:
     """At most eight, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
-    alone = found.verdict == "ambiguous" and len(found.confidence_set) == 1
     lines = [
-        f"{_ALONE if alone else _WORDS[found.verdict]} Why: {found.reason}.",
+        f"{_verdict(found)} Why: {found.reason}.",
         _fit(found),
         f"{_where(found)} {_what(found)}".rstrip(),
         _set(found),
@@ -32,6 +34,13 @@ def sentences(found: Diagnosis) -> list[str]:
         _left(found),
     ]
     return [line for line in lines if line]
+
+
+def _verdict(found: Diagnosis) -> str:
+    alone = len(found.confidence_set) == 1
+    if found.verdict == "ambiguous" and alone:
+        return _ALONE
+    return _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
 
 
 def _fit(found: Diagnosis) -> str:
@@ -74,7 +83,9 @@ def _set(found: Diagnosis) -> str:
     if found.verdict == "named":
         estimates = found.estimates
         sizes = ", ".join(f"{name} {estimates.values[name]:.3g}" for name in found.final.effect_names)
-        return f"Added to the model: {listed} ({sizes}){_tissue(estimates)}."
+        others = [" + ".join(each) for each in found.confidence_set if each != found.chosen]
+        more = f" Fits as well: {'; '.join(others)}." if others else ""
+        return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
     if found.verdict == "ambiguous":
         return f"It may be: {listed}."
     return f"Fits, but is not believed: {listed}."
