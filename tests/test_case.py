@@ -8,25 +8,9 @@ import pytest
 
 from limbcli.case import Case, read_case
 from limbcli.errors import CaseError
+from tests.test_case_text import HEAD, SITE
 
-GOOD = """
-format = 1
-[subject]
-id = "S1"
-limb = "left"
-[imaging]
-mri = "mri"
-[probe]
-name = "GE 9L"
-length_mm = 53.0
-width_mm = 14.0
-edge_radius_mm = 3.0
-[[site]]
-name = "p1"
-position_mm = [12.0, 48.5, -60.0]
-long_axis = "transverse"
-levels = "p1/levels.csv"
-"""
+GOOD = HEAD + SITE.format(name="p1", levels="p1/levels.csv")
 
 
 @pytest.fixture

@@ -13,14 +13,14 @@ from tests.test_case_text import HEAD, LEVELS, SITE
 
 AXIAL = '[[site.pennation]]\norientation = "axial"\npennation_deg = 12.0\n'
 ACROSS = '[[site.pennation]]\norientation = "transverse"\npennation_deg = -4.0\ndeviation_deg = 2.0\n'
-TURNED = SITE.format(name="p2").replace('"transverse"', '"axial"')
+TURNED = SITE.format(name="p2", levels="p2.csv").replace('"transverse"', '"axial"')
 
 
 def case(folder: Path, first: str, *, head: str = HEAD, second: str = TURNED) -> Path:
     (folder / "mri").mkdir()
     for name in ("p1", "p2"):
         (folder / f"{name}.csv").write_text(LEVELS)
-    (folder / "case.toml").write_text(head + SITE.format(name="p1") + first + second)
+    (folder / "case.toml").write_text(head + SITE.format(name="p1", levels="p1.csv") + first + second)
     return folder
 
 

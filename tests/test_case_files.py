@@ -14,7 +14,7 @@ from tests.test_case_text import HEAD, LEVELS, SITE
 
 ALLOWED = "[files]\nallow_outside = true\n"
 SECRET = "secret of another 4711"
-SITE_TEXT = SITE.format(name="p1")
+SITE_TEXT = SITE.format(name="p1", levels="p1.csv")
 
 
 @pytest.fixture

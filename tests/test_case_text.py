@@ -24,8 +24,9 @@ SITE = """
 name = "{name}"
 position_mm = [12.0, 48.5, -60.0]
 long_axis = "transverse"
-levels = "{name}.csv"
+levels = "{levels}"
 """
+ONE_SITE = HEAD + SITE.format(name="p1", levels="levels.csv")
 LEVELS = "force_n,depth_mm,swe_mean_m_per_s\n0,0,1.6\n2,1,1.7\n4,2,1.9\n"
 
 
@@ -34,7 +35,7 @@ def two_sites(folder: Path) -> Path:
     (folder / "mri").mkdir(parents=True)
     text = HEAD
     for name in ("p1", "p2"):
-        text += SITE.format(name=name)
+        text += SITE.format(name=name, levels=f"{name}.csv")
         (folder / f"{name}.csv").write_text(LEVELS)
     (folder / "case.toml").write_text(text)
     return folder

@@ -6,32 +6,14 @@ from pathlib import Path
 import pytest
 
 from limbcli.cli.app import main
-
-CASE = """
-format = 1
-[subject]
-id = "S1"
-limb = "left"
-[imaging]
-mri = "mri"
-[probe]
-name = "GE 9L"
-length_mm = 53.0
-width_mm = 14.0
-edge_radius_mm = 3.0
-[[site]]
-name = "p1"
-position_mm = [12.0, 48.5, -60.0]
-long_axis = "transverse"
-levels = "levels.csv"
-"""
+from tests.test_case_text import ONE_SITE
 
 
 @pytest.fixture
 def case(tmp_path: Path) -> Path:
     (tmp_path / "mri").mkdir()
     (tmp_path / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
-    (tmp_path / "case.toml").write_text(CASE)
+    (tmp_path / "case.toml").write_text(ONE_SITE)
     return tmp_path
 
 

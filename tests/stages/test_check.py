@@ -14,27 +14,12 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
+from tests.test_case_text import ONE_SITE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
-CASE = """
-format = 1
-[subject]
-id = "S1"
-limb = "left"
-[imaging]
-mri = "mri"
-[probe]
-name = "GE 9L"
-length_mm = 14.0
-width_mm = 53.0
-edge_radius_mm = 3.0
-[[site]]
-name = "p1"
-position_mm = [12.0, 48.5, -60.0]
-long_axis = "transverse"
-levels = "levels.csv"
-"""
+# The probe's sides are exchanged.
+CASE = ONE_SITE.replace("length_mm = 53.0\nwidth_mm = 14.0", "length_mm = 14.0\nwidth_mm = 53.0")
 
 
 @pytest.fixture

@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("case")
     for name in ("mri", "bmode", "swe"):
         (folder / name).mkdir()
-    (folder / "case.toml").write_text(HEAD + SITE.format(name="p1") + TABLES)
+    (folder / "case.toml").write_text(HEAD + SITE.format(name="p1", levels="p1.csv") + TABLES)
     trace = record(rng, levels=FORCES)
     pairs = zip(trace.time, trace.force / 9.80665, strict=True)
     rows = "\n".join(f"{time:.4f};{force:.6f}".replace(".", ",") for time, force in pairs)
@@ -138,7 +138,7 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
     """The case with nothing but a load-cell record."""
     place = place / "cell"
     (place / "mri").mkdir(parents=True, exist_ok=True)
-    (place / "case.toml").write_text(HEAD + SITE.format(name="p1") + ONLY_CELL)
+    (place / "case.toml").write_text(HEAD + SITE.format(name="p1", levels="p1.csv") + ONLY_CELL)
     rows = "\n".join(f"{a:.4f},{'' if np.isnan(b) else f'{b:.6f}'}" for a, b in zip(time, force, strict=True))
     (place / "cell.csv").write_text("t,F\n" + rows + "\n")
     return Case.open(place)
@@ -149,7 +149,7 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
 
 def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
     (tmp_path / "mri").mkdir()
-    site = SITE.format(name="p1").replace('levels = "p1.csv"', 'levels = "p1.csv"\ntrace = "trace.csv"')
+    site = SITE.format(name="p1", levels="p1.csv").replace('levels = "p1.csv"', 'levels = "p1.csv"\ntrace = "trace.csv"')
     (tmp_path / "case.toml").write_text(HEAD + site)
     trace = record(rng, levels=FORCES)
     rows = "\n".join(f"{t:.4f},{f:.4f}" for t, f in zip(trace.time, trace.force, strict=True))
