@@ -149,7 +149,7 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
 
 def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
     (tmp_path / "mri").mkdir()
-    site = SITE.format(name="p1", levels="p1.csv").replace('levels = "p1.csv"', 'levels = "p1.csv"\ntrace = "trace.csv"')
+    site = SITE.format(name="p1", levels='p1.csv"\ntrace = "trace.csv')
     (tmp_path / "case.toml").write_text(HEAD + site)
     trace = record(rng, levels=FORCES)
     rows = "\n".join(f"{t:.4f},{f:.4f}" for t, f in zip(trace.time, trace.force, strict=True))
