@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +14,10 @@ from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
 from limbcli.imaging.frames import DICOM_DAMAGED
+from limbcli.imaging.volume import MOST_VOXELS
 from limbcli.model import Array
 
+_SAME_SLICE, _UNEVEN = 0.1, 0.1  # of the distance between slices
 _FIX = "export it again as DICOM SEG from 3D Slicer, or as NIfTI"
 
 
@@ -47,14 +50,30 @@ def read_dicom_seg(path: Path) -> NamedMasks:
             fix="[imaging] labels takes a DICOM SEG; an image series belongs into [imaging] mri",
         )
     try:
-        return _masks(dataset)
+        return _masks(dataset, path)
     except DICOM_DAMAGED as error:
         raise CaseError(
             f"the DICOM SEG cannot be read ({type(error).__name__})", where=str(path), fix=_FIX
         ) from error
 
 
-def _masks(dataset: Dataset) -> NamedMasks:
+def _slice_step(heights: Array, stated: float) -> float:
+    """mm between slices: the smallest distance between heights that are not one slice's.
+
+    Frames of one slice may differ by rounding: what is nearer than a tenth of the stated distance is one.
+
+    >>> round(_slice_step(np.array([0.0, 0.0002, 2.0, 6.0]), 2.0), 3)
+    2.0
+    """
+    apart = np.diff(np.unique(heights))
+    apart = apart[apart > _SAME_SLICE * stated]
+    if not len(apart):
+        return stated
+    smallest = float(apart.min())
+    return float((heights.max() - heights.min()) / max(round((heights.max() - heights.min()) / smallest), 1))
+
+
+def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     shared = dataset.SharedFunctionalGroupsSequence[0]
     frames = dataset.PerFrameFunctionalGroupsSequence
     pixels = np.asarray(dataset.pixel_array)
@@ -64,12 +83,24 @@ def _masks(dataset: Dataset) -> NamedMasks:
     measures = _group(first, shared, "PixelMeasuresSequence")
     normal = np.cross(cosines[:3], cosines[3:])
     positions = np.array([each.PlanePositionSequence[0].ImagePositionPatient for each in frames], float)
-    heights = np.round(positions @ normal, 3)
-    intensities = np.unique(heights)
-    step = float(np.min(np.diff(intensities))) if len(intensities) > 1 else float(measures.SliceThickness)
-    index = np.round((heights - intensities[0]) / step).astype(int)
+    heights = positions @ normal
+    step = _slice_step(heights, float(measures.get("SpacingBetweenSlices", 0) or measures.SliceThickness))
+    index = np.round((heights - heights.min()) / step).astype(int)
+    off = np.abs(heights - heights.min() - index * step).max()
+    if off > _UNEVEN * step:
+        raise CaseError(
+            f"the DICOM SEG's slices are not evenly spaced: one is {off:.2g} mm off a grid of {step:.3g} mm",
+            where=str(path),
+            fix=_FIX,
+        )
     names = {int(each.SegmentNumber): str(each.SegmentLabel) for each in dataset.SegmentSequence}
     shape = (int(dataset.Columns), int(dataset.Rows), int(index.max()) + 1)
+    if math.prod(shape) * len(names) > MOST_VOXELS:
+        raise CaseError(
+            f"the DICOM SEG has {len(names)} segments of {' x '.join(map(str, shape))} voxels: too many",
+            where=str(path),
+            fix="cut it to the limb, or " + _FIX,
+        )
     masks = {number: np.zeros(shape, bool) for number in names}
     for frame, plane, k in zip(frames, pixels, index, strict=True):
         number = int(frame.SegmentIdentificationSequence[0].ReferencedSegmentNumber)

@@ -29,6 +29,7 @@ _TYPES = {
     "f4": ("float",),
     "f8": ("double",),
 }
+_TEXT = ("ascii", "text", "txt")
 _LPS = ("left-posterior-superior", "lps")
 _RAS = ("right-anterior-superior", "ras")
 
@@ -55,7 +56,10 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
     fields, pairs, data = _parts(path, noun)
     try:
         values = _values(data, fields)
-        return Nrrd(values, _affine(fields), pairs)
+        layers = [n for n, each in enumerate(_directions(fields)) if each is None]
+        if len(layers) > 1 or values.ndim != 3 + len(layers):
+            raise ValueError(f"sizes {fields['sizes']} with space directions {fields['space directions']}")
+        return Nrrd(np.moveaxis(values, layers, [0] * len(layers)), _affine(fields), pairs)
     except (KeyError, ValueError, OSError, EOFError, zlib.error) as error:
         raise _refusal(path, f"cannot be read ({error})", noun) from error
 
@@ -145,19 +149,42 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     if min(sizes, default=0) < 1 or count > MOST_VOXELS:
         raise ValueError(f"sizes {fields['sizes']}")
     encoding = fields.get("encoding", "raw").lower()
-    if encoding in ("gzip", "gz"):
-        data = gunzip(data, limit=8 * count)
-    elif encoding in ("ascii", "text", "txt"):
+    data = _after_lines(data, int(fields.get("line skip", fields.get("lineskip", "0"))))
+    skip = int(fields.get("byte skip", fields.get("byteskip", "0")))
+    if skip < -1 or (skip and encoding in _TEXT) or (skip == -1 and encoding != "raw"):
+        raise ValueError(f"byte skip {skip} with encoding {encoding}")
+    if encoding in _TEXT:
         return np.array(data.split(), dtype=float).reshape(sizes, order="F")
+    if encoding in ("gzip", "gz"):
+        data = gunzip(data, limit=8 * count + skip)
     elif encoding != "raw":
         raise ValueError(f"encoding {encoding}")
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
-    return np.frombuffer(data, dtype=order + kind, count=count).reshape(sizes, order="F")
+    dtype = np.dtype(order + kind)
+    begin = max(len(data) - count * dtype.itemsize, 0) if skip == -1 else skip
+    return np.frombuffer(data[begin:], dtype=dtype, count=count).reshape(sizes, order="F")
+
+
+def _after_lines(data: bytes, n: int) -> bytes:
+    """What follows the first n lines.
+
+    >>> _after_lines(b"a line\\nand this", 1)
+    b'and this'
+    """
+    for _ in range(n):
+        _, newline, data = data.partition(b"\n")
+        if not newline:
+            raise ValueError(f"line skip {n}, where there are fewer lines")
+    return data
+
+
+def _directions(fields: dict[str, str]) -> list[list[float] | None]:
+    """Of each axis its direction; None of one that is not in space."""
+    return [_vector(each) for each in fields["space directions"].replace("none", "(none)").split(") ")]
 
 
 def _affine(fields: dict[str, str]) -> Array:
-    vectors = [_vector(each) for each in fields["space directions"].replace("none", "(none)").split(") ")]
-    columns = [each for each in vectors if each is not None]
+    columns = [each for each in _directions(fields) if each is not None]
     if len(columns) != 3:
         raise ValueError("space directions of three axes are needed")
     affine = np.eye(4)

@@ -122,6 +122,12 @@ class SolvedPoints:
         self._known: dict[bytes, tuple[Array, Prediction]] = {}
         self.n_calls = 0
 
+    def close(self) -> None:
+        """End what the curve holds open; what is known stays."""
+        close = getattr(self._curve, "close", None)
+        if close is not None:
+            close()
+
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         theta = np.ascontiguousarray(theta, dtype=float)
         key = theta.tobytes()

@@ -6,6 +6,7 @@ m = 2 first, then f_kappa and m. Beside each number stands how far it can be tru
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -114,43 +115,44 @@ def _fit_site(
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
     curve, knots, cold = _first_solve(solver, model, c, options, progress)
-    steps = two_step(
-        curve, knots, data,
-        tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
-    )  # fmt: skip
-    theta = steps[-1].theta
-    given = options.gain_deviation
-    error = given if given is not None else studied_error(case, site, out, writer)
-    gain = gain_deviation(model, error, f_kappa=float(theta[0]))
-    stiffness = replace(stiffness, gain_deviation=gain)
-    fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
-    doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
-    intervals, of_noise, why_none = None, None, "no interval was asked for"
-    if not (site.noise.force > 0 or site.noise.depth > 0):
-        why_none = "the case states no noise of force or depth"
-        writer.warnings.append(
-            f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
-            "parameters are cannot be determined"
+    with contextlib.closing(curve):
+        steps = two_step(
+            curve, knots, data,
+            tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
+        )  # fmt: skip
+        theta = steps[-1].theta
+        given = options.gain_deviation
+        studied = None if given is not None else studied_error(case, site, out, writer)
+        gain = gain_deviation(model, given, studied=studied, f_kappa=float(theta[0]))
+        stiffness = replace(stiffness, gain_deviation=gain)
+        fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
+        doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
+        intervals, of_noise, why_none = None, None, "no interval was asked for"
+        if not (site.noise.force > 0 or site.noise.depth > 0):
+            why_none = "the case states no noise of force or depth"
+            writer.warnings.append(
+                f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
+                "parameters are cannot be determined"
+            )
+        elif options.intervals:
+            limit = options.max_interval_solves
+            curve.expect(limit + _FIRST_SOLVES)
+            intervals = of_noise = _intervals(curve, knots, data, stiffness, steps, limit, progress)
+            if doubt is not None:
+                wide = _intervals(curve, knots, data, stiffness, steps, limit, progress, doubt.modes)
+                intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
+        identified = Identified(
+            curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none, doubt
         )
-    elif options.intervals:
-        limit = options.max_interval_solves
-        curve.expect(limit + _FIRST_SOLVES)
-        intervals = of_noise = _intervals(curve, knots, data, stiffness, steps, limit, progress)
+        simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
+        leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+        leave_cycle(levels, site, writer)
         if doubt is not None:
-            wide = _intervals(curve, knots, data, stiffness, steps, limit, progress, doubt.modes)
-            intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
-    identified = Identified(
-        curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none, doubt
-    )
-    simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
-    leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
-    leave_cycle(levels, site, writer)
-    if doubt is not None:
-        leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
-    if options.contact_check:
-        leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
-    leave_speeds(fitted, simulation, levels, site, writer)
-    leave_layers(fitted, simulation, levels, site, writer)
+            leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
+        if options.contact_check:
+            leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
+        leave_speeds(fitted, simulation, levels, site, writer)
+        leave_layers(fitted, simulation, levels, site, writer)
 
 
 def _intervals(
@@ -236,7 +238,11 @@ def _first_solve(
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
         curve = SolvedPoints(exact)
-        curve(START, (0, 1))
+        try:
+            curve(START, (0, 1))
+        except BaseException:
+            curve.close()
+            raise
         return curve, exact.depths, time.perf_counter() - clock
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
     curve = SolvedPoints(files.differentiable())

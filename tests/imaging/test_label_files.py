@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
 from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.nrrd import read_nrrd
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
 
@@ -26,19 +27,23 @@ def truth():
     return Volume(labels.astype(np.uint8), image.affine)
 
 
-def nrrd(path, volume, *, encoding="gzip", space="left-posterior-superior", extra="", values=None):
+def nrrd(
+    path, volume, *, encoding="gzip", space="left-posterior-superior", extra="", values=None, before=b"",
+    inside=b"", layers_last=False,
+):  # fmt: skip
     values = volume.values if values is None else values
     affine = RAS_FROM_LPS @ volume.affine if space.startswith("right") else volume.affine
     columns = [f"({','.join(f'{x:.9g}' for x in affine[:3, n])})" for n in range(3)]
-    columns = ["none"] * (values.ndim - 3) + columns
-    data = values.tobytes(order="F")
+    layers = ["none"] * (values.ndim - 3)
+    columns = columns + layers if layers_last else layers + columns
+    data = inside + values.tobytes(order="F")
     header = (
         f"NRRD0004\n# made for a test\ntype: unsigned char\ndimension: {values.ndim}\nspace: {space}\n"
         f"sizes: {' '.join(map(str, values.shape))}\nspace directions: {' '.join(columns)}\n"
         f"kinds: domain domain domain\nendian: little\nencoding: {encoding}\n"
         f"space origin: ({','.join(f'{x:.9g}' for x in affine[:3, 3])})\n{extra}\n"
     )
-    path.write_bytes(header.encode() + (gzip.compress(data) if encoding == "gzip" else data))
+    path.write_bytes(header.encode() + before + (gzip.compress(data) if encoding == "gzip" else data))
     return path
 
 
@@ -52,6 +57,35 @@ def assert_same(found, truth):
 def test_a_nrrd_label_map_is_read_in_place(truth, tmp_path, encoding, space):
     path = nrrd(tmp_path / "labels.nrrd", truth, encoding=encoding, space=space)
     assert_same(read_label_file(path), truth)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "extra", "before", "inside"),
+    [("raw", "byte skip: 7\n", b"", b"1234567"), ("raw", "byte skip: -1\n", b"any\nthing", b""),
+     ("raw", "line skip: 2\n", b"one\ntwo\n", b""), ("raw", "line skip: 1\nbyte skip: 3\n", b"one\n", b"123"),
+     ("gzip", "byte skip: 5\n", b"", b"12345"), ("gzip", "line skip: 1\n", b"one\n", b"")],
+)  # fmt: skip
+def test_what_is_to_be_skipped_is_no_data(truth, tmp_path, encoding, extra, before, inside):
+    path = nrrd(tmp_path / "a.nrrd", truth, encoding=encoding, extra=extra, before=before, inside=inside)
+    assert_same(read_label_file(path), truth)
+
+
+@pytest.mark.parametrize("extra", ["byte skip: -2\n", "line skip: 9999\n", "byte skip: x\n"])
+def test_what_cannot_be_skipped_is_refused(truth, tmp_path, extra):
+    with pytest.raises(CaseError, match="cannot be read"):
+        read_label_file(nrrd(tmp_path / "a.nrrd", truth, encoding="raw", extra=extra))
+
+
+def test_layers_are_found_wherever_their_axis_is(truth, tmp_path):
+    bone = np.where(truth.values == 2, 1, 0).astype(np.uint8)
+    marker = np.where(truth.values == 3, 1, 0).astype(np.uint8)
+    first = read_nrrd(nrrd(tmp_path / "a.nrrd", truth, values=np.stack([bone, marker])))
+    last = read_nrrd(
+        nrrd(tmp_path / "b.nrrd", truth, values=np.stack([bone, marker], axis=-1), layers_last=True)
+    )
+    assert np.array_equal(first.values[0], bone)
+    assert np.array_equal(first.values, last.values)
+    np.testing.assert_allclose(first.affine, last.affine)
 
 
 def test_a_seg_nrrd_is_brought_to_our_labels_by_its_names(truth, tmp_path):
@@ -128,6 +162,31 @@ def test_a_dicom_seg_is_brought_to_our_labels_by_its_names(truth, tmp_path):
     whole = np.flatnonzero((truth.values > 0).any(axis=(0, 1)))
     assert np.array_equal(found.values, truth.values[:, :, whole[0] : whole[-1] + 1])
     np.testing.assert_allclose(found.affine[:3, :3], truth.affine[:3, :3], atol=1e-5)
+
+
+def test_segments_a_hairs_breadth_apart_are_on_one_grid(truth, tmp_path):
+    """Two segments whose planes differ by rounding: not one slice each 0.2 um."""
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1, "Bone": 2, "Marker": 3})
+    dataset = pydicom.dcmread(path)
+    for frame in dataset.PerFrameFunctionalGroupsSequence:
+        if frame.SegmentIdentificationSequence[0].ReferencedSegmentNumber == 2:
+            place = frame.PlanePositionSequence[0].ImagePositionPatient
+            place[2] = f"{float(place[2]) + 0.0006:.10g}"
+    dataset.save_as(path)
+    found = read_label_file(path)
+    whole = np.flatnonzero((truth.values > 0).any(axis=(0, 1)))
+    assert np.array_equal(found.values, truth.values[:, :, whole[0] : whole[-1] + 1])
+    np.testing.assert_allclose(found.affine[:3, :3], truth.affine[:3, :3], atol=1e-3)
+
+
+def test_slices_that_are_not_evenly_spaced_are_refused(truth, tmp_path):
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1})
+    dataset = pydicom.dcmread(path)
+    place = dataset.PerFrameFunctionalGroupsSequence[-1].PlanePositionSequence[0].ImagePositionPatient
+    place[2] = f"{float(place[2]) + 0.4 * truth.spacing[2]:.10g}"
+    dataset.save_as(path)
+    with pytest.raises(CaseError, match="not evenly spaced"):
+        read_label_file(path)
 
 
 def test_an_image_is_no_dicom_seg(truth, tmp_path):

@@ -168,4 +168,7 @@ def test_numerical_error_goes_with_element_and_size():
     assert gain_deviation(linear, None) > 2 * gain_deviation(quadratic, None) > 0.0
     assert gain_deviation(linear, 0.07) == 0.07
     assert gain_deviation(linear, None, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
+    assert gain_deviation(linear, None, studied=0.02, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
+    assert gain_deviation(linear, None, studied=0.9, f_kappa=100.0) == 0.9
+    assert gain_deviation(quadratic, None, studied=0.02, f_kappa=100.0) == 0.02
     assert gain_deviation(quadratic, None, f_kappa=100.0) == gain_deviation(quadratic, None)

@@ -24,20 +24,24 @@ _LOCKED_F_KAPPA = (1.0, 10.0, 50.0, 100.0, 200.0, 650.0, 1000.0)
 _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
 
 
-def gain_deviation(model: LimbModel, given: float | None, *, f_kappa: float | None = None) -> float:
-    """Numerical error of ln force, one standard deviation: stated, or by element and edge length.
+def gain_deviation(
+    model: LimbModel, given: float | None, *, studied: float | None = None, f_kappa: float | None = None
+) -> float:
+    """Numerical error of ln force, one standard deviation: stated, studied, or by element and edge length.
 
-    f_kappa : where it is known, what locking makes of linear tetrahedra there counts too; an error of
-        one sign, taken for two standard deviations.
+    studied : of a mesh study at the start values, None where there is none
+    f_kappa : where it is known, what locking makes of linear tetrahedra there counts too, also where the
+        mesh was studied (at another f_kappa); an error of one sign, taken for two standard deviations.
     """
     if given is not None:
         return given
     kind = model.mesh.solid_blocks[0].kind
     usual = GAIN_DEVIATION.get(kind, 0.05) * edge_under_probe(model) / _USUAL_SIZE
+    found = usual if studied is None else studied
     if kind != "tet4" or f_kappa is None:
-        return usual
+        return found
     locked = np.interp(np.log(f_kappa), np.log(_LOCKED_F_KAPPA), np.log(_LOCKED_FORCE))
-    return max(usual, 0.5 * float(locked))
+    return max(found, 0.5 * float(locked))
 
 
 def edge_under_probe(model: LimbModel) -> float:
