@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result
 from limbcli.api.call import (
@@ -26,6 +26,10 @@ from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
 from limbcli.results import StageResult, plain
 from limbcli.writing import one_writer
+
+if TYPE_CHECKING:
+    from limbcli.progress import Progress
+    from limbcli.stages.batching.outcome import CaseOutcome
 
 
 @dataclass(frozen=True)
@@ -204,18 +208,11 @@ def batch(
     one_of("batch", SOLVERS, solver=solver)
     one_of("batch", ("tet10", "tet4"), element=element)
     within("batch", jobs=jobs)
-    from limbcli.stages.batch_cases import expectations, n_processes, one_case, output_folders
+    from limbcli.stages.batch_cases import n_processes, one_case, output_folders
+    from limbcli.stages.batch_cluster import together
     from limbcli.stages.batching.outcome import BatchOptions
-    from limbcli.stages.report_pages.index import report_index
 
-    several = (
-        [cases]
-        if isinstance(cases, Case) or not isinstance(cases, Iterable) or isinstance(cases, str)
-        else cases
-    )
-    folders = [each.folder if isinstance(each, Case) else folder_of(each, "cases") for each in several]
-    if not folders:
-        raise CaseError("no case is given", where="batch(cases)", fix="give a case folder, or several")
+    folders = _folders(cases)
     heard = listening(progress)
     options = BatchOptions.of(
         element=element, solver=solver, febio=maybe_path(febio, "febio"),
@@ -227,32 +224,57 @@ def batch(
         if scheduler is None and n_jobs == 1:
             outcomes = [one_case(*pair, options, wait=wait, progress=heard) for pair in pairs]
         else:
-            from limbcli.stages.batch_cluster import together
-
             absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
             outcomes = together(
                 absolute, options, scheduler=scheduler, jobs=n_jobs, wait=wait, progress=heard
             )
-        found = []
-        for (case, target), outcome in zip(pairs, outcomes, strict=True):
-            compared, unlike = (
-                expectations(case, target, progress=heard) if expect and outcome.begun else ([], [])
-            )
-            failures = [FailedStage(f.stage, f.site, f.error) for f in [*outcome.failures, *unlike]]
-            found.append(
-                CaseResult(
-                    case, target, tuple(outcome.ran), tuple(outcome.fresh), tuple(failures),
-                    tuple(map(str, compared)), outcome.report,
-                )
-            )  # fmt: skip
-        index = None
-        if len(pairs) > 1:
-            try:
-                target = default_out(folders[0]).parent if out is None else folder_of(out)
-                index = report_index(target, progress=heard).page
-            except LimbcliError as error:  # no case left anything to list: their failures say why
-                heard.event("note", text=str(error.message))
-    return BatchResult(tuple(found), index)
+        found = tuple(
+            _case_result(*pair, outcome, expect=expect, heard=heard)
+            for pair, outcome in zip(pairs, outcomes, strict=True)
+        )
+        together_in = default_out(folders[0]).parent if out is None else folder_of(out)
+        return BatchResult(found, _index(together_in, heard) if len(pairs) > 1 else None)
+
+
+def _folders(cases: CaseLike | Iterable[CaseLike]) -> list[Path]:
+    """Of one case or several.
+
+    Raises
+    ------
+    CaseError
+        If there is none, or one is no path.
+    """
+    one = isinstance(cases, Case | str) or not isinstance(cases, Iterable)
+    several = [cases] if one else list(cases)  # type: ignore[arg-type]
+    if not several:
+        raise CaseError("no case is given", where="batch(cases)", fix="give a case folder, or several")
+    return [each.folder if isinstance(each, Case) else folder_of(each, "cases") for each in several]  # type: ignore[arg-type]
+
+
+def _case_result(
+    case: Path, target: Path, outcome: CaseOutcome, *, expect: bool, heard: Progress
+) -> CaseResult:
+    """How a case went, held against its expected.toml where that is asked for."""
+    from limbcli.stages.batch_cases import expectations
+
+    wanted = expect and outcome.begun
+    compared, unlike = expectations(case, target, progress=heard) if wanted else ([], [])
+    failures = [FailedStage(f.stage, f.site, f.error) for f in [*outcome.failures, *unlike]]
+    return CaseResult(
+        case, target, tuple(outcome.ran), tuple(outcome.fresh), tuple(failures), tuple(map(str, compared)),
+        outcome.report,
+    )  # fmt: skip
+
+
+def _index(folder: Path, heard: Progress) -> Path | None:
+    """The page that lists all; None where no case left anything to list: their failures say why."""
+    from limbcli.stages.report_pages.index import report_index
+
+    try:
+        return report_index(folder, progress=heard).page
+    except LimbcliError as error:
+        heard.event("note", text=str(error.message))
+        return None
 
 
 @records_call
