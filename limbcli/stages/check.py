@@ -20,7 +20,7 @@ from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
-from limbcli.stages.report_pages.cycles import cycle_lines
+from limbcli.stages.site_model.cycle_words import cycle_lines
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, 
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
-from limbcli.stages.report_pages.cycles import cycle_facts
+from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm

@@ -1,18 +1,16 @@
-"""What a record's cycles say, in numbers and words: for the page, for `check` and for `diagnose`."""
+"""The page's loops and sentences of a record with several cycles."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from limbcli.case import Case, Site
-from limbcli.measurement.cycle_changes import change_words, support_words
+from limbcli.case import Site
 from limbcli.measurement.cycles import CycleStudy
-from limbcli.measurement.indentation import Levels, check_levels
+from limbcli.measurement.indentation import Levels
 from limbcli.reporting.figures.cycles import Loop
 from limbcli.reporting.report_data import CycleMaterial
 from limbcli.stages.fitting.cycles import contradiction
+from limbcli.stages.site_model.cycle_words import capital, cycle_sentences
 from limbcli.stages.site_model.site_levels import cycles_of
 
 
@@ -29,60 +27,8 @@ def cycle_material(site: Site, levels: Levels, fitted: int | None) -> CycleMater
         loops=tuple(_loop(levels, study, cycle) for cycle in levels.cycles),
         sentences=tuple(cycle_sentences(site, levels, study)),
         settled=study.repeats_from is not None or len(levels.cycles) == 1,
-        contradiction=_capital(contradiction(against[0])) + "." if against else "",
+        contradiction=capital(contradiction(against[0])) + "." if against else "",
     )
-
-
-def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
-    """From which cycle on the tissue repeats itself, what changed before, whether the support moved."""
-    if not study.differences:
-        return ["There is one whole loading: whether the tissue would repeat it is not told by these data."]
-    last = study.differences[-1].later
-    if study.repeats_from is None:
-        lines = [
-            f"Cycle {last} still differs from cycle {study.differences[-1].earlier} beyond noise: the tissue "
-            "had not come to repeat itself."
-        ]
-    elif study.repeats_from == study.differences[0].earlier:
-        lines = [f"All loadings up to cycle {last} are one curve within noise."]
-    else:
-        lines = [f"From cycle {study.repeats_from} on the tissue repeats itself within noise."]
-    if not study.differences[0].is_noise:
-        lines.append(_capital(change_words(study.differences[0])) + ".")
-    moved = support_words(levels, study, travel_deviation=site.noise.depth)
-    if moved is not None:
-        lines.append(_capital(moved) + ".")
-    return lines
-
-
-def cycle_lines(case: Case) -> list[str]:
-    """A line for each site that was loaded several times; of files that cannot be read, none."""
-    lines = []
-    for site in case.sites:
-        levels = check_levels(site.levels)[0] if site.levels.is_file() else None
-        if levels is None or len(levels.cycles) == 1:
-            continue
-        counts = ", ".join(str(levels.n_loading(each)) for each in levels.cycles)
-        lines.append(
-            f"site {site.name}: {len(levels.cycles)} cycles ({counts} levels of loading); `fit` takes the "
-            f"last whole one, {levels.chosen_cycle()}"
-        )
-    return lines
-
-
-def cycle_facts(site: Site, levels: Levels) -> dict[str, Any] | None:
-    """The same for a result's JSON; None where the tissue was loaded once."""
-    if len(levels.cycles) == 1:
-        return None
-    study = cycles_of(site, levels)
-    return {
-        "n": len(levels.cycles),
-        "used": levels.chosen_cycle(),
-        "repeats_from": study.repeats_from,
-        "energy_lost_n_mm": {str(cycle): each.lost for cycle, each in study.energy.items()},
-        "energy_lost_fraction": {str(cycle): each.share for cycle, each in study.energy.items()},
-        "sentences": cycle_sentences(site, levels, study),
-    }
 
 
 def _loop(levels: Levels, study: CycleStudy, cycle: int) -> Loop:
@@ -93,11 +39,3 @@ def _loop(levels: Levels, study: CycleStudy, cycle: int) -> Loop:
     if energy is None:
         return Loop(cycle, there, back)
     return Loop(cycle, there, back, energy.lost, energy.lost_deviation, energy.share)
-
-
-def _capital(text: str) -> str:
-    """
-    >>> _capital("from cycle 1 on"), _capital("")
-    ('From cycle 1 on', '')
-    """
-    return text[:1].upper() + text[1:]
