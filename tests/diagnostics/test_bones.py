@@ -1,4 +1,4 @@
-"""Whether the readings speak for a limb with other bones: which limbs are asked about, and the likelihoods."""
+"""Do the readings speak for a limb with other bones: which limbs are asked about, and the likelihoods."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def test_the_gain_is_that_of_the_likelihood_of_what_both_limbs_predict(rng):
         multivariate_normal(theirs[keep], covariance[np.ix_(keep, keep)]).logpdf(y[keep])
         - multivariate_normal(ours, 2.0 * covariance[np.ix_(keep, keep)]).logpdf(y[keep])
     )
-    assert found.gain == pytest.approx(by_hand) and found.n == 6
+    assert found.gain == pytest.approx(by_hand)
+    assert found.n == 6
 
 
 def test_a_limb_is_believed_from_its_own_threshold_on_and_said_so():
@@ -50,11 +51,13 @@ def test_a_limb_is_believed_from_its_own_threshold_on_and_said_so():
     model = model_of(y, covariance, rows)
     for off, believed in ((1.5, False), (1.6, True)):  # 5 off^2 = 11.25, 12.8
         found = compared(SEEN, model, fit_of(np.full(5, off)), model, fit_of(y))
-        assert found.is_believed is believed and found.to_json()["taken"] is believed
+        assert found.is_believed is believed
+        assert found.to_json()["taken"] is believed
         assert ("BONES: without bone_2" in found.sentence) is believed
     back = OtherBones("with bone_2 put back", 4.0, moved={"bone_2": np.ones(3)})
     worse = compared(back, model, fit_of(y), model, fit_of(np.full(5, 2.0)))
-    assert worse.gain == pytest.approx(-20.0) and "deviance +20" in worse.sentence
+    assert worse.gain == pytest.approx(-20.0)
+    assert "deviance +20" in worse.sentence
 
 
 def test_a_bad_fit_is_told_by_its_chi2():
@@ -65,11 +68,12 @@ def test_a_bad_fit_is_told_by_its_chi2():
 
 def test_a_bone_is_left_out_moved_or_as_it_was():
     bone = tetrahedron()
-    assert SEEN.of("bone_2", bone) is None and not SEEN.is_repair
+    assert SEEN.of("bone_2", bone) is None
+    assert not SEEN.is_repair
     assert np.array_equal(SEEN.of("bone_1", bone).points, bone.points)
     back = OtherBones("put back", 4.0, moved={"bone_2": np.array([1.0, 2.0, 3.0])})
     assert back.is_repair
-    assert back.of("bone_2", bone).points == pytest.approx(bone.points + [1.0, 2.0, 3.0])
+    assert back.of("bone_2", bone).points == pytest.approx(bone.points + np.array([1.0, 2.0, 3.0]))
 
 
 def test_only_bones_as_near_as_the_others_are_asked_about():

@@ -42,9 +42,11 @@ def test_what_was_moved_together_is_put_back_within_5_mm_from_anywhere(leg):
     for by in ((120.0, -40.0, 75.0), (-70.0, 160.0, -50.0)):
         right, wrong = moved(leg, by)
         found = put_back(leg["skin"], right, wrong, limb="right")
-        assert found is not None and set(found.names) == set(LOST)
+        assert found is not None
+        assert set(found.names) == set(LOST)
         ends.append(found.move + np.array(by))
-        assert np.abs(ends[-1][:2]).max() < 4.0 and abs(ends[-1][2]) < 6.0
+        assert np.abs(ends[-1][:2]).max() < 4.0
+        assert abs(ends[-1][2]) < 6.0
         assert found.doubt_mm < 6.0
     assert ends[0] == pytest.approx(ends[1], abs=0.3)
 
