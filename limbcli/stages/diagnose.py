@@ -31,7 +31,7 @@ from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
 from limbcli.stages.diagnosis.place import Place, PlaceMaker
-from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
+from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
@@ -156,7 +156,9 @@ class _Diagnosed:
         }
 
     def all(self) -> list[StageResult]:
-        place = PlaceMaker(self.case, self.sites, self.out, self._prepared, self.progress).best()
+        place = PlaceMaker(
+            self.case, self.sites, self.out, self._prepared, self._misfit, self.progress
+        ).best()
         try:
             forward_model, prepared = place.forward_model, place.prepared
             if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
@@ -187,6 +189,13 @@ class _Diagnosed:
                 each.close()
             raise
         return prepared
+
+    def _misfit(self, folder: Path) -> float:
+        """mm, of the site whose forces the limb of that folder misses the most."""
+        return max(
+            depth_misfit(self.case, site, out=folder, mesh=self.options.mesh, progress=self.progress)
+            for site in self.sites
+        )
 
     def _turned(self, prepared: Prepared, folder: Path) -> SiteCurves:
         """The probe turned by 90 degrees; why not is reported where it cannot be simulated."""
@@ -262,7 +271,7 @@ class _Diagnosed:
         ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
-        lines[1:1] = [each.sentence for each in place.bones if each.sentence]
+        lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
 

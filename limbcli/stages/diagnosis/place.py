@@ -21,13 +21,15 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared
 @dataclass(eq=False)
 class Place:
     """prepared : the sites; forward_model : theirs together; out : the folder that holds `segment` and `mesh`
-    of the limb it is on; bones : what was tried of other bones; problems : what kept a limb from being tried.
+    of the limb it is on; bones : what was tried of other bones; given_up : limbs that were not looked at
+    whole, in words; problems : what kept one from being tried.
     """
 
     prepared: list[Prepared]
     forward_model: SiteForwardModel
     out: Path
     bones: list[Evidence] = field(default_factory=list)
+    given_up: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def close(self) -> None:
@@ -37,7 +39,7 @@ class Place:
 
 @dataclass(eq=False)
 class PlaceMaker:
-    """Makes a place ready: `prepared_in` a folder that holds the limb.
+    """Makes a place ready, on the limb of a folder: `prepared_in` whole; `misfit_in` mm, by its force curves.
 
     out : the case's output folder
     """
@@ -46,6 +48,7 @@ class PlaceMaker:
     sites: Sequence[Site]
     out: Path
     prepared_in: Callable[[Path], list[Prepared]]
+    misfit_in: Callable[[Path], float]
     progress: Progress
 
     def best(self) -> Place:
@@ -90,13 +93,20 @@ class PlaceMaker:
             folder = limb_with(
                 other, self.case, self.sites, out=self.out, work=self.out / STAGE, progress=self.progress
             )
+            ours, theirs = self.misfit_in(self.out), self.misfit_in(folder)
+            if theirs > thresholds.BONES_HOPELESS * max(ours, _noise_of_depth(self.sites)):
+                place.given_up.append(
+                    f"Tried {other.words}: its force curves miss the depths by {theirs:.1f} mm, "
+                    f"those of the limb as segmented by {ours:.1f}; not looked at further."
+                )
+                return place
             tried = self._in(folder)
         except LimbError as error:
             place.problems.append(f"the limb {other.words} was not tried: {error.what}")
             return place
-        ours, theirs = place.forward_model, tried.forward_model
+        here, there = place.forward_model, tried.forward_model
         try:
-            found = compared(other, ours, ours.fit((), {}), theirs, theirs.fit((), {}))
+            found = compared(other, here, here.fit((), {}), there, there.fit((), {}))
         except LimbError as error:
             tried.close()
             place.problems.append(f"the limb {other.words} was not tried: {error.what}")
@@ -104,5 +114,10 @@ class PlaceMaker:
         better, worse = (tried, place) if found.is_believed else (place, tried)
         worse.close()
         better.bones = [*place.bones, found]
-        better.problems = place.problems
+        better.problems, better.given_up = place.problems, place.given_up
         return better
+
+
+def _noise_of_depth(sites: Sequence[Site]) -> float:
+    """mm, the largest of the sites'."""
+    return max(each.noise.depth for each in sites)

@@ -71,6 +71,7 @@ def simulation() -> None:
 
 PARTS: dict[str, Callable[[], None]] = {"simulation": simulation, "equations": equations}
 
+
 def compile_all() -> None:
     """Both parts side by side, where they are not on disk yet."""
     from limbcli.solvers.reference import kernels_are_there
