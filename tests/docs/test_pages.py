@@ -47,14 +47,14 @@ def command_lines() -> list[tuple[str, str]]:
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
 def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(element, "shape", element.shape)  # what a page changes is put back
-    known = dict(laws.LEAVES)
+    known = dict(laws.LAWS)
     code = blocks(page, "python")
     assert sum("assert" in each for each in code) >= 1
     try:
         exec(compile("\n".join(code), str(page), "exec"), {"__name__": "page"})
     finally:
-        for name in set(laws.LEAVES) - set(known):
-            laws.LEAVES.pop(name)  # type: ignore[attr-defined]
+        for name in set(laws.LAWS) - set(known):
+            laws.LAWS.pop(name)  # type: ignore[attr-defined]
 
 
 def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
