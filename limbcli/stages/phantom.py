@@ -34,7 +34,7 @@ from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.synth import (
-    SiteMeasurement,
+    SyntheticSite,
     SynthOptions,
     measure_sites,
     summary_of,
@@ -144,7 +144,7 @@ def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> No
 
 
 def _write_truth(
-    subject: Subject, work: Path, options: PhantomOptions, measured: list[SiteMeasurement]
+    subject: Subject, work: Path, options: PhantomOptions, measured: list[SyntheticSite]
 ) -> None:
     table = geometry_truth(subject, seed=options.seed, dice_labels=LABELS)
     if measured and options.synth is not None:
@@ -154,7 +154,7 @@ def _write_truth(
 
 def _measure(
     subject: Subject, work: Path, options: PhantomOptions, progress: Progress
-) -> list[SiteMeasurement]:
+) -> list[SyntheticSite]:
     """Simulate and write the readings; on the truth surfaces, or on the case's own mesh."""
     if options.synth is None:
         return []
@@ -209,7 +209,7 @@ def _result(
     folder: Path,
     subject: Subject,
     volume: SimulatedVolume,
-    measured: list[SiteMeasurement],
+    measured: list[SyntheticSite],
     options: PhantomOptions,
 ) -> StageResult:
     size = sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())

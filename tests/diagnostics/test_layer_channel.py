@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.case import Noise
+from limbcli.case import StatedNoise
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, continued
@@ -160,7 +160,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     fine.close()
     n, nan = 7, np.full(7, np.nan)
     protocol = Protocol(np.zeros(n), np.linspace(0.0, 3.0, n), np.zeros(n))
-    so, noise = read(truth, protocol), Noise(0.02, 0.03, layer=0.05, source="repeats")
+    so, noise = read(truth, protocol), StatedNoise(0.02, 0.03, layer=0.05, source="repeats")
     off = [sd * np.r_[0.0, rng.standard_normal(n - 1)] for sd in (noise.force, noise.depth)]
     levels = Levels(
         so.force + off[0], protocol.depth + off[1], nan, nan, nan, ("load",) * n, nan, nan, nan, Path("x")
@@ -227,4 +227,4 @@ def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_
 
 
 def test_noise_of_a_case_states_that_of_layers():
-    assert Noise().layer == 0.2
+    assert StatedNoise().layer == 0.2

@@ -9,7 +9,7 @@ from small_models import punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.increments import Increment, Outcome, Way
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
 from limbcli.fem.equilibrium.newton import LoadStep, NotConverged, Settings
 from limbcli.fem.linear_solvers.singular import SingularMatrix
@@ -24,19 +24,19 @@ NO_FACTOR = SingularMatrix("no", where="here", fix="none")
 @pytest.mark.parametrize(
     ("changed", "outcome"),
     [
-        ({}, Outcome.SHORTEN),
-        ({"exhausted": True}, Outcome.BEGIN_AGAIN),
-        ({"length": 1e-5}, Outcome.BEGIN_AGAIN),
-        ({"exhausted": True, "mixed": False}, Outcome.HOPELESS),
-        ({"exhausted": True, "timed": True}, Outcome.HOPELESS),
-        ({"exhausted": True, "friction": True}, Outcome.HOPELESS),
-        ({"exhausted": True, "brief": True}, Outcome.HOPELESS),
-        ({"brief": True}, Outcome.SHORTEN),
-        ({"error": NO_FACTOR}, Outcome.HOPELESS),
-        ({"error": NO_FACTOR, "n_reached": 2}, Outcome.SHORTEN),
+        ({}, IncrementOutcome.SHORTEN),
+        ({"exhausted": True}, IncrementOutcome.BEGIN_AGAIN),
+        ({"length": 1e-5}, IncrementOutcome.BEGIN_AGAIN),
+        ({"exhausted": True, "mixed": False}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "timed": True}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "friction": True}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "brief": True}, IncrementOutcome.HOPELESS),
+        ({"brief": True}, IncrementOutcome.SHORTEN),
+        ({"error": NO_FACTOR}, IncrementOutcome.HOPELESS),
+        ({"error": NO_FACTOR, "n_reached": 2}, IncrementOutcome.SHORTEN),
     ],
 )
-def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: Outcome) -> None:
+def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: IncrementOutcome) -> None:
     case = {
         "exhausted": False, "length": 0.1, "mixed": True, "timed": False, "friction": False, "brief": False,
         "error": FAILED, "n_reached": 1, **changed,
@@ -46,14 +46,14 @@ def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: Out
     stepping._newton = SimpleNamespace(mixed=case["mixed"])
     stepping._reached = [SimpleNamespace(time=0.0)] * case["n_reached"]
     stepping._step = Step(n_steps=10, step_size=0.1)
-    way = Way(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, (1, 0, 0))
+    way = LoadStepPath(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, (1, 0, 0))
     increment = Increment(0.0, case["length"], 1.0, 0, is_last=False)
     assert stepping._outcome(way, increment, case["error"], case["exhausted"]) is outcome
 
 
 @pytest.fixture
-def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[Outcome]:
-    found: list[Outcome] = []
+def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[IncrementOutcome]:
+    found: list[IncrementOutcome] = []
     attempt = LoadStepping._attempt
 
     def watched(self, way, increment):
@@ -65,16 +65,18 @@ def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[Outcome]:
     return found
 
 
-def test_a_deep_punch_is_cut_comes_to_rest_and_arrives(outcomes: list[Outcome]) -> None:
+def test_a_deep_punch_is_cut_comes_to_rest_and_arrives(outcomes: list[IncrementOutcome]) -> None:
     """7.9 of 8 mm: Newton's method fails on the way, the tissue relaxes, and the end is an equilibrium."""
     model = punch("tet4", depth=7.9, levels=1, width=4.0, material=ogden_type(c=0.008, f_kappa=1000.0, m=8.0))
     (last,) = Analysis(model, QUICK).run()
-    assert {Outcome.CONVERGED, Outcome.SHORTEN, Outcome.CAME_TO_REST} == set(outcomes)
+    assert {IncrementOutcome.CONVERGED, IncrementOutcome.SHORTEN, IncrementOutcome.CAME_TO_REST} == set(
+        outcomes
+    )
     assert last.forces.error <= QUICK.tolerance
 
 
-def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[Outcome]) -> None:
+def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[IncrementOutcome]) -> None:
     model = punch("tet10", depth=5.0, levels=1, width=5.0, material=ogden_type(c=0.008, f_kappa=100.0, m=2.0))
     with pytest.raises(SolveError, match="load step 1 of 1"):
         Analysis(model, QUICK).run(required=1, hoped=0)
-    assert Outcome.BEGIN_AGAIN not in outcomes
+    assert IncrementOutcome.BEGIN_AGAIN not in outcomes

@@ -20,7 +20,7 @@ from limbcli.fem.derivatives.parameters import (
     LawParameter,
     Parameter,
     Prestrain,
-    Shape,
+    ShapeParameter,
     Tied,
     prestrain_change,
     programs,
@@ -104,7 +104,7 @@ def point_changes(
     system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, law_F, S, CC), len(o.cells))
     F = law_F @ np.linalg.inv(o.base)
     dF = _gradient(group, v)
-    if isinstance(parameter, Shape):
+    if isinstance(parameter, ShapeParameter):
         dF -= (F - np.eye(3)) @ _gradient(group, parameter.directions)
     law_dF = dF @ o.base
     if isinstance(parameter, Prestrain) and group.material.name == parameter.material:

@@ -18,7 +18,7 @@ from limbcli.fem.equilibrium.settings import LoadStep
 from limbcli.fem.motion.state import State
 
 
-class Outcome(Enum):
+class IncrementOutcome(Enum):
     """What becomes of an increment."""
 
     CONVERGED = auto()
@@ -48,7 +48,7 @@ class Increment:
 
 
 @dataclass
-class Way:
+class LoadStepPath:
     """The way to one load step, at time `target`.
 
     known : first guess at its end, from an earlier solve, as long as it was not tried

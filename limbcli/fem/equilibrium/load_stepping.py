@@ -9,7 +9,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.first_guesses import continued, extrapolate
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.increments import Increment, Outcome, Way
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
@@ -78,7 +78,7 @@ class LoadStepping:
         """
         newton = self._newton
         newton.mixed = newton.settings.mixed
-        way = Way(
+        way = LoadStepPath(
             target, load_step, known, brief,
             most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
             most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
@@ -92,15 +92,15 @@ class LoadStepping:
                 state, forces = self._take(way, increment, outcome, *found)
                 if increment.is_last:
                     return state, forces
-            elif outcome is Outcome.HOPELESS:
+            elif outcome is IncrementOutcome.HOPELESS:
                 assert error is not None
                 raise self._explained(error, load_step, increment.aim) from error
             else:
-                if outcome is Outcome.BEGIN_AGAIN:
+                if outcome is IncrementOutcome.BEGIN_AGAIN:
                     increment = self._begin_again(way, increment)
                 self._shorten(way, increment)
 
-    def _next(self, way: Way) -> Increment:
+    def _next(self, way: LoadStepPath) -> Increment:
         """What is tried next; raises NotConverged where a load step that is tried briefly takes long."""
         newton, begin = self._newton, self._reached[-1].time
         before = newton.counts.iterations
@@ -114,8 +114,8 @@ class LoadStepping:
         return Increment(begin, aim, rest, before, is_last=aim == way.target)
 
     def _attempt(
-        self, way: Way, increment: Increment
-    ) -> tuple[Outcome, tuple[State, Forces] | None, SolveError | None]:
+        self, way: LoadStepPath, increment: Increment
+    ) -> tuple[IncrementOutcome, tuple[State, Forces] | None, SolveError | None]:
         """What becomes of an increment, with its equilibrium where there is one, or the error."""
         patient = way.is_exhausted or self._has_friction or self._newton.system.jumps
         try:
@@ -128,26 +128,28 @@ class LoadStepping:
             self._note_cut(error)
             at_rest = None if way.brief or not self.patient else self._at_rest(way, increment, error)
             if at_rest is not None:
-                return Outcome.CAME_TO_REST, at_rest, None
+                return IncrementOutcome.CAME_TO_REST, at_rest, None
             return self._outcome(way, increment, error, exhausted), None, error
-        return Outcome.CONVERGED, found, None
+        return IncrementOutcome.CONVERGED, found, None
 
-    def _outcome(self, way: Way, increment: Increment, error: SolveError, exhausted: bool) -> Outcome:
+    def _outcome(
+        self, way: LoadStepPath, increment: Increment, error: SolveError, exhausted: bool
+    ) -> IncrementOutcome:
         """Of an increment that has no equilibrium: how to go on."""
         if _has_no_factor(error, self._reached):
-            return Outcome.HOPELESS
+            return IncrementOutcome.HOPELESS
         if not exhausted and increment.length >= _SMALLEST * self._step.step_size:
-            return Outcome.SHORTEN
+            return IncrementOutcome.SHORTEN
         by_the_way = self._timed or self._has_friction
         again = self._newton.mixed and not by_the_way and not way.brief
-        return Outcome.BEGIN_AGAIN if again else Outcome.HOPELESS
+        return IncrementOutcome.BEGIN_AGAIN if again else IncrementOutcome.HOPELESS
 
     def _take(
-        self, way: Way, increment: Increment, outcome: Outcome, state: State, forces: Forces
+        self, way: LoadStepPath, increment: Increment, outcome: IncrementOutcome, state: State, forces: Forces
     ) -> tuple[State, Forces]:
         """The state that an increment ended at, accepted: at the load step, or on the way to it."""
         easily = False
-        if outcome is Outcome.CAME_TO_REST:
+        if outcome is IncrementOutcome.CAME_TO_REST:
             way.known = None
             self._increment = increment.length
             if increment.is_last:
@@ -160,7 +162,7 @@ class LoadStepping:
             self._forces, self._known = forces, way.known
         return state, forces
 
-    def _shorten(self, way: Way, increment: Increment) -> None:
+    def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
         """Half the increment; or the same without the guess from an earlier solve, if there was one."""
         newton = self._newton
         self._increment = increment.rest if way.known is not None else 0.5 * increment.length
@@ -170,7 +172,7 @@ class LoadStepping:
             newton.linearised.reuse_cost = np.inf  # else the factor is of the state to start from
         newton.system.recall(self._reached[-1].hints)
 
-    def _begin_again(self, way: Way, increment: Increment) -> Increment:
+    def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
         """Back to the last load step, for a try without pressures of their own: they go further, but now and
         then astray. Returns the whole way as one increment."""
         n_reached, self._n_pressed, self._n_touching = way.start
@@ -179,7 +181,9 @@ class LoadStepping:
         way.cuts = 0
         return replace(increment, begin=self._reached[-1].time, aim=way.target, is_last=True)
 
-    def _at_rest(self, way: Way, increment: Increment, error: SolveError) -> tuple[State, Forces] | None:
+    def _at_rest(
+        self, way: LoadStepPath, increment: Increment, error: SolveError
+    ) -> tuple[State, Forces] | None:
         """The state that the tissue relaxes to from the last increment's; None if it does not."""
         newton, begin = self._newton, self._reached[-1]
         # the response is by the way, or by forces on bodies
@@ -213,7 +217,7 @@ class LoadStepping:
         if self._histories is not None:
             self._histories.accept(length, state)
 
-    def _solve(self, way: Way, increment: Increment, *, patient: bool) -> tuple[State, Forces]:
+    def _solve(self, way: LoadStepPath, increment: Increment, *, patient: bool) -> tuple[State, Forces]:
         newton, aim = self._newton, increment.aim
         on_the_way = _FIRM if way.was_cut else _LOOSE
         tolerance = None if increment.is_last or self._timed else on_the_way
