@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from limbcli.diagnostics.conclusions.sentences import sentences
@@ -45,8 +44,8 @@ def test_twins_are_never_told_apart(rng):
 
 @pytest.mark.parametrize("pair", [{"offset": 6.0, "wave": 6.0}, {"offset": 14.0, "guided": 60.0}])
 def test_two_effects_are_found_together(rng, pair):
-    """The pair is named, in two data sets of two, with nothing mocked. A share of 70 % would pass all four with
-    24 %, of 50 % with 6 %."""
+    """The pair is named, in two data sets of two, with nothing mocked. A share of 70 % would pass all
+    four with 24 %, of 50 % with 6 %."""
     for _ in range(2):
         found = run(toy.make(rng, pair))
         assert found.verdict == "named"

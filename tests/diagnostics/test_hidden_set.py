@@ -63,8 +63,8 @@ def test_truth_is_in_the_set_and_the_gap_is_closed_by_it(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
 def test_pairs_are_found_and_never_named_as_something_else(pair):
-    """The pair is among what these data cannot exclude. Two measurements: pairs that are missed in a share p of
-    all pass with (1 - p)^2."""
+    """The pair is among what these data cannot exclude. Two measurements: pairs that are missed in a
+    share p of all pass with (1 - p)^2."""
     result = found(" + ".join(pair), {name: ONCE[name] for name in pair}, max_effects=2)
     assert set(pair) in [set(each) for each in result.confidence_set]
     assert result.verdict in ("named", "ambiguous", "unexplained")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import subprocess
@@ -20,6 +19,7 @@ from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
 from limbcli.materials import laws
 from limbcli.stages.diagnose import load_effect
+from tests.loading import module_at
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -97,11 +97,7 @@ def test_every_case_is_told_of_in_the_list_of_cases():
 
 
 def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):
-    spec = importlib.util.spec_from_file_location("from_program", DOCS / "from_program.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = module_at(DOCS / "from_program.py")
     (tmp_path / "command-gone.md").write_text("of a command that is no more")
     module.write_all(tmp_path)
     assert {each.stem for each in tmp_path.glob("command-*")} == {f"command-{name}" for name in COMMANDS}
