@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.bodies import RigidBody
-from limbcli.feb.laws import LawTag, lame, law_tags, tag_of_febio
+from limbcli.feb.law_tags import LawTag, lame, law_tags, tag_of_febio
 from limbcli.feb.xml import Tag
 from limbcli.model import Curved, ElementMap, Material, Value
 

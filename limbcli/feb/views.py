@@ -13,7 +13,7 @@ from markupsafe import Markup
 from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, number, vector
-from limbcli.feb.laws import LawTag, law_tags, tag_of_law, young
+from limbcli.feb.law_tags import LawTag, law_tags, tag_of_law, young
 from limbcli.feb.read_control import OUTPUT_CONTROL, QUASI_NEWTON, SOLVER, STEPPER_MORE
 from limbcli.model import (
     Array,

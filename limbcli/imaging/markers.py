@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.fields import box_around
 from limbcli.imaging.intensity import TissueIntensities
+from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 

@@ -18,7 +18,6 @@ from limbcli.fem.derivatives.field_derivatives import (
     principal_changes,
     record_derivatives,
 )
-from limbcli.fem.derivatives.fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
 from limbcli.fem.derivatives.parameters import (
     BodyMotion,
     LawParameter,
@@ -30,6 +29,7 @@ from limbcli.fem.derivatives.parameters import (
 from limbcli.fem.derivatives.sensitivity import sensitivities
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.rigid import rotation_matrix
+from limbcli.fem.record_fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
 from limbcli.materials import compile_material, ogden_type
 from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, LogRecord, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession

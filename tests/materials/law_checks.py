@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.materials import compile_material, ogden_type, simd_laws, simd_rows
-from limbcli.materials.differences import tangent_change
 from limbcli.materials.dispatch import workspace
 from limbcli.materials.energy import program_energy, program_energy_change
 from limbcli.materials.fiber import JUMP
 from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate, second_piola_kirchhoff
+from limbcli.materials.tangent_change import tangent_change
 from limbcli.model import Material
 
 UNIT = (0.0, 0.8, 0.6)

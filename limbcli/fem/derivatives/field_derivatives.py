@@ -9,7 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.fem.derivatives.fields import (
+from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
+from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
+from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
+from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.state import State
+from limbcli.fem.record_fields import (
     _CENTER,
     _F,
     _STRAIN,
@@ -22,11 +27,6 @@ from limbcli.fem.derivatives.fields import (
     pair_push,
     pushed,
 )
-from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
-from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
-from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
-from limbcli.fem.motion.rigid import rotation_vector
-from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array, IntArray, LogRecord
 

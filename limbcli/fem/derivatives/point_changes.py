@@ -7,7 +7,7 @@ With v = du/dtheta the mesh's F = 1 + grad u moves by grad v. Besides, at held u
 - a number of the law changes what the law answers, by its derivative programs.
 
 Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule: exact, apart from the tangent,
-see `materials.differences`.
+see `materials.tangent_change`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from limbcli.fem.elements import kernels
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.materials.differences import tangent_change
 from limbcli.materials.energy import program_energy_change
+from limbcli.materials.tangent_change import tangent_change
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array
 
