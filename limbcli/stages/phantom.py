@@ -27,7 +27,7 @@ from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geo
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
-from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
+from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
@@ -116,7 +116,7 @@ def _check_target(folder: Path, *, force: bool) -> None:
     raise CaseError(what, where=str(folder), fix="name another folder")
 
 
-def _places(names: tuple[str, ...]) -> tuple[Place, ...]:
+def _places(names: tuple[str, ...]) -> tuple[PhantomSite, ...]:
     known = {each.name: each for each in PLACES}
     for name in names:
         if name not in known:
