@@ -130,7 +130,7 @@ class ModelOptions:
 
 
 @dataclass(frozen=True)
-class Noise:
+class StatedNoise:
     """One standard deviation each (`layer`: mm, of a thickness); `source` says where they come from."""
 
     force: float = 0.1
@@ -164,7 +164,7 @@ class Site:
     trace: Path | None
     swe_maps: Path | None
     density_kg_per_m3: float
-    noise: Noise
+    noise: StatedNoise
     instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     skin_bone: float | None = None

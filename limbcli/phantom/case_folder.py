@@ -11,7 +11,7 @@ import numpy as np
 
 from limbcli.case import Probe
 from limbcli.model import Array
-from limbcli.phantom.subject import Place, Subject
+from limbcli.phantom.subject import PhantomSite, Subject
 from limbcli.version import __version__
 
 PROBE = Probe(name="GE 9L", length=53.0, width=14.0, edge_radius=3.0)
@@ -94,7 +94,7 @@ def case_table(
 
 
 def site_table(
-    place: Place, subject: Subject, *, marker: int | None, noise: NoiseLaw | None, measured: bool
+    place: PhantomSite, subject: Subject, *, marker: int | None, noise: NoiseLaw | None, measured: bool
 ) -> dict[str, Any]:
     """One [[site]]: placed by the marker of that number, or by its position."""
     table: dict[str, Any] = {"name": place.name}

@@ -24,7 +24,7 @@ from limbcli.stages.site_model.cycle_words import cycle_lines
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class CaseCheck:
     """What was looked at, what was found wrong with it, and what of it is worth showing (a line each)."""
 
     case: Path
@@ -51,7 +51,7 @@ class CheckResult:
         }
 
 
-def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
+def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     """Validate a case folder completely; never raises for what is wrong with the case."""
     progress.event("stage", name="check")
     case, problems = read_case(folder)
@@ -64,7 +64,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
         problems += _contradictions(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
-    return CheckResult(folder, tuple(looked_at), tuple(problems), tuple(shown))
+    return CaseCheck(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 
 Reader = Callable[[Path], list[Problem]]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import CASE_FILE, Case, Noise, Site
+from limbcli.case import CASE_FILE, Case, Site, StatedNoise
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, atomic_folder
 from limbcli.model import LimbModel
@@ -70,7 +70,7 @@ class SynthOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SiteMeasurement:
+class SyntheticSite:
     """One site's truth and readings."""
 
     site: str
@@ -141,7 +141,7 @@ def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
 
 def measure_sites(
     case: Case, sites: tuple[Site, ...], *, out: Path, options: SynthOptions, progress: Progress = SILENT
-) -> list[SiteMeasurement]:
+) -> list[SyntheticSite]:
     """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing."""
     numbers = {each.name: k for k, each in enumerate(case.sites)}
     with scratch_folder() as scratch:
@@ -174,7 +174,7 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
 
 def _measure_site(
     case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
-) -> SiteMeasurement:
+) -> SyntheticSite:
     progress.event("stage", name="synth", site=site.name)
     model = _meshed(case, site, folder, options, progress)
     if options.alter is not None:
@@ -195,7 +195,7 @@ def _measure_site(
     law = noise_law(site.noise).times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
-    return SiteMeasurement(site.name, true, read_off(true, law, options, number), law, facts)
+    return SyntheticSite(site.name, true, read_off(true, law, options, number), law, facts)
 
 
 def read_off(true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int) -> Readings:
@@ -222,7 +222,7 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
     return change
 
 
-def noise_law(noise: Noise) -> NoiseLaw:
+def noise_law(noise: StatedNoise) -> NoiseLaw:
     """The case's noise as the law to measure with."""
     return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction)
 
@@ -230,7 +230,7 @@ def noise_law(noise: Noise) -> NoiseLaw:
 # ---------------------------------------------------------------- what is written
 
 
-def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[str, Any]:
+def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
     """What is true of the measurements."""
     return {
         "made_by": f"limbcli {__version__}",
@@ -257,7 +257,7 @@ def _rounded(values: Any) -> list[float]:
     return [round(float(each), 6) for each in values]
 
 
-def summary_of(each: SiteMeasurement) -> str:
+def summary_of(each: SyntheticSite) -> str:
     """One line for people."""
     true = each.true
     speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
@@ -267,7 +267,7 @@ def summary_of(each: SiteMeasurement) -> str:
     )
 
 
-def _result(case: Case, out_case: Path, measured: list[SiteMeasurement]) -> StageResult:
+def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
     return StageResult(
         stage="synth",
         subject=case.subject,
