@@ -31,6 +31,10 @@ OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
 ]
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
+LayersOpt = Annotated[
+    bool,
+    typer.Option("--with-layers", help="Read skin, fat and muscle too, as thick as the geometry tells them."),
+]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
 
 
@@ -54,6 +58,7 @@ def command(
     far_size_mm: SynthFarSizeOpt = 12.0,
     margin_mm: SynthMarginOpt = None,
     same_mesh: SameMeshOpt = False,
+    with_layers: LayersOpt = False,
     contact_penalty: ContactPenaltyOpt = None,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -78,6 +83,7 @@ def command(
         same_mesh=same_mesh,
         contact_penalty=contact_penalty,
         hidden=tuple(hide(each) for each in effect or ()),
+        layers=with_layers,
         protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
     )
     opened, target = Case.open(case), out or default_out(case)
