@@ -39,6 +39,7 @@ _SLENDER, _EDGE = 4.0, 2.0  # length over width of the face; mm
 _FORCE_NOISE = 0.02  # of the largest force
 _ROOM = 1.1  # of the least circumference that holds layers and bone
 FAT = "adipose-layer"
+_ALPHA = 0.05
 
 CASE = """format = 1
 [subject]
@@ -148,19 +149,21 @@ def one(table: CohortTable, k: int, noise: CohortNoise, layers: bool, work: Path
 
 def show(rows: list[dict[str, Any]]) -> None:
     """By fat thickness: what was said with and without layers."""
-    print("\n| fat | rows | layers | adequate | fat named | fat in the set | another named | unexplained | "
-          "fat a blind spot | failed |\n|-|-|-|-|-|-|-|-|-|-|")  # fmt: skip
+    print(
+        "\n| fat | rows | layers | untestable | adequate | something missing | of it fat in the set "
+        "| fat named | fat's adjusted p below 0.05 | failed |\n|-|-|-|-|-|-|-|-|-|-|"
+    )
     for low, high in BANDS:
         for layers in (False, True):
             mine = [r for r in rows if low <= r["fat_mm"] < high and r["layers"] is layers]
             told = [r for r in mine if "verdict" in r]
-            named = [r for r in told if r["verdict"] == "named"]
-            fat = sum(any(FAT in each for each in r["set"]) for r in named)
+            verdicts = [r["verdict"] for r in told]
+            with_fat = [r for r in told if any(FAT in each for each in r["set"])]
             counts = (
-                sum(r["verdict"] == "adequate" for r in told), fat,
-                sum(any(FAT in each for each in r["set"]) for r in told), len(named) - fat,
-                sum(r["verdict"] == "unexplained" for r in told),
-                sum(FAT in r["hidden_effects_not_seen"] for r in told), len(mine) - len(told),
+                verdicts.count("untestable"), verdicts.count("adequate"),
+                sum(each in ("named", "ambiguous", "unexplained") for each in verdicts), len(with_fat),
+                sum(r["verdict"] == "named" for r in with_fat),
+                sum(r["p_fat"] is not None and r["p_fat"] < _ALPHA for r in told), len(mine) - len(told),
             )  # fmt: skip
             if mine:
                 band = f"{low:g} to {high:g} mm" if np.isfinite(high) else f"{low:g} mm and more"
