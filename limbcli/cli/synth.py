@@ -17,6 +17,10 @@ OutCaseOpt = Annotated[
     Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
 ]
 SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
+LayersOpt = Annotated[
+    bool,
+    typer.Option("--with-layers", help="Read skin, fat and muscle too, as thick as the geometry tells them."),
+]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
 
 
@@ -29,6 +33,7 @@ def command(
     seed: SeedOpt = 7,
     force: ForceOpt = False,
     plan: Any = None,
+    with_layers: LayersOpt = False,
     contact_penalty: ContactPenaltyOpt = None,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -40,7 +45,7 @@ def command(
     from limbcli.config import default_out
     from limbcli.stages.synth import synth
 
-    options = replace(plan, seed=seed, contact_penalty=contact_penalty)
+    options = replace(plan, seed=seed, contact_penalty=contact_penalty, layers=with_layers)
     opened, target = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):

@@ -26,10 +26,11 @@ class NoiseLaw:
     depth_mm: float = 0.3
     swe_level_fraction: float = 0.05
     swe_pixel_fraction: float = 0.10
+    layer_mm: float = 0.2
 
     def times(self, factor: float) -> NoiseLaw:
         return NoiseLaw(*(factor * each for each in (
-            self.force_n, self.depth_mm, self.swe_level_fraction, self.swe_pixel_fraction
+            self.force_n, self.depth_mm, self.swe_level_fraction, self.swe_pixel_fraction, self.layer_mm
         )))  # fmt: skip
 
 

@@ -26,13 +26,18 @@ from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.scratch import scratch_folder
 from limbcli.shear_waves.pixels import Window
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import Hidden
 from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
-from limbcli.stages.simulated_subjects.synth_case import case_table, copy_imaging
+from limbcli.stages.simulated_subjects.synth_case import (
+    borders_at_rest,
+    case_table,
+    copy_imaging,
+    noise_table,
+)
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI
 from limbcli.version import __version__
@@ -51,6 +56,7 @@ class SynthOptions:
     usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
     contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
     one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
+    layers : read skin, fat and muscle too, as thick at first touch as `segment` tells them;
     alter : a change of the meshed model; hidden : effects in tissue and readings.
     """
 
@@ -67,6 +73,7 @@ class SynthOptions:
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()
+    layers: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +102,8 @@ def synth(
     Raises
     ------
     CaseError
-        If `out_case` is there already and `force` is not given, or is the case itself.
+        If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
+        read and `segment` tells none.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -106,7 +114,7 @@ def synth(
         copy_imaging(case, work)
         for each in measured:
             write_readings(work / each.site, each.readings)
-        table = case_table(case, {each.site: each.law for each in measured})
+        table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
         (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
     with atomic_file(truth_file(out_case)) as path:
         path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
@@ -176,6 +184,7 @@ def _measure_site(
     case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
 ) -> SyntheticSite:
     progress.event("stage", name="synth", site=site.name)
+    borders = borders_at_rest(read_result(folder, "segment"), site) if options.layers else None
     model = _meshed(case, site, folder, options, progress)
     if options.alter is not None:
         model = options.alter(model)
@@ -191,6 +200,7 @@ def _measure_site(
         progress=progress,
         change=_change([contact, *(each.in_model for each in options.hidden)]),
         change_for_waves=_change([contact, *(each.for_waves or each.in_model for each in options.hidden)]),
+        borders=borders,
     )
     law = noise_law(site.noise).times(options.noise)
     block = model.mesh.solid_blocks[0]
@@ -224,7 +234,7 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
 
 def noise_law(noise: StatedNoise) -> NoiseLaw:
     """The case's noise as the law to measure with."""
-    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction)
+    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
 
 
 # ---------------------------------------------------------------- what is written
@@ -246,11 +256,20 @@ def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[st
                 "force_n": _rounded(each.true.force),
                 "depth_mm": _rounded(each.true.depth),
                 "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
-                "noise": vars(each.law),
+                **_true_layers(each),
+                "noise": noise_table(each.law, layers=each.true.borders is not None),
             }
             for each in measured
         ],
     }
+
+
+def _true_layers(each: SiteMeasurement) -> dict[str, list[float]]:
+    """Thickness of skin and fat (mm) at every level, where they were followed."""
+    if each.true.borders is None:
+        return {}
+    upper = np.diff(each.true.borders, axis=1, prepend=0.0)
+    return {"skin_mm": _rounded(upper[:, 0]), "fat_mm": _rounded(upper[:, 1])}
 
 
 def _rounded(values: Any) -> list[float]:
