@@ -264,7 +264,7 @@ def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[st
     }
 
 
-def _true_layers(each: SiteMeasurement) -> dict[str, list[float]]:
+def _true_layers(each: SyntheticSite) -> dict[str, list[float]]:
     """Thickness of skin and fat (mm) at every level, where they were followed."""
     if each.true.borders is None:
         return {}
