@@ -44,6 +44,10 @@ bone is taken for the limb that was segmented: prior odds of one in 400 against 
 BONES_MISPLACED: Final = 4.0
 """The same for bones that lie outside the skin, so that one of the two limbs is wrong in any case. Chosen."""
 
+BONES_DECISIVE: Final = 60.0
+"""Such a gain by a limb that leaves nothing is believed before any effect is looked at; a smaller one has to
+exceed that of the best single effect on the limb as segmented. Chosen."""
+
 BONES_HOPELESS: Final = 3.0
 """Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
 that is more), above which its first force curves are enough to give it up. Chosen, for time."""

@@ -40,6 +40,7 @@ from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
+_BONES_OR_EFFECT = "one effect explains the data, and so does the limb with other bones (see `bones`)"
 
 
 @dataclass(frozen=True)
@@ -160,18 +161,26 @@ class _Diagnosed:
             self.case, self.sites, self.out, self._prepared, self._misfit, self.progress
         ).best()
         try:
-            forward_model, prepared = place.forward_model, place.prepared
-            if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
-                forward_model.turned = lambda: self._turned(prepared[0], place.out)
-            found = diagnose_bench(
-                forward_model,
-                max_effects=self.options.max_effects,
-                seed=self.options.seed,
-                progress=self.progress,
-            )
-            return [self._leave(found, place, k) for k in range(len(prepared))]
+            found = self._found(place)
+            better = place.better_than(_best_gain(found))
+            if better is not place:
+                place = better
+                found = self._found(place)
+            return [self._leave(found, place, k) for k in range(len(place.prepared))]
         finally:
             place.close()
+
+    def _found(self, place: Place) -> Diagnosis:
+        """What the diagnosis says on the limb of this place."""
+        forward_model, prepared = place.forward_model, place.prepared
+        if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
+            forward_model.turned = lambda: self._turned(prepared[0], place.out)
+        return diagnose_bench(
+            forward_model,
+            max_effects=self.options.max_effects,
+            seed=self.options.seed,
+            progress=self.progress,
+        )
 
     def _prepared(self, folder: Path) -> list[Prepared]:
         """All sites on the limb of that folder."""
@@ -211,6 +220,8 @@ class _Diagnosed:
     def _leave(self, found: Diagnosis, place: Place, k: int) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
+        if found.verdict == "named" and any(each.stand == "open" for each in place.bones):
+            found = replace(found, verdict="ambiguous", closed=False, reason=_BONES_OR_EFFECT)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
@@ -225,7 +236,7 @@ class _Diagnosed:
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
             writer.warnings.extend(place.problems)
-            writer.warnings.extend(each.sentence for each in place.bones if each.is_believed)
+            writer.warnings.extend(each.sentence for each in place.bones if each.stand != "not taken")
             content = self._content(found, place, mine)
             repeated = cycle_facts(mine.site, all_levels_of(mine.site))
             if repeated:
@@ -274,6 +285,13 @@ class _Diagnosed:
         lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
+
+
+def _best_gain(found: Diagnosis) -> float:
+    """Of chi2, by the best single effect that has an answer."""
+    before = found.shrink[0].chi2 if found.shrink else 0.0
+    left = [r.state.chi2 for r in found.refits if len(r.explanation) == 1 and not r.fitted.at_bound]
+    return max(0.0, before - min(left)) if left else 0.0
 
 
 def _not_simulated(several: Iterable[Explanation]) -> str:

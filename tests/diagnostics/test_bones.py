@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +11,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from limbcli.meshing.surfaces import tetrahedron
-from limbcli.stages.diagnosis.bones.evidence import compared, fits_badly
+from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
 from limbcli.stages.diagnosis.bones.questions import OtherBones, _from_face, _in_reach
 from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.place import Place
 
 SEEN = OtherBones("without bone_2", 12.0, left_out=("bone_2",))
 
@@ -46,18 +49,50 @@ def test_the_gain_is_that_of_the_likelihood_of_what_both_limbs_predict(rng):
     assert found.n == 6
 
 
-def test_a_limb_is_believed_from_its_own_threshold_on_and_said_so():
+def test_a_limb_has_to_beat_the_best_effect_unless_it_is_decisive():
+    rows, covariance, y = [Row("force", k) for k in range(20)], np.eye(20), np.zeros(20)
+    model = model_of(y, covariance, rows)
+    for off, speaks, decisive in ((0.7, False, False), (1.0, True, False), (2.0, True, True)):
+        found = compared(SEEN, model, fit_of(np.full(20, off)), model, fit_of(y))
+        assert found.gain == pytest.approx(20 * off**2)
+        assert (found.speaks_for_it, found.is_decisive) == (speaks, decisive)
+    assert found.beats(60.0)  # 80 of 60 and 12
+    assert not found.beats(70.0)
+    bad = compared(SEEN, model, fit_of(np.full(20, 3.0)), model, fit_of(np.full(20, 1.5)))
+    assert bad.gain == pytest.approx(135.0)
+    assert not bad.is_decisive  # it leaves something
+
+
+def test_the_page_says_what_came_of_a_limb_with_other_bones():
     rows, covariance, y = [Row("force", k) for k in range(5)], np.eye(5), np.zeros(5)
     model = model_of(y, covariance, rows)
-    for off, believed in ((1.5, False), (1.6, True)):  # 5 off^2 = 11.25, 12.8
-        found = compared(SEEN, model, fit_of(np.full(5, off)), model, fit_of(y))
-        assert found.is_believed is believed
-        assert found.to_json()["taken"] is believed
-        assert ("BONES: without bone_2" in found.sentence) is believed
+    found = compared(SEEN, model, fit_of(np.full(5, 2.0)), model, fit_of(y))
+    assert found.sentence == ""
+    assert "are not believed there" in replace(found, stand="taken").sentence
+    assert "these data do not say" in replace(found, stand="open").sentence
+    assert replace(found, stand="taken").to_json()["taken"] is True
     back = OtherBones("with bone_2 put back", 4.0, moved={"bone_2": np.ones(3)})
     worse = compared(back, model, fit_of(y), model, fit_of(np.full(5, 2.0)))
     assert worse.gain == pytest.approx(-20.0)
     assert "deviance +20" in worse.sentence
+
+
+def test_rivals_wait_until_the_effects_have_been_looked_at():
+    closed: list[str] = []
+
+    def place(name: str) -> Place:
+        return Place([SimpleNamespace(close=lambda: closed.append(name))], None, Path(name))
+
+    weak = Evidence(SEEN, 20.0, 30, fits=True)
+    for effect_gain, chosen, stand, gone in ((5.0, "other", "taken", ["own"]), (15.0, "own", "open", [])):
+        closed.clear()
+        own, other = place("own"), place("other")
+        own.rivals, own.given_up = [(weak, other)], ["tried"]
+        found = own.better_than(effect_gain)
+        assert (found.out.name, [each.stand for each in found.bones]) == (chosen, [stand])
+        assert (closed, found.given_up) == (gone, ["tried"])
+        found.close()
+        assert sorted(closed) == ["other", "own"]
 
 
 def test_a_bad_fit_is_told_by_its_chi2():

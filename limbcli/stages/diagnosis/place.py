@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from limbcli.case import Case, Site
@@ -21,20 +21,43 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared
 @dataclass(eq=False)
 class Place:
     """prepared : the sites; forward_model : theirs together; out : the folder that holds `segment` and `mesh`
-    of the limb it is on; bones : what was tried of other bones; given_up : limbs that were not looked at
-    whole, in words; problems : what kept one from being tried.
+    of the limb it is on; bones : what was tried of other bones; rivals : limbs with other bones that the
+    readings speak for, before any effect has been looked at; given_up : limbs that were not looked at whole,
+    in words; problems : what kept one from being tried.
     """
 
     prepared: list[Prepared]
     forward_model: SiteForwardModel
     out: Path
     bones: list[Evidence] = field(default_factory=list)
+    rivals: list[tuple[Evidence, Place]] = field(default_factory=list)
     given_up: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def close(self) -> None:
         for each in self.prepared:
             each.close()
+        for _, rival in self.rivals:
+            rival.close()
+
+    def instead_of(self, other: Place, found: Evidence) -> Place:
+        """This place, with what was noted of the other one, which is closed."""
+        self.bones = [*other.bones, replace(found, stand="taken")]
+        self.problems, self.given_up = other.problems, other.given_up
+        other.rivals = [(e, rival) for e, rival in other.rivals if rival is not self]
+        other.close()
+        return self
+
+    def better_than(self, effect_gain: float) -> Place:
+        """This place, or a rival that the readings speak for against the best effect, too.
+
+        effect_gain : of chi2, by the best single effect on this limb; what it leaves undecided is noted
+        """
+        rivals = sorted(self.rivals, key=lambda each: -each[0].gain)
+        if rivals and rivals[0][0].beats(effect_gain):
+            return rivals[0][1].instead_of(self, rivals[0][0])
+        self.bones += [replace(found, stand="open") for found, _ in rivals]
+        return self
 
 
 @dataclass(eq=False)
@@ -111,11 +134,14 @@ class PlaceMaker:
             tried.close()
             place.problems.append(f"the limb {other.words} was not tried: {error.what}")
             return place
-        better, worse = (tried, place) if found.is_believed else (place, tried)
-        worse.close()
-        better.bones = [*place.bones, found]
-        better.problems, better.given_up = place.problems, place.given_up
-        return better
+        if found.is_decisive:
+            return tried.instead_of(place, found)
+        if found.speaks_for_it:
+            place.rivals.append((found, tried))
+        else:
+            tried.close()
+            place.bones.append(found)
+        return place
 
 
 def _noise_of_depth(sites: Sequence[Site]) -> float:

@@ -3,38 +3,62 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2 as chi2_distribution
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Fitted
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.bones.questions import OtherBones
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 
+Stand = Literal["taken", "open", "not taken"]
+
 
 @dataclass(frozen=True)
 class Evidence:
-    """gain : of deviance, -2 ln likelihood, by the other bones, over `n` readings that both limbs predict."""
+    """gain : of deviance, -2 ln likelihood, by the other bones, over `n` readings that both limbs predict;
+    fits : whether the limb with the other bones leaves nothing; stand : what came of it, "open" where an
+    effect on the limb as segmented explains as much.
+    """
 
     other: OtherBones
     gain: float
     n: int
+    fits: bool
+    stand: Stand = "not taken"
 
     @property
-    def is_believed(self) -> bool:
+    def speaks_for_it(self) -> bool:
         return self.gain >= self.other.needed
+
+    @property
+    def is_decisive(self) -> bool:
+        """Whether no effect need be asked: it explains everything, and far more than by chance."""
+        return self.speaks_for_it and self.fits and self.gain >= thresholds.BONES_DECISIVE
+
+    def beats(self, effect_gain: float) -> bool:
+        """Whether it is believed against an effect on the limb as segmented that gains so much."""
+        return self.gain - effect_gain >= self.other.needed
 
     @property
     def sentence(self) -> str:
         """For the page: what was tried and what came of it."""
         words = self.other.words
-        if self.is_believed:
+        if self.stand == "taken":
             return (
                 f"BONES: {words} the limb fits the readings better (deviance lower by {self.gain:.0f}, "
                 f"{self.other.needed:.0f} asked for): the surfaces are not believed there, and all that "
                 "follows is of the limb so changed. Correct the segmentation."
+            )
+        if self.stand == "open":
+            return (
+                f"BONES: {words} the limb fits the readings better, too (deviance lower by {self.gain:.0f}): "
+                "whether that, or an effect on the limb as segmented, these data do not say. Look at the "
+                "segmentation first."
             )
         if self.other.is_repair:
             return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken without them."
@@ -45,7 +69,7 @@ class Evidence:
             "words": self.other.words, "left_out": list(self.other.left_out),
             "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
             "deviance_gain": self.gain, "gain_asked_for": self.other.needed, "n_readings": self.n,
-            "taken": self.is_believed,
+            "taken": self.stand == "taken", "open": self.stand == "open",
         }  # fmt: skip
 
 
@@ -63,7 +87,8 @@ def compared(
     """The limb as it was segmented (`ours`) and with other bones, both fitted without effects."""
     here, there = _rows_in_both(ours, theirs)
     gain = _deviance(ours, our_fit, here) - _deviance(theirs, their_fit, there)
-    return Evidence(other, float(gain), len(here))
+    fits = not fits_badly(theirs, their_fit, thresholds.BONES_LOOKED_AT)
+    return Evidence(other, float(gain), len(here), fits)
 
 
 def _rows_in_both(ours: SiteForwardModel, theirs: SiteForwardModel) -> tuple[IntArray, IntArray]:
