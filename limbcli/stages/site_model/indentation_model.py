@@ -90,6 +90,11 @@ def starting_depth(model: LimbModel, first_level: float) -> float:
     return float(round(beyond, 2)) if beyond <= first_level / 2 else allowed[-1]
 
 
+def skin_height(model: LimbModel) -> float:
+    """Height z (mm) of the skin's highest contact point under the flat of the probe."""
+    return float(_heights_under_flat(model).max())
+
+
 def facet_gap(model: LimbModel) -> float:
     """Depth (mm) at which the flat of the probe meets the first contact point of the skin; NaN if none.
 

@@ -1,0 +1,182 @@
+"""Forces and wave speeds of a site's model in any state, as a function of the law's shape and its stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from limbcli.effects.tissue import fibre_direction
+from limbcli.errors import SolveError
+from limbcli.inference.prediction import Prediction
+from limbcli.meshing.fibres import mean_axis
+from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.progress import SILENT, Progress
+from limbcli.shear_waves import ogden
+from limbcli.shear_waves.from_simulation import mean_speeds
+from limbcli.shear_waves.speed import material_speeds
+from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_parameters import Parameter
+from limbcli.stages.diagnosis.curves.cells import softer_jumps
+from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.prestretch import (
+    WAYS,
+    StretchAxes,
+    prestretched,
+    skin_rise,
+    through_depths,
+)
+from limbcli.units import mpa_from_pa
+
+_NODES = "nodes.csv"
+_STEP = 1e-4  # of ln of a stretch or a law's parameter
+_NO_WAVE = 1e-3  # m/s, where no wave can run
+_ALIGNED = 1e-6
+
+
+class StateCurve:
+    """One model for all states: what they differ in are two stretches.
+
+    Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1. Values
+    are forces (n_levels,) N, speeds (n_levels,) and the speed at rest (1,) over those of tissue that is stretched
+    evenly (`even_speed`), and exp of how much the skin has risen (1,) mm. Forces have exact derivatives, the
+    others none.
+
+    depths (n_levels,) mm: of the probe, from where it would touch the skin as meshed
+    """
+
+    def __init__(
+        self, model: LimbModel, law: FitLaw, ways: Sequence[str], depths: Sequence[float], *, c: float,
+        density_kg_per_m3: float, threads: int = 2, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
+        self._model = through_depths(model, list(depths))
+        self._law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
+        self._even = law.along(_one_direction(model))
+        offsets = (
+            abs(self.axes.along[1]),
+            abs(self.axes.around[1]),
+        )  # of each way to the image's lateral axis
+        self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
+        self.n_shape, self.n_solves = len(law.shape), 0
+        start = self._material(np.r_[[each.start for each in law.shape], np.ones(len(self.ways))])
+        shape = np.array([each.start for each in law.shape])
+        stretched = np.full((1, len(self.ways)), 1.1)
+        self._felt = [
+            k for k in range(len(shape))
+            if self._even_speeds(_moved(shape, k, 0.1), stretched) != self._even_speeds(shape, stretched)
+        ]  # fmt: skip
+        first = self._model.with_material(TISSUE, start)
+        self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
+
+    def stretches(self, theta: Array) -> tuple[float, float]:
+        """Along and around."""
+        along, around = self._pairs(theta[None, self.n_shape :])[0]
+        return float(along), float(around)
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        theta = np.asarray(theta, dtype=float)
+        searched = self._law.searched(self._c, theta[: self.n_shape])
+        pulled = {(TISSUE, f"F0.{way}"): self._direction(theta, way) for way in self.ways}
+        model = self._model.with_material(TISSUE, self._material(theta))
+        try:
+            result = self._session.solve(
+                self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
+                records=True,
+            )  # fmt: skip
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                where=f"reference solver, law {self._law.name}, states",
+                fix="check the depths and stretches of the states, or choose another law",
+            ) from error
+        points = result.must_points
+        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        nodes = result.simulation.nodes[_NODES]
+        moved = np.stack([nodes.column(name)[rows[0]] for name in ("ux", "uy", "uz")], axis=1)
+        rise = skin_rise(model, nodes.items, moved)
+        faces = result.simulation.probe_depth().copy()
+        faces[rows[0]] = -rise
+        speeds = mean_speeds(
+            model, result.simulation, rows, density_kg_per_m3=self._density, face_depths=faces
+        ) / np.exp(self.even_speed(theta)[0])
+        slopes = np.full((2 * len(self.depths) + 2, len(theta)), np.nan)
+        slopes[: len(self.depths)] = self._force_slopes(result.force_gradient, searched)
+        values = np.r_[points.forces[1:], speeds[1:], speeds[0], np.exp(rise)]
+        return Prediction(values, slopes)
+
+    def even_speed(self, theta: Array) -> tuple[float, Array]:
+        """ln of the speed (m/s) at rest in tissue that is stretched evenly, and d / d ln theta (n,)."""
+        shape, stretches = theta[: self.n_shape], theta[self.n_shape :]
+        n, slopes = len(stretches), np.zeros(len(theta))
+        moved = np.exp(_STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
+        found = self._even_speeds(shape, stretches * moved)
+        slopes[self.n_shape :] = (found[1 : 1 + n] - found[1 + n :]) / (2 * _STEP)
+        for k in self._felt:
+            up, down = (
+                self._even_speeds(_moved(shape, k, step), stretches[None]) for step in (_STEP, -_STEP)
+            )
+            slopes[k] = (up[0] - down[0]) / (2 * _STEP)
+        return float(found[0]), slopes
+
+    def even_speeds(self, shape: Array, stretches: Array) -> Array:
+        """ln of the speed (n,) at c0 for stretches (n, n_ways) of `ways`."""
+        return self._even_speeds(np.asarray(shape), np.asarray(stretches))
+
+    def _even_speeds(self, shape: Array, stretches: Array) -> Array:
+        law, pairs = self._even.material(self._c, shape), self._pairs(stretches)
+        terms = ogden.terms_of(law)
+        if terms is None or self._aligned is None:
+            F = np.array([self.axes.gradient(*each) for each in pairs])
+            cells = np.zeros(len(F), dtype=np.int64)
+            found = material_speeds(law, F, cells, n_cells=1, density_kg_per_m3=self._density)
+            return np.asarray(np.log(np.nan_to_num(found, nan=_NO_WAVE)))
+        modulus = ogden.principal_modulus(terms, pairs[:, self._aligned], 1.0 / (pairs[:, 0] * pairs[:, 1]))
+        return np.asarray(0.5 * np.log(modulus / mpa_from_pa(self._density)))
+
+    def _pairs(self, stretches: Array) -> Array:
+        """(n, 2) along and around, of those of `ways` (n, n_ways)."""
+        pairs = np.ones((len(stretches), 2))
+        pairs[:, [WAYS.index(way) for way in self.ways]] = stretches
+        return pairs
+
+    def tissue(self, theta: Array, *, c: float) -> Material:
+        """The law with its prestretch at another c."""
+        law = self._law.material(c, theta[: self.n_shape])
+        return prestretched(law, self.axes.gradient(*self.stretches(theta)))
+
+    def close(self) -> None:
+        self._session.close()
+
+    def _material(self, theta: Array) -> Material:
+        return self.tissue(theta, c=self._c)
+
+    def _direction(self, theta: Array, way: str) -> Array:
+        """d F_pre / d stretch, nine numbers."""
+        along, around = self.stretches(theta)
+        stretch = along if way == "along" else around
+        return np.ravel(self.axes.slope(along, around, way)) / stretch
+
+    def _force_slopes(self, found: Mapping[Parameter, Array], searched: Mapping[str, Array]) -> Array:
+        by_shape = sum(np.outer(found[(TISSUE, name)], slope) for name, slope in searched.items())
+        by_stretch = [found[(TISSUE, f"F0.{way}")] for way in self.ways]
+        return np.column_stack([np.asarray(by_shape), *by_stretch])[1:]
+
+    def _eased(self, model: LimbModel) -> LimbModel:
+        return softer_jumps(model) if self._law.has_fibres else model
+
+
+def _moved(shape: Array, k: int, step: float) -> Array:
+    """One parameter moved by a step of its logarithm."""
+    out = np.array(shape, dtype=float)
+    out[k] *= np.exp(step)
+    return out
+
+
+def _one_direction(model: LimbModel) -> tuple[float, float, float]:
+    direction = fibre_direction(model)
+    axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
+    x, y, z = mean_axis(axes)[0]
+    return float(x), float(y), float(z)
