@@ -26,8 +26,8 @@ TimeLimitOpt = Annotated[
 ObjectiveOpt = Annotated[
     str,
     typer.Option(
-        help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: as joint, "
-        "of one site's states."
+        help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: "
+        "the same for the states of one site."
     ),
 ]
 LawOpt = Annotated[

@@ -19,7 +19,7 @@ _STEP = 1e-4  # of ln theta, for its slopes
 
 @dataclass(frozen=True)
 class DerivedInterval:
-    """value at the best fit; low, high: 95 % ends, where the walk ended if open (nothing was excluded there)."""
+    """value at the best fit; low, high: 95 % ends, or where the walk ended if nothing was excluded there."""
 
     value: float
     low: float
@@ -29,8 +29,8 @@ class DerivedInterval:
 
 
 def derived_interval(
-    objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float], *,
-    low: float, high: float, pace: float, scale: float = 1.0,
+    objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
+    *, low: float, high: float, pace: float, scale: float = 1.0,
 ) -> DerivedInterval:  # fmt: skip
     """The values of `quantity` that the data do not exclude, between `low` and `high`.
 

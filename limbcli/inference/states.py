@@ -34,8 +34,8 @@ EvenSpeed = Callable[[Array], tuple[float, Array]]
 
 @dataclass(frozen=True, eq=False)
 class StateMeasurement:
-    """A state's data, and ln of its stretches: offset (n_ways,) plus factors (n_ways, n_stretches) times ln of
-    the stretch parameters. `data.knots` are depths of the probe on the common curve (mm)."""
+    """A state's data, and ln of its stretches: offset (n_ways,) plus factors (n_ways, n_stretches) times ln
+    of the stretch parameters. `data.knots` are depths of the probe on the common curve (mm)."""
 
     data: SiteMeasurement
     offset: Array
@@ -46,8 +46,8 @@ class StateMeasurement:
 class StatesTask:
     """What is fitted.
 
-    curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and exp of
-        the skin's rise (mm), for c0
+    curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and
+        exp of the skin's rise (mm), for c0
     even_speed : what those speeds are relative to
     shape, stretches : the law's parameters, and those of the states
     gain_deviation : numerical error of ln force, common to all states, as their mesh is
@@ -207,7 +207,7 @@ class StatesProblem:
 
 
 def states_fit(
-    task: StatesTask, starts: Sequence[Array], *, max_rounds: int = 6, progress: Progress = SILENT
+    task: StatesTask, starts: Sequence[Array], *, max_rounds: int = 3, progress: Progress = SILENT
 ) -> tuple[StatesProblem, Intervals]:
     """Most likely c, shape and stretches, with their profiles.
 

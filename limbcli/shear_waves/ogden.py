@@ -89,8 +89,9 @@ def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | 
 def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
     """rho0 v^2 (n,) MPa of the wave along one principal axis that moves the tissue along another.
 
-    rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), of the stretches l and q; it is what
-    `acoustic_tensor` gives for principal axes along the wave. along, moving (n,) > 0; c_k alike everywhere.
+    rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), of the stretches l and q;
+    `acoustic_tensor` gives the same for principal axes along the wave. along, moving (n,) > 0; c_k alike
+    everywhere.
 
     Source: Ogden 1984, Non-Linear Elastic Deformations, eq. 6.4.21 ff.
 

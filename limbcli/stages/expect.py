@@ -17,8 +17,8 @@ force_ratio_tet4_over_tet10 = { min = 2.0 }
 [fit-joint]
 fibre_shear = { value = 1.0, tolerance = 0.2 }
 ```
-Keys are those of `data` in fit.json, fit-elements.json, fit-states.json and mesh.json (per site), segment.json and
-fit-joint.json.
+Keys are those of `data` in fit.json, fit-elements.json, fit-states.json and mesh.json (per site),
+segment.json and fit-joint.json.
 """
 
 from __future__ import annotations

@@ -160,7 +160,8 @@ def _fit_site(
 def _one_state(site: Site) -> str:
     return (
         f"site {site.name} was measured in {len(site.states)} states; this fit is of the first "
-        f"({site.states[0].name}) and takes its tissue as unloaded. The fit of all of them (--objective states) "
+        f"({site.states[0].name}) and takes its tissue as unloaded. The fit of all of them "
+        "(--objective states) "
         "tells how far it is stretched"
     )
 

@@ -1,4 +1,4 @@
-"""fit --objective states: one tissue in several states, and the stretches that these had before they were loaded.
+"""fit --objective states: one tissue in several states, each stretched before the probe touched it.
 
 The likelihood is the joint fit's; c is free. A state adds to it where on a common curve of the simulation it
 lies: the tissue's stretch before the probe touched (`site_model.prestretch`).
@@ -42,11 +42,14 @@ _LEAST_DEPTH = 0.5  # mm, of the first of them
 
 @dataclass(frozen=True)
 class StatesOptions:
-    """law : one of `fitting.laws.LAWS`; gain_deviation : as of `fit`; max_rounds : of simulations for intervals"""
+    """law : one of `fitting.laws.LAWS`; gain_deviation : as of `fit`
+
+    max_rounds : of simulations for the intervals
+    """
 
     law: str = "ogden"
     gain_deviation: float | None = None
-    max_rounds: int = 6
+    max_rounds: int = 3
 
 
 def fit_states(
@@ -140,19 +143,26 @@ def identify(
     gain: float, max_rounds: int, progress: Progress = SILENT,
 ) -> tuple[StatesProblem, Intervals]:  # fmt: skip
     """First simulations, then the fit with its profiles."""
-    memory, shapes = SolvedPoints(curve), first_shapes(law)
-    middle, places = plan.first_places()
-    for theta in [
-        *(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)
-    ]:  # fmt: skip
-        progress.event("task", name="first simulations", done=curve.n_solves, total=len(shapes) + len(places))
-        memory(theta, tuple(range(len(theta))))
+    memory = SolvedPoints(curve)
+    first_simulations(memory, law, plan, progress=progress)
     states = [
         StateMeasurement(each, offset, factors)
         for each, offset, factors in zip(data, plan.offsets, plan.factors, strict=True)
     ]
     task = StatesTask(memory, curve.even_speed, states, law.shape, plan.parameters, c0, gain)
-    return states_fit(task, _starts(c0, shapes, plan), max_rounds=max_rounds, progress=progress)
+    return states_fit(task, starts(c0, law, plan), max_rounds=max_rounds, progress=progress)
+
+
+def first_simulations(
+    memory: SolvedPoints, law: FitLaw, plan: StretchPlan, *, progress: Progress = SILENT
+) -> None:
+    """The law's start shapes amid the states' stretches, and the first of them at the ends of these."""
+    shapes = first_shapes(law)
+    middle, places = plan.first_places()
+    thetas = [*(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)]
+    for k, theta in enumerate(thetas):
+        progress.event("task", name="first simulations", done=k, total=len(thetas))
+        memory(theta, tuple(range(len(theta))))
 
 
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
@@ -164,6 +174,15 @@ def knots(measured: Sequence[MeasuredState]) -> list[float]:
             where=", ".join(str(each.state.levels) for each in measured),
             fix="load deeper; check the column depth_mm: it grows from 0 with the load, in mm",
         )
+    return knots_to(deepest)
+
+
+def knots_to(deepest: float) -> list[float]:
+    """Depths (mm) to a little beyond the deepest, denser at first touch.
+
+    >>> knots_to(4.0)
+    [0.5, 1.064, 1.766, 2.53, 3.344, 4.2]
+    """
     depths = _BEYOND * deepest * (np.arange(1, _KNOTS + 1) / _KNOTS) ** _BEND
     depths[0] = max(depths[0], _LEAST_DEPTH)
     return [float(each) for each in np.unique(np.round(depths, 3))]
@@ -177,13 +196,13 @@ def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -
     return 2 * float(shear_modulus_from_wave_speed(speed, density_kg_per_m3=site.density_kg_per_m3)[0])
 
 
-def _starts(c0: float, shapes: Sequence[Array], plan: StretchPlan) -> list[Array]:
-    """Every shape with the stretches' start values, and the last shape with each of them moved."""
-    values = np.array([each.start for each in plan.parameters])
-    starts = [np.r_[c0, shape, values] for shape in shapes]
+def starts(c0: float, law: FitLaw, plan: StretchPlan) -> list[Array]:
+    """Every start shape with the stretches' start values, and the last with each of these moved."""
+    shapes, values = first_shapes(law), np.array([each.start for each in plan.parameters])
+    found = [np.r_[c0, shape, values] for shape in shapes]
     for j, parameter in enumerate(plan.parameters):
         for factor in (0.88, 1.14):
             moved = values.copy()
             moved[j] = np.clip(factor * values[j], parameter.low, parameter.high)
-            starts.append(np.r_[c0, shapes[-1], moved])
-    return starts
+            found.append(np.r_[c0, shapes[-1], moved])
+    return found

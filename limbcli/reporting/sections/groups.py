@@ -36,8 +36,8 @@ class SectionGroup:
 
 
 SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, states, repeated_loading, layers, diagnosis, profiles, elastography, elements, deformation,
-    fibres, mesh, mesh_study, convergence,
+    force_over_depth, states, repeated_loading, layers, diagnosis, profiles, elastography, elements,
+    deformation, fibres, mesh, mesh_study, convergence,
 )  # fmt: skip
 
 

@@ -35,10 +35,10 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=tuple(_pictures(result, site.name)),
         tables=(_parameters(data, locks=locks), _states(data)),
-        look_for="states on both sides of the lowest point, a curve through all of them, and one law that meets "
-        "force and speed in each: then the stretch at which the tissue is unloaded is a finding",
-        bad="states that lie on one slope of the curve: where it is lowest is then not told by these data, and "
-        "a lowest point beyond the measured states rests on the law alone",
+        look_for="states on both sides of the lowest point, a curve through all of them, and one law "
+        "that meets force and speed in each: then the stretch at which the tissue is unloaded is a finding",
+        bad="states that lie on one slope of the curve: where it is lowest is then not told by these "
+        "data, and a lowest point beyond the measured states rests on the law alone",
         notes=tuple(_notes(data)),
         warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
     )
@@ -46,9 +46,12 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
 
 def _pictures(result: StageResult, site: str) -> list[Picture]:
     texts = {
-        "states": ("stretch", f"Shear-wave speed at rest over stretch: the states of site {site} and the law."),
-        "picture": ("states", f"Force over depth and speed over force in each state of site {site}, with the fit."),
-        "profiles": ("states-profiles", "Fall of the likelihood over the law's parameters and the stretches."),
+        "states": ("stretch", f"Shear-wave speed at rest over stretch: the states of site {site} and "
+        "the law."),
+        "picture": ("states", f"Force over depth and speed over force in each state of site {site}, "
+        "with the fit."),
+        "profiles": ("states-profiles", "Fall of the likelihood over the law's parameters and the "
+        "stretches."),
     }  # fmt: skip
     return [
         Picture(f"{name}-{site}", alt, source=result.path(key), vector=False)
@@ -103,12 +106,14 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         if found is not None:
             notes.append(
                 f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, as the case "
-                "counts. That is not where its speed is least: waves also feel which way tissue is stretched, "
+                "counts. That is not where its speed is least: waves also feel which way tissue is "
+                "stretched, "
                 "however soft it is."
             )
     for way, each in (data.get("taken_as_unloaded") or {}).items():
         notes.append(
-            f"{way.capitalize()} the limb the states tell one and the same stretch ({quantity(each, '')}); the "
+            f"{way.capitalize()} the limb the states tell one and the same stretch "
+            f"({quantity(each, '')}); the "
             "tissue is taken as unloaded there."
         )
     notes.append(
@@ -132,10 +137,12 @@ def _by_states(way: str, found: Mapping[str, Any]) -> str:
         return f"The measured speeds alone do not curve upwards {way} the limb within their noise."
     if not found.get("told"):
         return (
-            f"By a parabola through the measured speeds alone the least would be at {found['stretch']:.2f} {way} the "
+            f"By a parabola through the measured speeds alone the least would be at "
+            f"{found['stretch']:.2f} {way} the "
             "limb, but they curve by no more than their noise."
         )
     return (
-        f"By a parabola through the measured speeds alone the least is at {found['stretch']:.2f} {way} the limb "
+        f"By a parabola through the measured speeds alone the least is at {found['stretch']:.2f} "
+        f"{way} the limb "
         f"(95 %: {found['low']:.2f} to {found['high']:.2f})."
     )

@@ -25,9 +25,9 @@ _AT_END = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """Of one way. by_law: of ln stretch, in the case's count where it tells stretches; of_states: of the same,
-    None where fewer than three states tell theirs. counted : "case" or "unloaded"; measured : ln of the least
-    and the greatest stretch of the states, at the best fit
+    """Of one way. by_law: of ln stretch, in the case's count where it tells stretches; of_states: of the
+    same, None where fewer than three states tell theirs. counted : "case" or "unloaded"; measured : ln of
+    the least and the greatest stretch of the states, at the best fit
     """
 
     way: str
@@ -52,8 +52,9 @@ class LeastStiffness:
         )
         if not self.is_told:
             return (
-                f"{self.way} the limb, the state of least stiffness is not told by these data: {self._excluded()}"
-                ". The speeds at rest do not curve enough over the stretches measured; measure states further "
+                f"{self.way} the limb, the state of least stiffness is not told by these data: "
+                f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
+                "measure states further "
                 "apart, shorter ones above all"
             )
         at, low, high = np.exp([self.by_law.value, self.by_law.low, self.by_law.high])
@@ -91,8 +92,8 @@ class LeastStiffness:
             "stretch": float(np.exp(law.value)),
             "low": None if law.open_low else float(np.exp(law.low)),
             "high": None if law.open_high else float(np.exp(law.high)),
-            "told": self.is_told, "beyond_measured_states": self.is_beyond, "counted_from": self.counted, "words": self.words(),
-            "by_parabola_through_states": of_states,
+            "told": self.is_told, "beyond_measured_states": self.is_beyond, "counted_from": self.counted,
+            "words": self.words(), "by_parabola_through_states": of_states,
         }  # fmt: skip
 
 
@@ -119,11 +120,12 @@ def _of_way(
     grid = np.ones((len(_GRID), len(plan.ways)))
     grid[:, column] = np.exp(_GRID)
 
+    def counted(theta: Array) -> float:
+        """ln of the told stretch that is unloaded."""
+        return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
+
     def quantity(theta: Array) -> float:
-        elastic = lowest_on_grid(_GRID, curve.even_speeds(theta[1 : 1 + problem.n_shape], grid))
-        if not in_case:
-            return elastic
-        return elastic + float(np.log(theta[place] if place is not None else zero))
+        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(theta[1 : 1 + problem.n_shape], grid))
 
     low, high = _GRID[0] + _AT_END, _GRID[-1] - _AT_END
     if place is not None:
@@ -135,11 +137,9 @@ def _of_way(
         problem.objective(), problem.parameters, found.fit, quantity, low=low, high=high, pace=_PACE,
         scale=found.scale,
     )  # fmt: skip
-    logs = [float(np.log(plan.elastic(k, way, problem.stretch_values(found.best)))) for k in range(len(told))]
-    shift = quantity(found.best) - lowest_on_grid(
-        _GRID, curve.even_speeds(found.best[1 : 1 + problem.n_shape], grid)
-    )
-    measured = (min(logs) + shift, max(logs) + shift)
+    values = problem.stretch_values(found.best)
+    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(told))]
+    measured = (float(min(logs)), float(max(logs)))
     return LeastStiffness(way, "case" if in_case else "unloaded", by_law, _of_states(problem, told), measured)
 
 

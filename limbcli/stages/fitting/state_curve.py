@@ -1,4 +1,4 @@
-"""Forces and wave speeds of a site's model in any state, as a function of the law's shape and its stretches."""
+"""Forces and wave speeds of a site's model in any state, by the law's shape and its stretches."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ _ALIGNED = 1e-6
 class StateCurve:
     """One model for all states: what they differ in are two stretches.
 
-    Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1. Values
-    are forces (n_levels,) N, speeds (n_levels,) and the speed at rest (1,) over those of tissue that is stretched
-    evenly (`even_speed`), and exp of how much the skin has risen (1,) mm. Forces have exact derivatives, the
-    others none.
+    Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1.
+    Values are forces (n_levels,) N, speeds (n_levels,) and the speed at rest (1,) over those of tissue that
+    is stretched evenly (`even_speed`), and exp of how much the skin has risen (1,) mm. Forces have exact
+    derivatives, the others none.
 
     depths (n_levels,) mm: of the probe, from where it would touch the skin as meshed
     """

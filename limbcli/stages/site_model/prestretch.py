@@ -5,8 +5,8 @@ mesh was made. F_pre is even and keeps the volume:
 
     F_pre = l_along a (x) a + l_around t (x) t + 1 / (l_along l_around) z (x) z
 
-with a along the limb, t around it, z outward at the site. It comes in with a load curve, while the probe stands
-clear; the tissue comes to rest between bone, cut planes and a free skin, and then the probe goes down.
+with a along the limb, t around it, z outward at the site. It comes in with a load curve, while the probe
+stands clear; the tissue comes to rest between bone, cut planes and a free skin, and then the probe goes down.
 
 Source: Johnson and Hoger 1995, J Elasticity 41:177 (split); Maas et al. 2016, J Biomech 49:2015 ("prestrain
 elastic" of FEBio, which is what `feb` writes).
@@ -20,7 +20,7 @@ import numpy as np
 
 from limbcli.effects.tissue import limb_axis
 from limbcli.feb.settings import FIRST_STEP_S, SECONDS_PER_MM, schedule, whole_steps
-from limbcli.model import Array, Curve, Curved, LimbModel, Material
+from limbcli.model import Array, Curve, Curved, IntArray, LimbModel, Material
 from limbcli.stages.site_model.indentation_model import TRAVEL, skin_height, start_at, starting_depth
 
 RAMP = "prestretch"  # the name of its load curve
@@ -90,7 +90,7 @@ def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True)
     return replace(start_at(model, start), curves=curves, steps=(step,))
 
 
-def skin_rise(model: LimbModel, nodes: Array, displacement: Array) -> float:
+def skin_rise(model: LimbModel, nodes: IntArray, displacement: Array) -> float:
     """How much higher (mm) the probe meets the skin after nodes (n,) have moved by (n, 3) mm."""
     points = model.mesh.points.copy()
     points[nodes] += displacement

@@ -35,7 +35,7 @@ def states_of(site: Site) -> list[MeasuredState]:
 
 
 def state_problems(case: Case) -> list[Problem]:
-    """What is wrong with the states' rest rows; what else is wrong with the files is left to their readers."""
+    """What is wrong with the states' rest rows; the rest is left to their files' readers."""
     return [
         problem
         for site in case.sites
@@ -76,7 +76,7 @@ def _without_rest(site: Site, state: State, levels: Levels) -> Problem | None:
     return Problem(
         f"state {state.name} of site {site.name} has no {lacks}",
         str(state.levels),
-        "make its first row the reading at first touch, 0 N and 0 mm, with swe_mean_m_per_s; the stretch of a "
-        "state is told by its speed at rest",
+        "make its first row the reading at first touch, 0 N and 0 mm, with swe_mean_m_per_s; the "
+        "stretch of a state is told by its speed at rest",
         family="measurement",
     )
