@@ -25,6 +25,8 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _LEAST_KNOT = 1e-3  # mm
+_LEAST = 1e-9  # of forces (N) and speeds (relative)
+_MOST_RISE = 3.0  # mm, of the skin; the probe waits further off
 _FOR_THE_BEST = 4  # rounds of simulations before any interval
 _NEAR = 0.05  # a best fit counts as simulated within this, in ln of the curve's parameters
 _SURE = 0.05  # error of the surrogate in a state, in standard deviations of its data
@@ -101,18 +103,23 @@ class StatesProblem:
         x, data = self.place(k, theta), self.task.states[k].data
         n, answer = len(data.knots), self.emulator(x)
         assert answer.jacobian is not None
-        by_log = answer.jacobian * x / answer.values[:, None]
+        known = np.maximum(
+            answer.values, _LEAST
+        )  # far from all that was solved the surrogate may say anything
+        by_log = answer.jacobian * x / known[:, None]
         even, even_by = self.task.even_speed(x)
-        rise, rise_by = float(np.log(answer.values[-1])), by_log[-1]
+        rise, rise_by = float(np.log(known[-1])), by_log[-1]
+        if abs(rise) > _MOST_RISE:
+            rise, rise_by = float(np.sign(rise)) * _MOST_RISE, np.zeros(len(x))
         relative = slice(n, 2 * n)
-        speeds = answer.values[relative] * np.exp(even)
-        values = np.r_[answer.values[:n], speeds]
+        speeds = known[relative] * np.exp(even)
+        values = np.r_[known[:n], speeds]
         jacobian = np.vstack([answer.jacobian[:n], (by_log[relative] + even_by) * speeds[:, None] / x])
         knots = np.maximum(data.knots + rise, _LEAST_KNOT * np.arange(1, n + 1))
         found = predict_site(
             lambda shape, wrt=(): Prediction(values, jacobian), replace(data, knots=knots), x,
             c_ratio=float(theta[0]) / self.task.c0, gain=self.gain(theta),
-            log_speed_0=lambda shape: (even + float(np.log(answer.values[2 * n])), even_by + by_log[2 * n]),
+            log_speed_0=lambda shape: (even + float(np.log(known[2 * n])), even_by + by_log[2 * n]),
         )  # fmt: skip
         share = np.minimum(found.depth / knots[0], 1.0)  # of the rise: the origin is where the skin is
         found.depth_slope[:, 2:] += share[:, None] * rise_by

@@ -36,7 +36,7 @@ from limbcli.stages.fitting.state_plan import plan_of
 from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
-FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.1, 0.03, 1000.0
+FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.03, 1000.0
 GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
 
 
@@ -107,9 +107,9 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
 def write_case(folder, levels, forces, names):
     for name, (force, depth, speed) in zip(names, noisy(levels, forces, 7), strict=True):
         rows = ["force_n,depth_mm,swe_mean_m_per_s"]
-        rows += [
-            f"{f:.2f},{d:.2f},{v:.3f}" for f, d, v in zip(np.maximum(force, 0), depth, speed, strict=True)
-        ](folder / name).mkdir(parents=True, exist_ok=True)
+        table = zip(np.maximum(force, 0.0), depth, speed, strict=True)
+        rows += [f"{f:.2f},{d:.2f},{v:.3f}" for f, d, v in table]
+        (folder / name).mkdir(parents=True, exist_ok=True)
         (folder / name / "levels.csv").write_text("\n".join(rows) + "\n")
 
 
@@ -125,9 +125,9 @@ def main():
     parser.add_argument("--m", type=float, default=6.0)
     parser.add_argument("--unloaded", type=float, default=0.95)
     parser.add_argument("--told", type=float, nargs="+", default=[0.72, 0.9, 1.1])
-    parser.add_argument("--step-n", type=float, default=1.0)
-    parser.add_argument("--max-force-n", type=float, default=8.0)
-    parser.add_argument("--max-depth-mm", type=float, default=5.0)
+    parser.add_argument("--step-n", type=float, default=0.5)
+    parser.add_argument("--max-force-n", type=float, default=4.0)
+    parser.add_argument("--max-depth-mm", type=float, default=6.0)
     given = parser.parse_args()
     truth = {
         "c": mpa_from_kpa(given.c_kpa), "f_kappa": given.f_kappa, "m": given.m,

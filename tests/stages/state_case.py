@@ -19,20 +19,19 @@ from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 C, LAW = 0.006, "ogden"  # MPa
-SHAPE = np.array([50.0, 4.0])  # f_kappa, m
-UNLOADED = 0.95  # the told stretch along the limb at which the truth is unloaded
-TOLD = {"bent": 0.8, "middle": 0.95, "straight": 1.15}
+SHAPE = np.array([50.0, 6.0])  # f_kappa, m
+WAY = "around"  # the image's lateral axis, as the probe lies across the limb
+UNLOADED = 0.95  # the told stretch at which the truth is unloaded
+TOLD = {"middle": 0.9, "bent": 0.72, "straight": 1.1}
 DENSITY = 1000.0
-FORCES = np.arange(0.0, 7.0)
+FORCES = np.arange(0.0, 6.0)
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.05, 0.05, 0.03
-OTHER_MESH = (9, 7, 4)  # cells of the block that is measured; the fit's has block_case's
+FIT_MESH, OTHER_MESH = (8, 6, 3), (9, 7, 4)  # cells of the block that is fitted, and of one that is measured
 
 
-def curve(
-    ways: Sequence[str] = ("along",), *, counts: tuple[int, int, int] = (8, 6, 3), element: str = "tet4"
-):
+def curve(ways: Sequence[str] = (WAY,), *, counts: tuple[int, int, int] = FIT_MESH):
     model = indentation_model(
-        block.block_model(element, counts=counts), schedule([1.0, 2.0]), c=C, f_kappa=100.0, m=2.0
+        block.block_model(counts=counts), schedule([1.0, 2.0]), c=C, f_kappa=100.0, m=2.0
     )
     return StateCurve(
         model, LAWS[LAW], ways, [0.4, 1.0, 1.8, 2.8, 3.8], c=C, density_kg_per_m3=DENSITY, threads=1
@@ -75,8 +74,8 @@ def case_text(told: Mapping[str, float | None], *, more: str = "") -> str:
     )
     text = text.replace("depth_mm = 0.1", f"depth_mm = {DEPTH_SD}")
     for name, stretch in told.items():
-        known = "" if stretch is None else f"stretch_along = {stretch}\n"
-        text += f'[[site.state]]\nname = "{name}"\n{known}stretch_around = 1.0\nlevels = "{name}.csv"\n'
+        known = "" if stretch is None else f"stretch_{WAY} = {stretch}\n"
+        text += f'[[site.state]]\nname = "{name}"\n{known}stretch_along = 1.0\nlevels = "{name}.csv"\n'
     return text
 
 
