@@ -8,7 +8,7 @@ state adds is where on it the state lies: ln of its stretches is a constant plus
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,9 +24,7 @@ from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, predic
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_LEAST_KNOT = 1e-3  # mm
 _LEAST = 1e-9  # of forces (N) and speeds (relative)
-_MOST_RISE = 3.0  # mm, of the skin; the probe waits further off
 _FOR_THE_BEST = 4  # rounds of simulations before any interval
 _NEAR = 0.05  # a best fit counts as simulated within this, in ln of the curve's parameters
 _SURE = 0.05  # error of the surrogate in a state, in standard deviations of its data
@@ -103,27 +101,18 @@ class StatesProblem:
         x, data = self.place(k, theta), self.task.states[k].data
         n, answer = len(data.knots), self.emulator(x)
         assert answer.jacobian is not None
-        known = np.maximum(
-            answer.values, _LEAST
-        )  # far from all that was solved the surrogate may say anything
+        known = np.maximum(answer.values, _LEAST)  # far off the surrogate may say anything
         by_log = answer.jacobian * x / known[:, None]
         even, even_by = self.task.even_speed(x)
-        rise, rise_by = float(np.log(known[-1])), by_log[-1]
-        if abs(rise) > _MOST_RISE:
-            rise, rise_by = float(np.sign(rise)) * _MOST_RISE, np.zeros(len(x))
         relative = slice(n, 2 * n)
         speeds = known[relative] * np.exp(even)
         values = np.r_[known[:n], speeds]
         jacobian = np.vstack([answer.jacobian[:n], (by_log[relative] + even_by) * speeds[:, None] / x])
-        knots = np.maximum(data.knots + rise, _LEAST_KNOT * np.arange(1, n + 1))
-        found = predict_site(
-            lambda shape, wrt=(): Prediction(values, jacobian), replace(data, knots=knots), x,
+        return predict_site(
+            lambda shape, wrt=(): Prediction(values, jacobian), data, x,
             c_ratio=float(theta[0]) / self.task.c0, gain=self.gain(theta),
             log_speed_0=lambda shape: (even + float(np.log(known[2 * n])), even_by + by_log[2 * n]),
         )  # fmt: skip
-        share = np.minimum(found.depth / knots[0], 1.0)  # of the rise: the origin is where the skin is
-        found.depth_slope[:, 2:] += share[:, None] * rise_by
-        return found
 
     def objective(self) -> Objective:
         def residual(theta: Array, derivative: bool = True) -> Residual:
@@ -180,9 +169,7 @@ class StatesProblem:
         force = np.interp(found.depth, data.knots, deviation[:n]) * data.force / found.stiffness
         at = np.interp(data.speed_force, np.r_[0.0, data.force], np.r_[0.0, found.depth])
         speed = np.interp(at, np.r_[0.0, data.knots], np.r_[deviation[2 * n], deviation[n : 2 * n]])
-        terms = np.r_[
-            force / self._weights[k], speed / data.speed_deviation, deviation[-1] / data.depth_deviation
-        ]
+        terms = np.r_[force / self._weights[k], speed / data.speed_deviation]
         return float(np.sqrt(np.sum(terms**2)))
 
     def distance(self, theta: Array) -> float:

@@ -52,7 +52,7 @@ def true_levels(model, truth, told, forces, max_depth_mm):
     for each in told:
         theta = np.array([truth["f_kappa"], truth["m"], each / truth["unloaded_stretch_along"]])
         values, n = curve(theta).values, len(curve.depths)
-        depths = np.r_[0.0, curve.depths + np.log(values[-1])]
+        depths = np.r_[0.0, curve.depths]
         at = pchip_inverse(depths, np.r_[0.0, values[:n]], forces)
         logs = np.log(np.r_[values[2 * n], values[n : 2 * n]]) + curve.even_speed(theta)[0]
         found.append((at, np.exp(pchip_sample(depths, logs, at).values)))

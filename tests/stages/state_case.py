@@ -41,9 +41,8 @@ def curve(ways: Sequence[str] = (WAY,), *, counts: tuple[int, int, int] = FIT_ME
 def true_levels(made: StateCurve, stretches: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Depth from first touch (mm) and speed (m/s) at `FORCES`."""
     theta, n = np.r_[SHAPE, stretches], len(made.depths)
-    values = made(theta).values
-    rise, even = np.log(values[-1]), np.exp(made.even_speed(theta)[0])
-    depths, forces = np.r_[0.0, made.depths + rise], np.r_[0.0, values[:n]]
+    values, even = made(theta).values, np.exp(made.even_speed(theta)[0])
+    depths, forces = np.r_[0.0, made.depths], np.r_[0.0, values[:n]]
     at = pchip_inverse(depths, forces, FORCES)
     speeds = np.r_[values[2 * n], values[n : 2 * n]] * even
     return at, np.exp(pchip_sample(depths, np.log(speeds), at).values)

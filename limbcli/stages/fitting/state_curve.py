@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import SolveError
+from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction
 from limbcli.meshing.fibres import mean_axis
 from limbcli.model import Array, ElementMap, LimbModel, Material
@@ -33,17 +35,19 @@ _NODES = "nodes.csv"
 _STEP = 1e-4  # of ln of a stretch or a law's parameter
 _NO_WAVE = 1e-3  # m/s, where no wave can run
 _ALIGNED = 1e-6
+_BEYOND = 0.4  # mm: simulated beyond the last depth, as the skin may have sunk
+_CLEAR = 0.05  # mm: levels that are hardly touched are left out
 
 
 class StateCurve:
     """One model for all states: what they differ in are two stretches.
 
     Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1.
-    Values are forces (n_levels,) N, speeds (n_levels,) and the speed at rest (1,) over those of tissue that
-    is stretched evenly (`even_speed`), and exp of how much the skin has risen (1,) mm. Forces have exact
-    derivatives, the others none.
+    Values are forces (n_levels,) N at depths from first touch, as it is in that state, then speeds
+    (n_levels,) and the speed at rest (1,) over those of tissue that is stretched evenly (`even_speed`).
+    Forces have exact derivatives, speeds none.
 
-    depths (n_levels,) mm: of the probe, from where it would touch the skin as meshed
+    depths (n_levels,) mm, from first touch
     """
 
     def __init__(
@@ -51,7 +55,7 @@ class StateCurve:
         density_kg_per_m3: float, threads: int = 2, progress: Progress = SILENT,
     ):  # fmt: skip
         self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
-        self._model = through_depths(model, list(depths))
+        self._model = through_depths(model, [*depths, depths[-1] + _BEYOND])
         self._law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
         self._even = law.along(_one_direction(model))
         offsets = (
@@ -84,7 +88,7 @@ class StateCurve:
         try:
             result = self._session.solve(
                 self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
-                records=True,
+                records=True, field_gradients=(_NODES,),
             )  # fmt: skip
         except ArithmeticError as error:
             raise SolveError(
@@ -96,16 +100,33 @@ class StateCurve:
         rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
         nodes = result.simulation.nodes[_NODES]
         moved = np.stack([nodes.column(name)[rows[0]] for name in ("ux", "uy", "uz")], axis=1)
-        rise = skin_rise(model, nodes.items, moved)
+        rise, weights = skin_rise(model, nodes.items, moved)
+        lifted = {key: weights @ each[_NODES].column("uz")[0] for key, each in result.field_gradient.items()}
         faces = result.simulation.probe_depth().copy()
         faces[rows[0]] = -rise
         speeds = mean_speeds(
             model, result.simulation, rows, density_kg_per_m3=self._density, face_depths=faces
-        ) / np.exp(self.even_speed(theta)[0])
-        slopes = np.full((2 * len(self.depths) + 2, len(theta)), np.nan)
-        slopes[: len(self.depths)] = self._force_slopes(result.force_gradient, searched)
-        values = np.r_[points.forces[1:], speeds[1:], speeds[0], np.exp(rise)]
-        return Prediction(values, slopes)
+        )
+        return self._from_touch(
+            points.depths[1:] + rise, points.forces[1:], self._slopes(result.force_gradient, searched)[1:],
+            self._slopes(lifted, searched)[0], speeds / np.exp(self.even_speed(theta)[0]),
+        )  # fmt: skip
+
+    def _from_touch(
+        self, depths: Array, forces: Array, force_slopes: Array, rise_slopes: Array, speeds: Array
+    ) -> Prediction:
+        """What was simulated at `depths` from first touch (n,), read at those of the curve.
+
+        force_slopes (n, n_theta), rise_slopes (n_theta,) : by theta; speeds (1 + n,) : at rest first
+        """
+        clear = depths > _CLEAR
+        at = np.minimum(self.depths, depths[-1])
+        knots = np.r_[0.0, depths[clear]]
+        force = pchip_sample(knots, np.r_[0.0, forces[clear]], at)
+        slopes = force.weights[:, 1:] @ force_slopes[clear] - np.outer(force.slopes, rise_slopes)
+        speed = pchip_sample(knots, np.r_[speeds[0], speeds[1:][clear]], at).values
+        unknown = np.full((len(at) + 1, slopes.shape[1]), np.nan)
+        return Prediction(np.r_[force.values, speed, speeds[0]], np.vstack([slopes, unknown]))
 
     def even_speed(self, theta: Array) -> tuple[float, Array]:
         """ln of the speed (m/s) at rest in tissue that is stretched evenly, and d / d ln theta (n,)."""
@@ -159,10 +180,11 @@ class StateCurve:
         stretch = along if way == "along" else around
         return np.ravel(self.axes.slope(along, around, way)) / stretch
 
-    def _force_slopes(self, found: Mapping[Parameter, Array], searched: Mapping[str, Array]) -> Array:
+    def _slopes(self, found: Mapping[Parameter, Any], searched: Mapping[str, Array]) -> Array:
+        """By theta (n, n_theta), of what was differentiated by material parameters and by the prestrain."""
         by_shape = sum(np.outer(found[(TISSUE, name)], slope) for name, slope in searched.items())
-        by_stretch = [found[(TISSUE, f"F0.{way}")] for way in self.ways]
-        return np.column_stack([np.asarray(by_shape), *by_stretch])[1:]
+        by_stretch = [np.atleast_1d(found[(TISSUE, f"F0.{way}")]) for way in self.ways]
+        return np.column_stack([np.asarray(by_shape), *by_stretch])
 
     def _eased(self, model: LimbModel) -> LimbModel:
         return softer_jumps(model) if self._law.has_fibres else model

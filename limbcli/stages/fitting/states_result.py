@@ -97,7 +97,6 @@ def _state(
         "swe_at_rest_m_per_s": float(np.exp(data.log_speed[rest])),
         "swe_at_rest_fitted_m_per_s": float(np.exp(seen.log_speed[rest])),
         "n_levels": len(data.force),
-        "skin_rise_mm": float(np.log(problem.emulator(problem.place(k, found.best)).values[-1])),
         "depth_rms_mm": float(np.sqrt(np.mean((data.depth - seen.depth) ** 2))),
         "speed_rms_fraction": float(np.sqrt(np.mean((data.log_speed - seen.log_speed) ** 2))),
     }

@@ -21,7 +21,7 @@ import numpy as np
 from limbcli.effects.tissue import limb_axis
 from limbcli.feb.settings import FIRST_STEP_S, SECONDS_PER_MM, schedule, whole_steps
 from limbcli.model import Array, Curve, Curved, IntArray, LimbModel, Material
-from limbcli.stages.site_model.indentation_model import TRAVEL, skin_height, start_at, starting_depth
+from limbcli.stages.site_model.indentation_model import TRAVEL, start_at, starting_depth, touched_first
 
 RAMP = "prestretch"  # the name of its load curve
 CLEAR_MM = 5.0  # the probe above first touch, while the tissue comes to rest
@@ -90,9 +90,16 @@ def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True)
     return replace(start_at(model, start), curves=curves, steps=(step,))
 
 
-def skin_rise(model: LimbModel, nodes: IntArray, displacement: Array) -> float:
-    """How much higher (mm) the probe meets the skin after nodes (n,) have moved by (n, 3) mm."""
+def skin_rise(model: LimbModel, nodes: IntArray, displacement: Array) -> tuple[float, Array]:
+    """How much higher (mm) the probe meets the skin after nodes (n,) have moved by (n, 3) mm.
+
+    Also what each node's movement along z adds to it (n,): the place that is touched first is that of three.
+    """
     points = model.mesh.points.copy()
     points[nodes] += displacement
     moved = replace(model, mesh=replace(model.mesh, points=points))
-    return skin_height(moved) - skin_height(model)
+    (corners, share), (before, before_share) = touched_first(moved), touched_first(model)
+    weights = np.zeros(len(model.mesh.points))
+    weights[corners] = share
+    rise = weights @ points[:, 2] - before_share @ model.mesh.points[before, 2]
+    return float(rise), weights[nodes]
