@@ -65,6 +65,8 @@ def derived_interval(
         for _ in range(int(np.ceil(abs(stop - value) / pace))):
             outside = float(np.clip(inside + sign * pace, low, high))
             deviance, moved = at(outside, theta)
+            if not np.isfinite(deviance):  # the parameters' bounds end the walk, not the data
+                break
             if deviance > THRESHOLD_95:
                 inside = _crossing(at, (inside, deviance_inside, theta), (outside, deviance))
                 is_open = False
