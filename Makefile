@@ -47,10 +47,16 @@ lint: env        ## style and format
 types: env       ## type checks
 	$(BIN)/mypy
 
-test: lint types      ## everything that must hold
+# The solver's kernels are compiled once, beside the checks of style and types, before two test processes would each
+# compile the same.
+COMPILE := $(BIN)/python -m limbcli.stages.machine.kernels
+
+test: env        ## everything that must hold
+	@$(ONE) $(COMPILE) & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations=15
 
-test-quick: env  ## the part that answers in a minute and a half
+test-quick: env  ## the part that answers sooner
+	@$(ONE) $(COMPILE)
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 # Only what changed is redone; one that fails does not stop the others. The shell takes CASES apart: any paths

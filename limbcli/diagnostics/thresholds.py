@@ -35,6 +35,22 @@ MANY_DATA: Final = 250
 N_DRAWS_OF_MANY: Final = 5000
 """Draws for that many data: at p = 0.05 a deviation of 0.003. Chosen, for time."""
 
+# ------------------------------------------------ before detection: are the bones where they are said to be?
+
+BONES_SEEN: Final = 12.0
+"""Gain of deviance (-2 ln likelihood, readings that both limbs predict) from which on a limb without a small
+bone is taken for the limb that was segmented: prior odds of one in 400 against it. Chosen."""
+
+BONES_MISPLACED: Final = 4.0
+"""The same for bones that lie outside the skin, so that one of the two limbs is wrong in any case. Chosen."""
+
+BONES_HOPELESS: Final = 3.0
+"""Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if that is
+more), above which its first force curves are enough to give it up. Chosen, for time."""
+
+BONES_LOOKED_AT: Final = 0.05
+"""p of the fit without effects, below which a limb without a small bone is looked at. Convention."""
+
 # ------------------------------------------------ identification: what is refitted
 
 REFIT_BELOW: Final = 0.2

@@ -56,6 +56,28 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
     return found + _twice(bones, where) + _side(bones, limb, where)
 
 
+def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[str, ...]:
+    """The bones of which so much lies outside the skin that they were brought in another frame.
+
+    surfaces : "skin" and the bones by name, mm, patient LPS
+
+    Raises
+    ------
+    MeshError
+        If the skin is no body at all.
+    """
+    mended = mend(surfaces[SKIN], [], where=where)
+    distance = _distance_of(mended.skin)
+    found = []
+    for name, bone in surfaces.items():
+        if name == SKIN:
+            continue
+        depth = _heights(_some(bone.points), mended.skin, distance)
+        if float((depth > _OUT_MM).mean()) > _OUT_SHARE[1]:
+            found.append(name)
+    return tuple(found)
+
+
 def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
     """Volumes in cm3 against what limbs have."""
     found = []

@@ -27,11 +27,11 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
-from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
-from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
+from limbcli.stages.diagnosis.place import Place, PlaceMaker
+from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
@@ -156,46 +156,61 @@ class _Diagnosed:
         }
 
     def all(self) -> list[StageResult]:
-        prepared: list[Prepared] = []
-        extras = known(self.options.measured)
+        place = PlaceMaker(
+            self.case, self.sites, self.out, self._prepared, self._misfit, self.progress
+        ).best()
         try:
-            for site in self.sites:
-                more = extras if not prepared else []
-                prepared.append(
-                    prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
-                            extras=more, progress=self.progress)
-                )  # fmt: skip
-            forward_model = SiteForwardModel([each.curves for each in prepared])
-            if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
-                forward_model.turned = lambda: self._turned(prepared[0])
-            forward_model.settle_noise()
+            forward_model, prepared = place.forward_model, place.prepared
+            if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
+                forward_model.turned = lambda: self._turned(prepared[0], place.out)
             found = diagnose_bench(
                 forward_model,
                 max_effects=self.options.max_effects,
                 seed=self.options.seed,
                 progress=self.progress,
             )
-            return [self._leave(found, forward_model, prepared, k) for k in range(len(prepared))]
+            return [self._leave(found, place, k) for k in range(len(prepared))]
         finally:
+            place.close()
+
+    def _prepared(self, folder: Path) -> list[Prepared]:
+        """All sites on the limb of that folder."""
+        prepared: list[Prepared] = []
+        extras = known(self.options.measured)
+        try:
+            for site in self.sites:
+                more = extras if not prepared else []
+                prepared.append(
+                    prepare(self.case, site, self.effects, out=folder, mesh=self.options.mesh,
+                            extras=more, progress=self.progress)
+                )  # fmt: skip
+        except BaseException:
             for each in prepared:
                 each.close()
+            raise
+        return prepared
 
-    def _turned(self, prepared: Prepared) -> SiteCurves:
+    def _misfit(self, folder: Path) -> float:
+        """mm, of the site whose forces the limb of that folder misses the most."""
+        return max(
+            depth_misfit(self.case, site, out=folder, mesh=self.options.mesh, progress=self.progress)
+            for site in self.sites
+        )
+
+    def _turned(self, prepared: Prepared, folder: Path) -> SiteCurves:
         """The probe turned by 90 degrees; why not is reported where it cannot be simulated."""
         try:
             return turned_by_90(
-                self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
+                self.case, prepared, out=folder, mesh=self.options.mesh, progress=self.progress
             )
         except LimbError as error:
             text = f"the probe turned by 90 degrees is not on the menu of measurements: {error.what}"
             prepared.notes.warnings.append(text)
             raise
 
-    def _leave(
-        self, found: Diagnosis, forward_model: SiteForwardModel, all_: list[Prepared], k: int
-    ) -> StageResult:
+    def _leave(self, found: Diagnosis, place: Place, k: int) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
-        mine = all_[k]
+        forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
@@ -209,7 +224,9 @@ class _Diagnosed:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
             doubt = too_doubtful(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
-            content = self._content(found, forward_model, mine, all_)
+            writer.warnings.extend(place.problems)
+            writer.warnings.extend(each.sentence for each in place.bones if each.is_believed)
+            content = self._content(found, place, mine)
             repeated = cycle_facts(mine.site, all_levels_of(mine.site))
             if repeated:
                 content |= {"cycles": repeated, "sentences": [*content["sentences"], *repeated["sentences"]]}
@@ -224,16 +241,16 @@ class _Diagnosed:
             candidates_picture(found, writer.file("candidates", "candidates.png"))
             sizes_picture(found, forward_model.effects, writer.file("sizes", "sizes.png"))
             write_diagnosed(
-                found, forward_model, mine, writer, out=self.out, number=k, templates=self.options.templates
+                found, forward_model, mine, writer, out=place.out, number=k, templates=self.options.templates
             )
         assert writer.result is not None
         return writer.result
 
-    def _content(
-        self, found: Diagnosis, forward_model: SiteForwardModel, mine: Prepared, all_: list[Prepared]
-    ) -> dict[str, Any]:
+    def _content(self, found: Diagnosis, place: Place, mine: Prepared) -> dict[str, Any]:
+        forward_model = place.forward_model
         content = diagnosis_json(found, mine.curves.site, forward_model)
-        content["sites"] = [each.site.name for each in all_]
+        content["sites"] = [each.site.name for each in place.prepared]
+        content["bones"] = [each.to_json() for each in place.bones]
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
              "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
@@ -254,6 +271,7 @@ class _Diagnosed:
         ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
+        lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
 

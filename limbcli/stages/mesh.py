@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -89,7 +91,7 @@ def mesh(
     for site in chosen:
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
         own = replace(options, layers=layers)
-        results.append(_mesh_site(inputs, site, limb, own, sources, out, progress))
+        results.append(mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
             position = site_position(site, segmented)
             studied = study_site(case, site, limb, position, own, out=out, inputs=inputs, progress=progress)
@@ -143,7 +145,7 @@ def site_position(site: Site, segmented: StageResult) -> tuple[float, float, flo
     return float(x), float(y), float(z)
 
 
-def _mesh_site(
+def mesh_site(
     inputs: MeshInputs,
     site: Site,
     limb: Limb,
@@ -151,7 +153,18 @@ def _mesh_site(
     layer_sources: dict[str, str],
     out: Path,
     progress: Progress,
+    *,
+    facts: Mapping[str, Any] | None = None,
 ) -> StageResult:
+    """One site's folder below `out`; `facts` are noted with its result.
+
+    Raises
+    ------
+    CaseError
+        If the site cannot be used.
+    MeshError
+        If no volume mesh of sufficient quality could be made.
+    """
     case, segmented = inputs.case, inputs.segmented
     progress.event("stage", name="mesh", site=site.name)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
@@ -162,6 +175,7 @@ def _mesh_site(
         )
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
         writer.data["asked"] = inputs.asked
+        writer.data.update(facts or {})
         inputs.note(writer, site)
         for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):
             writer.used(path.name, path)

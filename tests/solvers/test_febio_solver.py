@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -177,7 +178,7 @@ def test_an_interruption_stops_febio_and_what_it_started(
     sleep = time.sleep
 
     def sleep_then_interrupt(seconds: float) -> None:
-        if started_child(feb) is not None:
+        if threading.current_thread() is threading.main_thread() and started_child(feb) is not None:
             raise KeyboardInterrupt
         sleep(seconds)
 

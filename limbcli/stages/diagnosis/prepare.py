@@ -36,7 +36,7 @@ from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics
+from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics, depth_scatter
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
 from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
 from limbcli.stages.mesh import read_limb, site_position
@@ -109,6 +109,27 @@ def prepare(
         If the model without effects cannot be solved.
     """
     return _Preparation(case, site, out, mesh, progress).all(effects, extras)
+
+
+def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
+    """mm (root mean square): how far the forces alone are from the best curve of a limb, whatever its c and m.
+
+    Its simulations are kept for `prepare`. NaN where the levels do not tell.
+
+    Raises
+    ------
+    MeasurementError
+        If the levels cannot be used.
+    MeshError
+        If the site cannot be meshed.
+    """
+    preparation = _Preparation(case, site, out, mesh, progress)
+    book = preparation.book()
+    try:
+        scatter = depth_scatter(book, preparation.levels)
+    finally:
+        book.close()
+    return float(np.sqrt(min(scatter.values()))) if scatter else float("nan")
 
 
 def turned_by_90(

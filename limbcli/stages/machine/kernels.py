@@ -71,5 +71,20 @@ def simulation() -> None:
 
 PARTS: dict[str, Callable[[], None]] = {"simulation": simulation, "equations": equations}
 
+
+def compile_all() -> None:
+    """Both parts side by side, where they are not on disk yet."""
+    from limbcli.solvers.reference import kernels_are_there
+
+    if kernels_are_there():
+        return
+    for part in PARTS:
+        ahead.start(__name__, part)
+    ahead.wait()
+
+
 if __name__ == "__main__":
-    PARTS[sys.argv[1]]()
+    if sys.argv[1:]:
+        PARTS[sys.argv[1]]()
+    else:
+        compile_all()

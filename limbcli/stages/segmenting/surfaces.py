@@ -10,7 +10,8 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
-from limbcli.meshing.anatomy import limb_problems
+from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
+from limbcli.meshing.bone_places import put_back
 from limbcli.meshing.mending import skin_and_bones
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
@@ -48,9 +49,32 @@ def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageW
     CaseError
         With everything that cannot be: a bone outside the skin, sizes of another unit.
     """
-    found = limb_problems(triangles_of(surfaces), limb=case.limb, where=where)
+    triangles = triangles_of(surfaces)
+    found = limb_problems(triangles, limb=case.limb, where=where)
     raise_errors(found, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in found)
+    _tell_misplaced(triangles, case, writer, where=where)
+
+
+def _tell_misplaced(
+    surfaces: Mapping[str, Triangles], case: Case, writer: StageWriter, *, where: str
+) -> None:
+    """Bones outside the skin: the one shift that would put them back. Nothing is moved."""
+    wrong = bones_outside(surfaces, where=where)
+    if not wrong:
+        return
+    right = {name: each for name, each in surfaces.items() if name not in wrong and name != SKIN}
+    found = put_back(surfaces[SKIN], right, {name: surfaces[name] for name in wrong}, limb=case.limb)
+    writer.data["misplaced"] = {"bones": list(wrong)}
+    if found is None:
+        return
+    writer.data["misplaced"] |= {"move_mm": found.move, "doubt_mm": found.doubt_mm}
+    x, y, z = found.move
+    writer.warnings.append(
+        f"moved together by ({x:.0f}, {y:.0f}, {z:.0f}) mm, {' and '.join(wrong)} would lie within the skin, "
+        f"beside the other bones (to some {max(found.doubt_mm, 3.0):.0f} mm): their files may have another "
+        "origin; nothing was moved"
+    )
 
 
 def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:

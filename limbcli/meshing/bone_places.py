@@ -1,0 +1,160 @@
+"""Where bones belong that were brought in another frame than the skin.
+
+A bone that lies outside the skin was moved on its way: another origin, mostly. The one shift, the same for
+all such bones, is looked for that puts them within the skin, beside the bones that lie right and apart from
+them: the head of the fibula against the lateral condyle of the tibia, the patella before the femur.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from limbcli.meshing.distance import grid_over, signed_distance
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+
+# mm: what lies between, and one standard deviation. The proximal tibiofibular joint lies under the lateral
+# condyle, its space is 1 to 4 mm; the fibula's apex stands some 10 to 25 mm below the top of the tibia
+# (Gray's Anatomy, 42nd ed., ch. 82). Cartilage between patella and femur: 3 to 7 mm.
+_JOINT, _BELOW_TOP, _KNEECAP = (2.5, 1.0), (18.0, 5.0), (5.0, 2.0)
+_HEAD = 15.0  # mm of the fibula, from its apex
+_SKIN, _APART = 3.0, 1.5  # mm at least between a bone and the skin, and between two bones
+_SOFT_SKIN, _SOFT_BONE = 2.0, 0.7  # mm, one deviation of that
+_TIBIA_TO_HEAD = 38.0  # mm, where the search begins
+_BEHIND = np.radians([10.0, 35.0, 60.0])  # of lateral, towards the back: limbs lie turned in the scanner
+_POINTS = 300  # of a bone that are looked at
+_CELLS, _MARGIN = 70, 8.0  # of the grid along a body's longest side; mm round it
+_TOP = 0.995  # quantile that stands for a bone's end
+_MISFIT, _DOUBT = 3.0, 6.0  # deviations of what must hold, mm across the limb: beyond, no shift is proposed
+
+
+@dataclass(frozen=True, eq=False)
+class PutBack:
+    """names : the bones that were moved together; move (3,) : mm, patient LPS; doubt_mm : one standard
+    deviation of the move across the limb, mm."""
+
+    names: tuple[str, ...]
+    move: Array
+    doubt_mm: float
+
+
+class _Body:
+    """Heights above a closed surface, mm: on a grid in and round it, by its nearest point farther out."""
+
+    def __init__(self, surface: Triangles):
+        low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+        spacing = float(max((high - low).max() / _CELLS, 0.5))
+        self._box = low - _MARGIN, high + _MARGIN
+        self._distance = signed_distance(surface, grid_over(*self._box, spacing))
+        self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
+
+    def height(self, points: Array) -> Array:
+        """(n,), positive outside."""
+        low, high = self._box
+        near = ((points > low) & (points < high)).all(axis=1)
+        found = self._distance.at(points)
+        found[~near] = self._tree.query(points[~near])[0]
+        return found
+
+
+def put_back(
+    skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles], *, limb: str
+) -> PutBack | None:
+    """The shift that puts the bones `wrong` back beside those that are `right`; None where nothing tells it.
+
+    skin, right, wrong : closed surfaces, mm, patient LPS, bones by name; limb : "left" or "right"
+
+    Needs a tibia that lies right and a fibula that does not; with a patella moved as it was, and the femur,
+    the place is known to some 5 mm, seldom without.
+    """
+    tibia, fibula = _named(right, "tibia"), _named(wrong, "fibula")
+    if tibia is None or fibula is None:
+        return None
+    search = _Search(skin, right, wrong, tibia, fibula)
+    found = [least_squares(search.misfit, start, max_nfev=60) for start in search.starts(limb)]
+    best = min(found, key=lambda each: float(each.cost))
+    if 2.0 * best.cost / search.n_known > _MISFIT**2:
+        return None
+    curvature = best.jac.T @ best.jac + 1e-3 * np.eye(3)
+    spread = np.linalg.inv(curvature)
+    across = np.eye(3) - np.outer(search.axis, search.axis)
+    doubt = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
+    if doubt > _DOUBT:
+        return None
+    return PutBack(tuple(wrong), np.asarray(best.x, float), doubt)
+
+
+def _named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
+    return next((each for known, each in bones.items() if name in known), None)
+
+
+class _Search:
+    """Residuals of a shift, in deviations: what must hold between skin and bones."""
+
+    def __init__(
+        self, skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles],
+        tibia: Triangles, fibula: Triangles,
+    ):  # fmt: skip
+        self.skin = _Body(skin)
+        self.right = [_Body(each) for each in right.values()]
+        self.wrong = [each.points[:: max(1, len(each.points) // _POINTS)] for each in wrong.values()]
+        self.tibia, self.tibia_points = _Body(tibia), tibia.points
+        self.axis = self._upward(right, tibia)
+        self.tibia_top = self._top(tibia.points)
+        self.fibula_top = self._top(fibula.points)
+        self.head = fibula.points[fibula.points @ self.axis > self.fibula_top - _HEAD]
+        femur, patella = _named(right, "femur"), _named(wrong, "patella")
+        self.femur = None if femur is None or patella is None else _Body(femur)
+        self.patella = None if patella is None else patella.points
+
+    @property
+    def n_known(self) -> int:
+        """Distances that are known."""
+        return 2 + (self.femur is not None)
+
+    def _upward(self, right: Mapping[str, Triangles], tibia: Triangles) -> Array:
+        """Unit vector along the tibia, towards the femur; without one, to the head (+z of LPS)."""
+        centred = tibia.points - tibia.points.mean(axis=0)
+        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+        femur = _named(right, "femur")
+        up = np.array([0.0, 0.0, 1.0])
+        if femur is not None:
+            up = femur.points.mean(axis=0) - tibia.points.mean(axis=0)
+        return np.asarray(axis if axis @ up >= 0 else -axis)
+
+    def _top(self, points: Array) -> float:
+        return float(np.quantile(points @ self.axis, _TOP))
+
+    def starts(self, limb: str) -> list[Array]:
+        """Shifts (3,) that put the head of the fibula lateral of the tibia and behind it."""
+        lateral = np.array([1.0 if limb == "left" else -1.0, 0.0, 0.0])
+        back = np.array([0.0, 1.0, 0.0])
+        level = self.tibia_top - _BELOW_TOP[0] - 0.5 * _HEAD
+        near = np.abs(self.tibia_points @ self.axis - level) < _HEAD
+        centre = self.tibia_points[near].mean(axis=0)
+        centre = centre + (level - centre @ self.axis) * self.axis
+        found = []
+        for angle in _BEHIND:
+            way = np.cos(angle) * lateral + np.sin(angle) * back
+            way = way - (way @ self.axis) * self.axis
+            found.append(centre + _TIBIA_TO_HEAD * way / np.linalg.norm(way) - self.head.mean(axis=0))
+        return found
+
+    def misfit(self, move: Array) -> Array:
+        """(n,) in deviations: overlaps and what stands out of the skin, and the known distances."""
+        found = []
+        for points in self.wrong:
+            moved = points + move
+            found.append(np.minimum(-self.skin.height(moved) - _SKIN, 0.0) / _SOFT_SKIN)
+            found += [np.minimum(each.height(moved) - _APART, 0.0) / _SOFT_BONE for each in self.right]
+        joint = self.tibia.height(self.head + move).min()
+        below = self.tibia_top - self.fibula_top - move @ self.axis
+        known = [(joint - _JOINT[0]) / _JOINT[1], (below - _BELOW_TOP[0]) / _BELOW_TOP[1]]
+        if self.femur is not None and self.patella is not None:
+            known.append((self.femur.height(self.patella + move).min() - _KNEECAP[0]) / _KNEECAP[1])
+        return np.concatenate([*found, np.array(known)])

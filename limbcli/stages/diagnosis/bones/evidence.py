@@ -1,0 +1,91 @@
+"""What the readings say of a limb with other bones: likelihoods of the fits without effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import chi2 as chi2_distribution
+
+from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.model import Array, IntArray
+from limbcli.stages.diagnosis.bones.questions import OtherBones
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """gain : of deviance, -2 ln likelihood, by the other bones, over `n` readings that both limbs predict."""
+
+    other: OtherBones
+    gain: float
+    n: int
+
+    @property
+    def is_believed(self) -> bool:
+        return self.gain >= self.other.needed
+
+    @property
+    def sentence(self) -> str:
+        """For the page: what was tried and what came of it."""
+        words = self.other.words
+        if self.is_believed:
+            return (
+                f"BONES: {words} the limb fits the readings better (deviance lower by {self.gain:.0f}, "
+                f"{self.other.needed:.0f} asked for): the surfaces are not believed there, and all that "
+                "follows is of the limb so changed. Correct the segmentation."
+            )
+        if self.other.is_repair:
+            return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken without them."
+        return ""
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "words": self.other.words, "left_out": list(self.other.left_out),
+            "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
+            "deviance_gain": self.gain, "gain_asked_for": self.other.needed, "n_readings": self.n,
+            "taken": self.is_believed,
+        }  # fmt: skip
+
+
+def fits_badly(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:
+    """Whether chi2 of the fit without effects has a p below this level."""
+    everything = np.arange(len(model.data))
+    off = _deviance(model, fitted, everything, with_size=False)
+    freedom = max(len(everything) - fitted.jacobian.shape[1], 1)
+    return bool(chi2_distribution.sf(off, freedom) < level)
+
+
+def compared(
+    other: OtherBones, ours: SiteForwardModel, our_fit: Fitted, theirs: SiteForwardModel, their_fit: Fitted
+) -> Evidence:
+    """The limb as it was segmented (`ours`) and with other bones, both fitted without effects."""
+    here, there = _rows_in_both(ours, theirs)
+    gain = _deviance(ours, our_fit, here) - _deviance(theirs, their_fit, there)
+    return Evidence(other, float(gain), len(here))
+
+
+def _rows_in_both(ours: SiteForwardModel, theirs: SiteForwardModel) -> tuple[IntArray, IntArray]:
+    """Places (n,) of the same readings in either model's data: a bone hides parts of maps."""
+    first, second = _keys(ours), _keys(theirs)
+    there = {key: k for k, key in enumerate(second)}
+    pairs = [(k, there[key]) for k, key in enumerate(first) if key in there]
+    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def _keys(model: SiteForwardModel) -> list[tuple[int, str, int, int]]:
+    return [
+        (number, row.channel, row.level, row.part)
+        for number, each in enumerate(model.sites)
+        for row in each.site.rows
+    ]
+
+
+def _deviance(model: SiteForwardModel, fitted: Fitted, rows: IntArray, *, with_size: bool = True) -> float:
+    """-2 ln likelihood of these readings but for a constant; chi2 alone where not `with_size`."""
+    off: Array = (model.data.y - fitted.prediction)[rows]
+    factor = cho_factor(model.data.noise.covariance[np.ix_(rows, rows)], lower=True)
+    chi2 = float(off @ cho_solve(factor, off))
+    return chi2 + (2.0 * float(np.log(np.diag(factor[0])).sum()) if with_size else 0.0)

@@ -1,0 +1,84 @@
+"""A limb with other bones: surfaces and the sites' own meshes, below the diagnosis' working files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError
+from limbcli.imaging.surface import ClosedSurface, write_surface
+from limbcli.meshing.surfaces import read_surface
+from limbcli.progress import Progress
+from limbcli.results import StageResult, open_stage, plain, read_result, stage_folder
+from limbcli.stages.diagnosis.bones.questions import OtherBones
+from limbcli.stages.mesh import mesh_options, mesh_site, read_limb, site_position
+from limbcli.stages.site_model.mesh_inputs import MeshInputs
+
+
+def limb_with(
+    other: OtherBones, case: Case, sites: Sequence[Site], *, out: Path, work: Path, progress: Progress
+) -> Path:
+    """A folder as an output folder is, with `segment` and, where a site has been meshed, `mesh`.
+
+    out : that of the case; work : folder in which it is made, or found again
+
+    Raises
+    ------
+    CaseError, MeshError
+        If the site cannot be meshed with these bones.
+    """
+    segmented = read_result(out, "segment")
+    folder = work / f".bones-{_key(other, segmented)}"
+    if not (stage_folder(folder, "segment") / "segment.json").is_file():
+        _write_segment(other, case, segmented, folder)
+    for site in sites:
+        _mesh(case, site, out=out, folder=folder, progress=progress)
+    return folder
+
+
+def _key(other: OtherBones, segmented: StageResult) -> str:
+    known = segmented.provenance.get("files_sha256", {})
+    recipe = [other.left_out, other.moved, {name: known.get(name) for name in segmented.files}]
+    return hashlib.sha256(json.dumps(plain(recipe), sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _write_segment(other: OtherBones, case: Case, segmented: StageResult, folder: Path) -> None:
+    with open_stage(folder, "segment", subject=case.subject) as writer:
+        writer.data.update(segmented.data)
+        writer.data["bones_changed"] = other.words
+        for name, filename in segmented.files.items():
+            path = segmented.path(name)
+            if not name.startswith("bone_"):
+                if path.suffix == ".ply":
+                    shutil.copyfile(path, writer.file(name, filename))
+                continue
+            bone = other.of(name, read_surface(path))
+            if bone is not None:
+                write_surface(writer.file(name, filename), ClosedSurface(bone.points, bone.faces))
+
+
+def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress) -> None:
+    """The site's own mesh as it was asked for, with the other bones; none where there is none."""
+    try:
+        meshed = read_result(out, "mesh", site=site.name)
+    except LimbError:
+        return
+    model = stage_folder(folder, "mesh", site.name) / "model.npz"
+    asked = meshed.data.get("asked", {})
+    segmented = read_result(folder, "segment")
+    place = [site_position(site, segmented), site.long_axis, vars(case.probe), case.model.margin]
+    made_of = plain({"asked": asked, "element": meshed.data.get("element"), "place": place})
+    if model.is_file() and read_result(folder, "mesh", site=site.name).data.get("as") == made_of:
+        return
+    options = mesh_options(
+        case, element=meshed.data.get("element"), size=asked.get("size"), far_size=asked.get("far_size"),
+        margin=asked.get("margin"),
+    )  # fmt: skip
+    mesh_site(
+        MeshInputs(case, segmented, asked), site, read_limb(segmented), options, {}, folder, progress,
+        facts={"as": made_of},
+    )  # fmt: skip

@@ -1,0 +1,123 @@
+"""All measurements of one place made ready together, on the limb whose bones the readings go with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from limbcli.case import Case, Site
+from limbcli.diagnostics import thresholds
+from limbcli.errors import LimbError
+from limbcli.progress import Progress
+from limbcli.results import read_result
+from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
+from limbcli.stages.diagnosis.bones.limb_with import limb_with
+from limbcli.stages.diagnosis.bones.questions import OtherBones, questions
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.prepare import STAGE, Prepared
+
+
+@dataclass(eq=False)
+class Place:
+    """prepared : the sites; forward_model : theirs together; out : the folder that holds `segment` and `mesh`
+    of the limb it is on; bones : what was tried of other bones; given_up : limbs that were not looked at
+    whole, in words; problems : what kept one from being tried.
+    """
+
+    prepared: list[Prepared]
+    forward_model: SiteForwardModel
+    out: Path
+    bones: list[Evidence] = field(default_factory=list)
+    given_up: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def close(self) -> None:
+        for each in self.prepared:
+            each.close()
+
+
+@dataclass(eq=False)
+class PlaceMaker:
+    """Makes a place ready, on the limb of a folder: `prepared_in` whole; `misfit_in` mm, by its force curves.
+
+    out : the case's output folder
+    """
+
+    case: Case
+    sites: Sequence[Site]
+    out: Path
+    prepared_in: Callable[[Path], list[Prepared]]
+    misfit_in: Callable[[Path], float]
+    progress: Progress
+
+    def best(self) -> Place:
+        """On the limb that was segmented, or on one with other bones that the readings speak for.
+
+        Raises
+        ------
+        LimbError
+            If the limb that was segmented cannot be meshed, simulated or fitted.
+        """
+        place = self._in(self.out)
+        try:
+            for other in self._questions(place):
+                place = self._compared(place, other)
+        except BaseException:
+            place.close()
+            raise
+        return place
+
+    def _in(self, folder: Path) -> Place:
+        prepared = self.prepared_in(folder)
+        forward_model = SiteForwardModel([each.curves for each in prepared])
+        forward_model.settle_noise()
+        return Place(prepared, forward_model, folder)
+
+    def _questions(self, place: Place) -> list[OtherBones]:
+        """Those worth a simulation: misplaced bones always, others where the fit without effects is bad."""
+        try:
+            found = questions(self.case, self.sites, read_result(self.out, "segment"))
+        except LimbError:
+            return []  # no surfaces: the site's own mesh is the working mesh
+        if any(not each.is_repair for each in found):
+            model = place.forward_model
+            bad = fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT)
+            found = [each for each in found if each.is_repair or bad]
+        return found
+
+    def _compared(self, place: Place, other: OtherBones) -> Place:
+        """The better of this place and the same with other bones; the worse one is closed."""
+        self.progress.event("note", text=f"the limb {other.words}")
+        try:
+            folder = limb_with(
+                other, self.case, self.sites, out=self.out, work=self.out / STAGE, progress=self.progress
+            )
+            ours, theirs = self.misfit_in(self.out), self.misfit_in(folder)
+            if theirs > thresholds.BONES_HOPELESS * max(ours, _noise_of_depth(self.sites)):
+                place.given_up.append(
+                    f"Tried {other.words}: its force curves miss the depths by {theirs:.1f} mm, "
+                    f"those of the limb as segmented by {ours:.1f}; not looked at further."
+                )
+                return place
+            tried = self._in(folder)
+        except LimbError as error:
+            place.problems.append(f"the limb {other.words} was not tried: {error.what}")
+            return place
+        here, there = place.forward_model, tried.forward_model
+        try:
+            found = compared(other, here, here.fit((), {}), there, there.fit((), {}))
+        except LimbError as error:
+            tried.close()
+            place.problems.append(f"the limb {other.words} was not tried: {error.what}")
+            return place
+        better, worse = (tried, place) if found.is_believed else (place, tried)
+        worse.close()
+        better.bones = [*place.bones, found]
+        better.problems, better.given_up = place.problems, place.given_up
+        return better
+
+
+def _noise_of_depth(sites: Sequence[Site]) -> float:
+    """mm, the largest of the sites'."""
+    return max(each.noise.depth for each in sites)
