@@ -44,6 +44,7 @@ from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_states import one_state
 
 __all__ = [
     "STAGE",
@@ -148,22 +149,13 @@ def _fit_site(
         leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         leave_cycle(levels, site, writer)
         if site.states:
-            writer.warnings.insert(0, _one_state(site))
+            writer.warnings.insert(0, one_state(site))
         if doubt is not None:
             leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:
             leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
         leave_speeds(fitted, simulation, levels, site, writer)
         leave_layers(fitted, simulation, levels, site, writer)
-
-
-def _one_state(site: Site) -> str:
-    return (
-        f"site {site.name} was measured in {len(site.states)} states; this fit is of the first "
-        f"({site.states[0].name}) and takes its tissue as unloaded. The fit of all of them "
-        "(--objective states) "
-        "tells how far it is stretched"
-    )
 
 
 def _intervals(

@@ -39,6 +39,7 @@ from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_states import one_state
 
 STAGE = "fit-joint"
 
@@ -143,6 +144,8 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
         warning = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
         if warning not in writer.warnings:
             writer.warnings.append(warning)
+    if site.states:
+        writer.warnings.append(one_state(site))
     layers, lines = layer_readings(levels, site), None
     if layers is not None:
         try:

@@ -125,8 +125,8 @@ def main():
     parser.add_argument("--m", type=float, default=6.0)
     parser.add_argument("--unloaded", type=float, default=0.95)
     parser.add_argument("--told", type=float, nargs="+", default=[0.72, 0.9, 1.1])
-    parser.add_argument("--step-n", type=float, default=0.5)
-    parser.add_argument("--max-force-n", type=float, default=4.0)
+    parser.add_argument("--step-n", type=float, default=0.4)
+    parser.add_argument("--max-force-n", type=float, default=2.8)
     parser.add_argument("--max-depth-mm", type=float, default=6.0)
     given = parser.parse_args()
     truth = {

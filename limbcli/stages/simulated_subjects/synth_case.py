@@ -10,6 +10,10 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.phantom.case_folder import NoiseLaw
 
+_MADE_ANEW = (
+    "levels", "trace", "swe_maps", "noise", "state", "unloaded_stretch_along", "unloaded_stretch_around",
+)  # fmt: skip
+
 
 def copy_imaging(case: Case, work: Path) -> None:
     """Images, labels and surfaces under the names that case.toml gives them."""
@@ -49,6 +53,6 @@ def case_table(case: Case, laws: Mapping[str, NoiseLaw]) -> dict[str, Any]:
 def _measured_site(raw: Mapping[str, Any], law: NoiseLaw) -> dict[str, Any]:
     """A [[site]] table with the measured files' names and the noise they were read with."""
     name = raw["name"]
-    kept = {key: value for key, value in raw.items() if key not in ("levels", "trace", "swe_maps", "noise")}
+    kept = {key: value for key, value in raw.items() if key not in _MADE_ANEW}
     files = {"levels": f"{name}/levels.csv", "trace": f"{name}/trace.csv", "swe_maps": f"{name}/swe"}
     return {**kept, **files, "noise": {**vars(law), "source": "spec"}}

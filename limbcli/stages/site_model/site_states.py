@@ -34,6 +34,15 @@ def states_of(site: Site) -> list[MeasuredState]:
     return checked(found, problems, MeasurementError)
 
 
+def one_state(site: Site) -> str:
+    """What a stage that knows no states says of a site that has some."""
+    return (
+        f"site {site.name} was measured in {len(site.states)} states; this is of the first "
+        f"({site.states[0].name}), and takes its tissue as unloaded. How far it is stretched is told by "
+        "`limbcli fit --objective states`"
+    )
+
+
 def state_problems(case: Case) -> list[Problem]:
     """What is wrong with the states' rest rows; the rest is left to their files' readers."""
     return [
