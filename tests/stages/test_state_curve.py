@@ -179,3 +179,21 @@ def test_residuals_of_states_have_the_slopes_of_their_differences(curve):
         up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
         rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
         np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=2e-4 * abs(rise).max(), err_msg=str(k))
+
+
+def test_fibres_go_with_a_prestretch():
+    """Stretched along them the tissue resists more than where they are slack; derivatives are exact."""
+    law, theta = LAWS["fibres"], np.array([3.0, 1.0, 0.5, 1.1])  # m, fibre_shear, fibre_tension, along
+    made = StateCurve(built(), law, ("along",), DEPTHS, c=state_case.C, density_kg_per_m3=1000.0, threads=1)
+    try:
+        found, n = made(theta, (0, 1, 2, 3)), len(DEPTHS)
+        for k in range(4):
+            up, down = theta.copy(), theta.copy()
+            up[k], down[k] = theta[k] * np.exp(1e-3), theta[k] * np.exp(-1e-3)
+            rise = (made(up).values[:n] - made(down).values[:n]) / 2e-3 / theta[k]
+            np.testing.assert_allclose(found.jacobian[:n, k], rise, rtol=5e-3, atol=0.015 * abs(rise).max())
+        slack = made(np.r_[theta[:3], 0.9]).values[:n]
+    finally:
+        made.close()
+    assert (found.values[:n] > 1.1 * slack).all()
+    assert found.values[-1] == pytest.approx(1.0, abs=0.01)
