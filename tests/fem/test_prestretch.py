@@ -134,3 +134,14 @@ def test_weights_say_how_the_numbers_of_a_prestrain_move() -> None:
     assert values["tissue", "m1"] == M  # the law's own, though it is wrapped
     with pytest.raises(SolveError, match=r"how the nine numbers of F0.along move is not told"):
         law_parameter(key, None, model)
+
+
+def test_a_prestretch_that_is_not_symmetric_comes_before_the_deformation() -> None:
+    """F_e = F F_pre and no other order: sheared across the shear that the tissue had before."""
+    gamma, before = 0.3, 0.2
+    F0, F = np.eye(3), np.eye(3)
+    F0[2, 0], F[0, 2] = before, gamma
+    _, stress = solved(sheared(law(F0, m=2.0), gamma))
+    b = (F @ F0) @ (F @ F0).T
+    wanted = C / 4 * (b - np.linalg.inv(b))
+    np.testing.assert_allclose(stress[[0, 1, 2, 5]], wanted[[0, 1, 2, 0], [0, 1, 2, 2]], atol=1e-11)
