@@ -36,7 +36,7 @@ from limbcli.stages.fitting.state_plan import plan_of
 from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
-FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.03, 1000.0
+FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.05, 0.2, 0.03, 1000.0
 GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
 
 
@@ -126,7 +126,7 @@ def main():
     parser.add_argument("--unloaded", type=float, default=0.95)
     parser.add_argument("--told", type=float, nargs="+", default=[0.72, 0.9, 1.1])
     parser.add_argument("--step-n", type=float, default=0.4)
-    parser.add_argument("--max-force-n", type=float, default=2.8)
+    parser.add_argument("--max-force-n", type=float, default=2.0)
     parser.add_argument("--max-depth-mm", type=float, default=6.0)
     given = parser.parse_args()
     truth = {

@@ -9,8 +9,13 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.phantom.case_folder import NoiseLaw
+from limbcli.progress import SILENT
+from limbcli.stages.batching.outcome import BatchOptions
+from limbcli.stages.batching.steps import site_steps
 from limbcli.stages.check import check
 from limbcli.stages.fitting.state_plan import plan_of
+from limbcli.stages.simulated_subjects.synth_case import case_table
 from limbcli.stages.site_model.site_states import states_of
 from tests.stages import state_case
 
@@ -111,3 +116,18 @@ def test_told_and_unknown_stretches_and_both_ways_go_together():
 def test_states_that_tell_nothing_or_too_much_are_errors(told, known, says):
     with pytest.raises(CaseError, match=says):
         plan_of(told, known, NAMES[:2], where="site p1")
+
+
+def test_a_batch_fits_the_states_after_the_force_and_looks_at_every_file(tmp_path: Path):
+    case = Case.open(written(tmp_path / "case"))
+    asked = {stage: {} for stage in ("mesh", "build-feb", "run", "fit", "fit-states")}
+    steps = site_steps(case, "p1", BatchOptions(), asked, out=tmp_path / "out", progress=SILENT)
+    assert [each.stage for each in steps] == ["mesh", "build-feb", "run", "fit", "fit-states"]
+    assert {each.levels for each in case.sites[0].states} <= set(steps[-1].parts)
+
+
+def test_a_simulated_case_of_a_site_with_states_has_one_measurement(tmp_path: Path):
+    case = Case.open(written(tmp_path / "case"))
+    table = case_table(case, {"p1": NoiseLaw(0.1, 0.3, 0.05, 0.1)})["site"][0]
+    assert "state" not in table
+    assert table["levels"] == "p1/levels.csv"

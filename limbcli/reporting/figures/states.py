@@ -60,7 +60,7 @@ def _draw(axes: Axes, panel: StatesPanel) -> None:
             label="states at rest (±1 SD)" if k == 0 else None,
         )  # fmt: skip
         axes.annotate(
-            each.name, (each.stretch, each.speed), xytext=(6, -11), textcoords="offset points", color=INK,
+            each.name, (each.stretch, each.speed), xytext=(7, -12), textcoords="offset points", color=INK,
             fontsize=8.5,
         )  # fmt: skip
     axes.axvline(panel.unloaded, color=GREEN, lw=1.2, ls=":", label="unloaded")
@@ -76,6 +76,5 @@ def _draw(axes: Axes, panel: StatesPanel) -> None:
     counted = "as the case counts" if panel.counted == "case" else "of the unloaded length"
     axes.set(
         xlabel=f"stretch {panel.way} the limb, {counted} [–]", ylabel="shear-wave speed at rest [m/s]",
-        title=f"{panel.way} the limb",
     )  # fmt: skip
-    axes.legend(loc="best")
+    axes.legend(loc="upper left")

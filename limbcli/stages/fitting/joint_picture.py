@@ -74,7 +74,21 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
         values = unit * each.values
         profiles.append(
             ProfileCurve(
-                name, values, each.deviance, unit * float(found.best[k]), "kPa" if name == "c" else "–"
+                _short(name),
+                values,
+                each.deviance,
+                unit * float(found.best[k]),
+                "kPa" if name == "c" else "–",
             )
         )
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+
+
+def _short(name: str) -> str:
+    """A parameter's name as a panel has room for.
+
+    >>> _short("unloaded_stretch_along"), _short("stretch_along_bent"), _short("f_kappa")
+    ('unloaded along', 'along bent', 'f_kappa')
+    """
+    first, stretch, rest = name.partition("stretch_")
+    return f"{first}{rest}".replace("_", " ") if stretch else name
