@@ -7,6 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from limbcli.errors import SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.feb.write import write_feb
@@ -123,6 +124,12 @@ def test_depths_count_from_where_the_stretched_skin_is_touched(curve):
     read = pchip_sample(np.r_[0.0, depths], np.r_[0.0, curve(theta).values[: len(depths)]], depths[:2] + rise)
     np.testing.assert_allclose(read.values, forces[:2], rtol=0.01)
     assert abs(curve(theta).values[1] / forces[1] - 1) > 0.03
+
+
+def test_a_skin_that_sinks_out_of_reach_is_an_error_not_a_number(curve):
+    """Compressible tissue that was shortened both ways gives way along z."""
+    with pytest.raises(SolveError, match="the stretched skin sinks so far"):
+        curve(np.array([0.5, 2.0, 0.75, 0.8]))
 
 
 def test_what_holds_the_tissue_carries_the_probes_force(curve):

@@ -113,7 +113,8 @@ def prepare(
 
 
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
-    """mm (root mean square): how far the forces alone are from the best curve of a limb, whatever its c and m.
+    """mm (root mean square): how far the forces alone are from the best curve of a limb, whatever its c and
+    m.
 
     Its simulations are kept for `prepare`. NaN where the levels do not tell.
 

@@ -35,7 +35,7 @@ _NODES = "nodes.csv"
 _STEP = 1e-4  # of ln of a stretch or a law's parameter
 _NO_WAVE = 1e-3  # m/s, where no wave can run
 _ALIGNED = 1e-6
-_BEYOND = 0.4  # mm: simulated beyond the last depth, as the skin may have sunk
+_BEYOND, _BEYOND_SHARE = 0.2, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
 _CLEAR = 0.05  # mm: levels that are hardly touched are left out
 
 
@@ -55,7 +55,7 @@ class StateCurve:
         density_kg_per_m3: float, threads: int = 2, progress: Progress = SILENT,
     ):  # fmt: skip
         self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
-        self._model = through_depths(model, [*depths, depths[-1] + _BEYOND])
+        self._model = through_depths(model, [*depths, (1.0 + _BEYOND_SHARE) * depths[-1] + _BEYOND])
         self._law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
         self._even = law.along(_one_direction(model))
         offsets = (
@@ -119,8 +119,14 @@ class StateCurve:
 
         force_slopes (n, n_theta), rise_slopes (n_theta,) : by theta; speeds (1 + n,) : at rest first
         """
-        clear = depths > _CLEAR
-        at = np.minimum(self.depths, depths[-1])
+        if depths[-1] < self.depths[-1]:
+            raise SolveError(
+                f"the stretched skin sinks so far that the probe ends {depths[-1]:.2f} mm below it; "
+                f"{self.depths[-1]:.2f} mm are needed",
+                where="reference solver, states",
+                fix="check the stretches of the states; tissue as compressible as that is hardly tissue",
+            )
+        clear, at = depths > _CLEAR, self.depths
         knots = np.r_[0.0, depths[clear]]
         force = pchip_sample(knots, np.r_[0.0, forces[clear]], at)
         slopes = force.weights[:, 1:] @ force_slopes[clear] - np.outer(force.slopes, rise_slopes)

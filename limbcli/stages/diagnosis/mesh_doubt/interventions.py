@@ -207,8 +207,8 @@ def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
 
 
 def depth_scatter(book: CurveBook, levels: Levels) -> dict[float, float]:
-    """By m, of those solved first: mean square (mm2) of measured depths less those at the measured forces, for
-    the best c. Empty where fewer than two levels have force and depth, or nothing is solved."""
+    """By m, of those solved first: mean square (mm2) of measured depths less those at the measured forces,
+    for the best c. Empty where fewer than two levels have force and depth, or nothing is solved."""
     force, depth = levels.force, levels.depth
     rising = (force > 0) & (depth > 0)
     found: dict[float, float] = {}
