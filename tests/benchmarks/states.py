@@ -121,13 +121,13 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("states-coverage.jsonl"))
     parser.add_argument("--write", type=Path, help="a case folder for the levels of seed 7")
     parser.add_argument("--c-kpa", type=float, default=6.0)
-    parser.add_argument("--f-kappa", type=float, default=50.0)
+    parser.add_argument("--f-kappa", type=float, default=10.0)
     parser.add_argument("--m", type=float, default=6.0)
     parser.add_argument("--unloaded", type=float, default=0.95)
     parser.add_argument("--told", type=float, nargs="+", default=[0.72, 0.9, 1.1])
-    parser.add_argument("--step-n", type=float, default=0.5)
-    parser.add_argument("--max-force-n", type=float, default=4.0)
-    parser.add_argument("--max-depth-mm", type=float, default=6.0)
+    parser.add_argument("--step-n", type=float, default=0.7)
+    parser.add_argument("--max-force-n", type=float, default=5.0)
+    parser.add_argument("--max-depth-mm", type=float, default=5.0)
     given = parser.parse_args()
     truth = {
         "c": mpa_from_kpa(given.c_kpa), "f_kappa": given.f_kappa, "m": given.m,

@@ -70,11 +70,11 @@ def _draw(axes: Axes, panel: StatesPanel) -> None:
         axes.axvline(at, color=VERMILION, lw=1.2, ls="--", label="least speed (95 % shaded)")
     else:
         axes.text(
-            0.98, 0.05, "the state of least stiffness\nis not told by these data", ha="right", va="bottom",
+            0.02, 0.95, "the state of least stiffness\nis not told by these data", ha="left", va="top",
             color=VERMILION, transform=axes.transAxes, fontsize=9,
         )  # fmt: skip
     counted = "as the case counts" if panel.counted == "case" else "of the unloaded length"
     axes.set(
         xlabel=f"stretch {panel.way} the limb, {counted} [–]", ylabel="shear-wave speed at rest [m/s]",
     )  # fmt: skip
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower right")

@@ -35,7 +35,7 @@ _NODES = "nodes.csv"
 _STEP = 1e-4  # of ln of a stretch or a law's parameter
 _NO_WAVE = 1e-3  # m/s, where no wave can run
 _ALIGNED = 1e-6
-_BEYOND, _BEYOND_SHARE = 0.2, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
+_BEYOND, _BEYOND_SHARE = 0.5, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
 _CLEAR = 0.05  # mm: levels that are hardly touched are left out
 
 
