@@ -18,6 +18,7 @@ def run(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = {
         k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "LIMBCLI", "VIRTUAL_ENV"))
     }
+    environment["LIMBCLI_THREADS"] = "1"  # no kernels are compiled ahead: no simulation follows
     result = subprocess.run(
         [str(each) for each in command], cwd=cwd, env=environment, capture_output=True, text=True, timeout=560
     )

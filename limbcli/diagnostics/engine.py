@@ -202,12 +202,13 @@ class _Run:
         return None
 
     def _at_bounds(self) -> list[tuple[str, Refit]]:
-        """Refits that fit but for a parameter on a bound: hardly believed, yet not excluded either."""
+        """Refits that fit as well as the best but for a parameter on a bound: hardly believed, yet not
+        excluded either. What fits worse, and needs a size that is hardly believed, is."""
         known = self.refits.known.values() if self.refits else ()
         return [
             (" + ".join(r.explanation), r)
             for r in known
-            if r.fitted.at_bound and r.fits and r.gap is not None
+            if r.fitted.at_bound and r.fits and r.gap is not None and r.gap < thresholds.AS_WELL
         ]
 
     def _speaks_for_itself(self, refit: Refit) -> bool:

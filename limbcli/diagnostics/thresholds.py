@@ -45,8 +45,8 @@ BONES_MISPLACED: Final = 4.0
 """The same for bones that lie outside the skin, so that one of the two limbs is wrong in any case. Chosen."""
 
 BONES_HOPELESS: Final = 3.0
-"""Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if that
-is more), above which its first force curves are enough to give it up. Chosen, for time."""
+"""Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
+that is more), above which its first force curves are enough to give it up. Chosen, for time."""
 
 BONES_LOOKED_AT: Final = 0.05
 """p of the fit without effects, below which a limb without a small bone is looked at. Convention."""

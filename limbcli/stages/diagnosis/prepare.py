@@ -113,8 +113,7 @@ def prepare(
 
 
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
-    """mm (root mean square): how far the forces alone are from the best curve of a limb, whatever its c and
-    m.
+    """mm (root mean square): how far measured depths are from a limb's best force curve, whatever its c.
 
     Its simulations are kept for `prepare`. NaN where the levels do not tell.
 
