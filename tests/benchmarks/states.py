@@ -96,10 +96,12 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
     row |= {"chi_square": found.chi_square, "n_freedom": found.n_freedom}
     for k, (name, profile) in enumerate(found.profiles.items()):
         row |= {name: float(found.best[k]), f"{name}_low": profile.low, f"{name}_high": profile.high}
-        row[f"{name}_covered"] = bool(profile.low <= truth[name] <= profile.high)
+        above, below = profile.low <= truth[name], truth[name] <= profile.high
+        row[f"{name}_covered"] = bool((above or profile.open_low) and (below or profile.open_high))
     low, high = np.exp([least.low, least.high])
     row |= {"lowest": float(np.exp(least.value)), "lowest_low": low, "lowest_high": high}
-    row["lowest_covered"] = bool(low <= truth["lowest"] <= high)
+    above, below = low <= truth["lowest"], truth["lowest"] <= high
+    row["lowest_covered"] = bool((above or least.open_low) and (below or least.open_high))
     row["lowest_told"] = not (least.open_low or least.open_high)
     return row
 

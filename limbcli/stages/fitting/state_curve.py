@@ -36,6 +36,7 @@ _STEP = 1e-4  # of ln of a stretch or a law's parameter
 _NO_WAVE = 1e-3  # m/s, where no wave can run
 _ALIGNED = 1e-6
 _BEYOND, _BEYOND_SHARE = 0.5, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
+_FURTHEST = 0.7  # of the last depth: simulated at least, else there is no answer
 _CLEAR = 0.05  # mm: levels that are hardly touched are left out
 
 
@@ -117,22 +118,28 @@ class StateCurve:
     ) -> Prediction:
         """What was simulated at `depths` from first touch (n,), read at those of the curve.
 
+        A little beyond the last of them forces and speeds go on straight.
+
         force_slopes (n, n_theta), rise_slopes (n_theta,) : by theta; speeds (1 + n,) : at rest first
         """
-        if depths[-1] < self.depths[-1]:
+        if depths[-1] < _FURTHEST * self.depths[-1]:
             raise SolveError(
                 f"the stretched skin sinks so far that the probe ends {depths[-1]:.2f} mm below it; "
                 f"{self.depths[-1]:.2f} mm are needed",
                 where="reference solver, states",
                 fix="check the stretches of the states; tissue as compressible as that is hardly tissue",
             )
-        clear, at = depths > _CLEAR, self.depths
-        knots = np.r_[0.0, depths[clear]]
+        clear, at = depths > _CLEAR, np.minimum(self.depths, depths[-1])
+        knots, beyond = np.r_[0.0, depths[clear]], self.depths - at
         force = pchip_sample(knots, np.r_[0.0, forces[clear]], at)
-        slopes = force.weights[:, 1:] @ force_slopes[clear] - np.outer(force.slopes, rise_slopes)
-        speed = pchip_sample(knots, np.r_[speeds[0], speeds[1:][clear]], at).values
+        values = force.values + force.slopes * beyond
+        slopes = force.weights[:, 1:] @ force_slopes[clear] * (values / force.values)[:, None]
+        slopes -= np.outer(force.slopes, rise_slopes)
+        speed = pchip_sample(knots, np.r_[speeds[0], speeds[1:][clear]], at)
         unknown = np.full((len(at) + 1, slopes.shape[1]), np.nan)
-        return Prediction(np.r_[force.values, speed, speeds[0]], np.vstack([slopes, unknown]))
+        return Prediction(
+            np.r_[values, speed.values + speed.slopes * beyond, speeds[0]], np.vstack([slopes, unknown])
+        )
 
     def even_speed(self, theta: Array) -> tuple[float, Array]:
         """ln of the speed (m/s) at rest in tissue that is stretched evenly, and d / d ln theta (n,)."""
