@@ -12,7 +12,7 @@ from limbcli import case_schema as schema
 from limbcli.case_imaging import SHAPE
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
-from limbcli.materials.laws import LEAVES, WRAPPERS
+from limbcli.materials.laws import LAWS, WRAPPERS
 
 TABLES = {
     "[subject]": schema.SUBJECT,
@@ -98,7 +98,7 @@ def effects() -> str:
 
 def laws() -> str:
     """Every law, with its parameters."""
-    rows = [(f"`{name}`", ", ".join(f"`{p}`" for p in law.parameters)) for name, law in LEAVES.items()]
+    rows = [(f"`{name}`", ", ".join(f"`{p}`" for p in law.parameters)) for name, law in LAWS.items()]
     rows += [(f"`{name}`", "made of other laws") for name in WRAPPERS]
     return _table(("law", "parameters"), rows) + "\n"
 

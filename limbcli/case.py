@@ -19,12 +19,12 @@ from limbcli.case_fibres import fibre_problems, read_fibres
 from limbcli.case_files import CaseFiles
 from limbcli.case_imaging import place_of, read_imaging
 from limbcli.case_instruments import read_instruments, read_layers
-from limbcli.case_parts import Fibres, Imaging, ModelOptions, Noise, Probe, Site
+from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case_states import read_states, site_schema
 from limbcli.errors import CaseError
 from limbcli.problems import Problem, checked
 
-__all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Noise", "Probe", "Site", "read_case"]
+__all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]
 
 CASE_FILE = "case.toml"
 
@@ -262,7 +262,7 @@ def _make_site(
         trace=paths["trace"],
         swe_maps=paths["swe_maps"],
         density_kg_per_m3=float(values["density_kg_per_m3"]),
-        noise=Noise(
+        noise=StatedNoise(
             force=float(noise["force_n"]),
             depth=float(noise["depth_mm"]),
             swe_level_fraction=float(noise["swe_level_fraction"]),

@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli import case_schema as schema
 from limbcli.case_files import CaseFiles
-from limbcli.case_parts import Imaging, Shape
+from limbcli.case_parts import SKIN_SCALE, Imaging, Shape
 from limbcli.case_schema import BONE_RADIUS_MM, Key, number
 from limbcli.problems import Problem
 
@@ -60,7 +60,9 @@ def read_imaging(
         what = f"imaging.fibres: {fibres.name!r} is no NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
     sources = (paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
-    imaging = Imaging(*sources, fibres, frame)
+    stated = table.get("skin_scale_fraction")
+    scale = SKIN_SCALE if stated is None else float(stated)
+    imaging = Imaging(*sources, fibres, frame, scale)
     return imaging, problems + found
 
 
@@ -76,6 +78,10 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
     if table.get("bone_radius_mm") and not table.get("bone"):
         fix = 'add `bone = "from-ultrasound"`, or leave it out; in numbers only it stands within `shape`'
         found.append(Problem("[imaging] has bone_radius_mm but no `bone` that it is of", file, fix))
+    if table.get("skin_scale_fraction") is not None and not table.get("bone"):
+        what = "[imaging] has skin_scale_fraction, which counts only beside a bone from ultrasound"
+        fix = 'add `bone = "from-ultrasound"`, or leave it out'
+        found.append(Problem(what, file, fix))
     if table.get("bone") and table.get("bones"):
         what = "[imaging] has both `bones` and a bone from ultrasound"
         found.append(Problem(what, file, "keep `bones` where they were imaged, else `bone`"))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 NOT_IMAGED = "geometry assumed, not imaged"
+SKIN_SCALE = 0.01  # of a scan, one deviation: perimeters err by 1 % (De Waele et al. 2026, Sensors 26:1251)
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Imaging:
 
     bone_radius : mm, of a bone that no file shows, as deep as ultrasound sees it; None: a file shows it
     shape : numbers only
+    skin_scale : one deviation of the scale of a scanned skin, as a share of it
     fibres : NIfTI of fibre directions of the whole limb; fibre_frame : of its components, "ras" where None
     """
 
@@ -70,6 +72,7 @@ class Imaging:
     shape: Shape | None = None
     fibres: Path | None = None
     fibre_frame: str | None = None
+    skin_scale: float = SKIN_SCALE
 
     @property
     def assumed(self) -> str:
@@ -150,7 +153,7 @@ class ModelOptions:
 
 
 @dataclass(frozen=True)
-class Noise:
+class StatedNoise:
     """One standard deviation each (`layer`: mm, of a thickness); `source` says where they come from."""
 
     force: float = 0.1
@@ -186,7 +189,7 @@ class Site:
     trace: Path | None
     swe_maps: Path | None
     density_kg_per_m3: float
-    noise: Noise
+    noise: StatedNoise
     instruments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     skin_bone: float | None = None

@@ -175,6 +175,7 @@ IMAGING = {
     "bones": Key("list of files", texts),
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm")),  # with `bone`; none: BONE_RADIUS_MM
+    "skin_scale_fraction": Key("1", number(0.0, 0.3, "")),  # with `bone`; none: SKIN_SCALE
     "shape": Key("table", table),
     "fibres": Key("NIfTI file of 3 components", text),
     "fibre_frame": Key("ras | lps | fsl", one_of("ras", "lps", "fsl")),  # none: ras

@@ -55,6 +55,18 @@ def test_a_bone_from_ultrasound_has_a_radius(tmp_path: Path):
     assert "not imaged: the bone" in given.imaging.assumed
 
 
+def test_a_scan_has_a_scale_that_may_be_stated(tmp_path: Path):
+    text = PLACED.replace(SHAPE, 'skin = "scan.stl"\nbone = "from-ultrasound"')
+    assert Case.open(write(tmp_path, text)).imaging.skin_scale == 0.01
+    stated = text.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
+    assert Case.open(write(tmp_path, stated)).imaging.skin_scale == 0.1
+    with pytest.raises(CaseError, match=r"skin_scale_fraction is 10 ; plausible is 0 to 0\.3"):
+        Case.open(write(tmp_path, stated.replace("= 0.1", "= 10")))
+    alone = PLACED.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
+    with pytest.raises(CaseError, match="counts only beside a bone from ultrasound"):
+        Case.open(write(tmp_path, alone))
+
+
 def test_imaged_limbs_assume_nothing(tmp_path: Path):
     text = PLACED.replace(SHAPE, 'skin = "scan.stl"\nbones = ["scan.stl"]')
     assert Case.open(write(tmp_path, text)).imaging.assumed == ""

@@ -52,7 +52,7 @@ def _in_words(value: object) -> str:
 
 
 @dataclass(frozen=True)
-class Work:
+class StageCall:
     """What a stage is called with."""
 
     case: Case
@@ -61,7 +61,7 @@ class Work:
 
 
 @contextlib.contextmanager
-def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard) -> Iterator[Work]:
+def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard) -> Iterator[StageCall]:
     """The case, and its output folder to write into alone.
 
     Raises
@@ -76,7 +76,7 @@ def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard
         target = default_out(opened.folder) if out is None else folder_of(out)
         heard = listening(progress)
         with one_writer(target, wait=wait, progress=heard):
-            yield Work(opened, target, heard)
+            yield StageCall(opened, target, heard)
 
 
 @contextlib.contextmanager

@@ -81,6 +81,7 @@ def synth(
     margin_mm: float | None = None,
     same_mesh: bool = False,
     contact_penalty: float | None = None,
+    with_layers: bool = False,
     wait: bool = True,
     progress: Heard = None,
 ) -> MadeCase:
@@ -99,6 +100,7 @@ def synth(
     element, size_mm, far_size_mm, margin_mm : mesh simulated on (None: the case's)
     same_mesh : simulate on the very mesh that is fitted
     contact_penalty : times the skin's stiffness at rest; None: 20
+    with_layers : read skin, fat and muscle too, as thick at first touch as the geometry tells them
 
     Raises
     ------
@@ -116,7 +118,7 @@ def synth(
         "synth", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
-        contact_penalty=contact_penalty,
+        contact_penalty=contact_penalty, layers=with_layers,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress) as work:
         found = stage.synth(

@@ -24,7 +24,7 @@ from limbcli.errors import LimbError
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
-    from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+    from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
 ElementOpt = Annotated[
@@ -129,7 +129,7 @@ class _Entry:
     """How one case went, for the end: content of --json, and what failed."""
 
     content: dict[str, Any]
-    failures: list[Failure]
+    failures: list[StepFailure]
 
     @property
     def code(self) -> int:
@@ -140,7 +140,7 @@ class _Entry:
         return [str(self.content["case"]), *(line for each in self.failures for line in _lines(each))]
 
 
-def _lines(failure: Failure) -> list[str]:
+def _lines(failure: StepFailure) -> list[str]:
     """What failed (stage and site), and its error."""
     error = failure.error
     what = f"{failure.place}: {error.what}" if failure.place else error.what

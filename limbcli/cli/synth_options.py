@@ -1,10 +1,19 @@
-"""Options that `phantom` and `synth` share: the known tissue, its measurement, the mesh simulated on."""
+"""Options that `phantom` and `synth` share: the known tissue, its measurement, the mesh simulated on.
+
+Names, defaults and bounds stand here alone: `with_synth_options` puts them into a command.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+import functools
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+if TYPE_CHECKING:
+    from limbcli.stages.synth import SynthOptions
 
 _TISSUE = "Known tissue"
 _MEASURING = "Measuring it"
@@ -92,3 +101,57 @@ ContactPenaltyOpt = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _plan(
+    c_kpa: CStiffOpt = 8.0,
+    f_kappa: FKappaOpt = 80.0,
+    m: MOpt = 6.0,
+    effect: EffectOpt = None,
+    noise: NoiseOpt = 1.0,
+    step_n: StepOpt = 2.0,
+    max_force_n: MaxForceOpt = 12.0,
+    max_strain: MaxStrainOpt = 0.45,
+    element: SynthElementOpt = None,
+    size_mm: SynthSizeOpt = 4.0,
+    far_size_mm: SynthFarSizeOpt = 12.0,
+    margin_mm: SynthMarginOpt = None,
+    same_mesh: SameMeshOpt = False,
+) -> Any:
+    """What is simulated and measured, of the options chosen."""
+    from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
+    from limbcli.stages.synth import LoadingProtocol, SynthOptions
+
+    return SynthOptions(
+        tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),
+        noise=noise,
+        element=element,
+        size=size_mm,
+        far_size=far_size_mm,
+        margin=margin_mm,
+        same_mesh=same_mesh,
+        hidden=tuple(hide(each) for each in effect or ()),
+        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain),
+    )
+
+
+def with_synth_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command with these options in the place of its parameter `plan`, which it gets as `SynthOptions`."""
+    shared = inspect.signature(_plan).parameters
+    hints = get_type_hints(_plan, include_extras=True) | get_type_hints(command, include_extras=True)
+    own = inspect.signature(command)
+    merged = [
+        each.replace(annotation=hints[each.name])
+        for given in own.parameters.values()
+        for each in (shared.values() if given.name == "plan" else [given])
+    ]
+
+    @functools.wraps(command)
+    def called(**given: Any) -> None:
+        plan: SynthOptions = _plan(**{name: given.pop(name) for name in shared})
+        command(plan=plan, **given)
+
+    called.__signature__ = own.replace(parameters=merged)  # type: ignore[attr-defined]
+    called.__annotations__ = {each.name: each.annotation for each in merged} | {"return": None}
+    return called

@@ -39,14 +39,14 @@ class Averages(Protocol):
     def __call__(self, values: Array) -> Array: ...
 
 
-class Region(Protocol):
+class SpeedRegion(Protocol):
     """The scanner's region: from speeds at its pixels to ln means of the whole and its parts."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ScannerView:
     """What the scanner's region shows at one depth.
 
     averages : from cells to pixels; places (n_pixels, q, 3) : of the unloaded tissue that each pixel
@@ -56,7 +56,7 @@ class Seen:
     averages: Averages
     places: Places
     weight: Array
-    region: Region
+    region: SpeedRegion
 
     def log_means(self, speed_m_per_s: Array, stiffness: Sequence[Stiffness] = ()) -> Array:
         """ln mean speeds (n_parts,) of speeds at cells (n_cells,), the law's stiffnesses times fields."""
@@ -80,7 +80,7 @@ class SolvedDeformation:
     depth: Array
     gradient: Array
     volume: Array
-    seen: tuple[Seen, ...] = ()
+    seen: tuple[ScannerView, ...] = ()
     _energies: dict[int, Array] = field(default_factory=dict)
     _speeds: dict[int, Array] = field(default_factory=dict)
     _models: list[LimbModel] = field(default_factory=list)

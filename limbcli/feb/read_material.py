@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.bodies import RigidBody
-from limbcli.feb.laws import BY_FEBIO, LawTag, lame
+from limbcli.feb.law_tags import LawTag, lame, law_tags, tag_of_febio
 from limbcli.feb.xml import Tag
 from limbcli.model import Curved, ElementMap, Material, Value
 
@@ -68,11 +68,11 @@ def _density(tag: Tag) -> float:
 
 
 def _material(tag: Tag, names: _Names, *, attributes: tuple[str, ...] = ("type",)) -> Material:
-    law = BY_FEBIO.get(tag.attribute("type"))
+    law = tag_of_febio(tag.attribute("type"))
     if law is None:
         raise tag.problem(
             f"the material type {tag.attribute('type')!r} is not supported",
-            fix=f"use one of: {', '.join(BY_FEBIO)}, rigid body",
+            fix=f"use one of: {', '.join(each.febio for each in law_tags())}, rigid body",
         )
     children = [name for name, _ in law.parameters]
     children += ["E", "v"] if law.elastic_constants else []

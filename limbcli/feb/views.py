@@ -13,7 +13,7 @@ from markupsafe import Markup
 from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, number, vector
-from limbcli.feb.laws import BY_LAW, LawTag, young
+from limbcli.feb.law_tags import LawTag, law_tags, tag_of_law, young
 from limbcli.feb.read_control import OUTPUT_CONTROL, QUASI_NEWTON, SOLVER, STEPPER_MORE
 from limbcli.model import (
     Array,
@@ -108,12 +108,12 @@ def material_views(model: LimbModel, ids: Ids) -> list[MaterialView]:
 
 
 def _material(material: Material, ids: Ids, tag: str = "material") -> MaterialView:
-    law = BY_LAW.get(material.law)
+    law = tag_of_law(material.law)
     if law is None:
         raise CaseError(
             f"the law {material.law!r} cannot be written for FEBio",
             where="model",
-            fix=f"use one of {list(BY_LAW)}",
+            fix=f"use one of {[each.law for each in law_tags()]}",
         )
     rows: list[Row] = [("density", (), number(material.density))] if law.has_density else []
     rows += _scalar_rows(material, law, ids)

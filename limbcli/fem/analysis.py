@@ -18,7 +18,7 @@ from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, has_friction, is_timed
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.solve_times import step_times
-from limbcli.fem.motion import curves
+from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.model import Curve, LimbModel, Step
@@ -179,4 +179,4 @@ class Analysis:
 
 
 def _shifted(curve: Curve, begin: float, time: float) -> float:
-    return curves.value(curve, begin + time)
+    return load_curves.value(curve, begin + time)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from limbcli import ahead
 from limbcli.errors import SolveError
-from limbcli.fem.derivatives.fields import check_record
+from limbcli.fem.record_fields import check_record
 from limbcli.materials import compile_material
 from limbcli.model import LimbModel
 from limbcli.progress import Progress

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.fields import box_around, closed, evened, opened
 from limbcli.imaging.intensity import TissueIntensities
+from limbcli.imaging.signed_distance import box_around, closed, evened, opened
 from limbcli.model import Array
 
 _THICKEST = 14.0  # mm, the tibial crest

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
-from limbcli.imaging.fields import closed, evened, filled_by_slice, largest, opened
+from limbcli.imaging.signed_distance import closed, evened, filled_by_slice, largest, opened
 from limbcli.imaging.volume import Volume
 
 _AIR = -350.0  # HU: half way from air to fat and skin

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.fields import filled_by_slice
 from limbcli.imaging.limbs import upright
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE
+from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array

@@ -15,10 +15,10 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
-from limbcli.imaging.fields import filled_by_slice, largest
-from limbcli.imaging.markers import Marker, number_markers
+from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.nifti import one_geometry
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
+from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
@@ -126,7 +126,7 @@ def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> list[NDA
     return [parts == n + 1 for n in order if sizes[n] >= least]
 
 
-def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[Marker, ...]:
+def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[MarkerCapsule, ...]:
     parts, n_parts = ndimage.label(volume.values == MARKER, np.ones((3, 3, 3), bool))
     if n_parts == 0:
         return ()

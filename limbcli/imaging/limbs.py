@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
-from limbcli.imaging.fields import filled_by_slice
 from limbcli.imaging.intensity import otsu
+from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 

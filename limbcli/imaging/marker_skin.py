@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.imaging.markers import Marker
+from limbcli.imaging.markers import MarkerCapsule
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.model import Array
 
@@ -21,7 +21,7 @@ _FEWEST = 12
 _LARGEST_MOVE = 4.0  # mm: what would move the skin further is not a marker's bump
 
 
-def without_bumps(skin: ClosedSurface, markers: Sequence[Marker]) -> tuple[ClosedSurface, list[float]]:
+def without_bumps(skin: ClosedSurface, markers: Sequence[MarkerCapsule]) -> tuple[ClosedSurface, list[float]]:
     """The skin with each marker's footprint put on a quadric through the skin around it.
 
     Returns
@@ -37,7 +37,7 @@ def without_bumps(skin: ClosedSurface, markers: Sequence[Marker]) -> tuple[Close
     return ClosedSurface(points, skin.triangles), moved
 
 
-def _smoothed(points: Array, normals: Array, marker: Marker) -> tuple[Array, float]:
+def _smoothed(points: Array, normals: Array, marker: MarkerCapsule) -> tuple[Array, float]:
     reach = (3.0 * marker.volume / (4.0 * np.pi)) ** (1 / 3) + _BLUR
     centre = np.array(marker.position)
     spot = int(np.argmin(np.linalg.norm(points - centre, axis=1)))

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.fields import box_around
 from limbcli.imaging.intensity import TissueIntensities
+from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -24,7 +24,7 @@ _LONGEST = 35.0  # mm
 
 
 @dataclass(frozen=True)
-class Marker:
+class MarkerCapsule:
     """A capsule's centre (patient LPS, mm), its number from 1, volume (mm^3)."""
 
     number: int
@@ -36,7 +36,7 @@ class Marker:
 class FoundMarkers:
     """markers; `mask` of their voxels; `around`: what is theirs or their blur, not the limb's."""
 
-    markers: tuple[Marker, ...]
+    markers: tuple[MarkerCapsule, ...]
     mask: NDArray[np.bool_]
     around: NDArray[np.bool_]
 
@@ -87,7 +87,7 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
 
 def number_markers(
     positions: Array, sizes: Array, volume: Volume, body: NDArray[np.bool_]
-) -> tuple[Marker, ...]:
+) -> tuple[MarkerCapsule, ...]:
     """Numbers from distal to proximal, then by angle."""
     if not len(positions):
         return ()
@@ -103,7 +103,7 @@ def number_markers(
         groups[after] = group
     ranked = sorted(range(len(positions)), key=lambda n: (groups[n], angles[n]))
     return tuple(
-        Marker(number, tuple(float(x) for x in positions[n]), float(sizes[n]))  # type: ignore[arg-type]
+        MarkerCapsule(number, tuple(float(x) for x in positions[n]), float(sizes[n]))  # type: ignore[arg-type]
         for number, n in enumerate(ranked, 1)
     )
 

@@ -12,8 +12,8 @@ from skimage.measure import regionprops
 from skimage.morphology import disk
 from skimage.segmentation import watershed
 
-from limbcli.imaging.fields import box_around, closed, opened
 from limbcli.imaging.intensity import TissueIntensities
+from limbcli.imaging.signed_distance import box_around, closed, opened
 from limbcli.model import Array
 
 _DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from limbcli.drawing import save_picture
-from limbcli.imaging.fields import box_around
 from limbcli.imaging.segmentation import MARKER, Segmentation
+from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 

@@ -19,7 +19,7 @@ from limbcli.imaging.ct import bones_on_ct, fat_on_ct, limb_on_ct
 from limbcli.imaging.fat import fat_of
 from limbcli.imaging.intensity import normalise
 from limbcli.imaging.limbs import Side, one_limb, require_bright_fat, upright
-from limbcli.imaging.markers import Marker, find_markers
+from limbcli.imaging.markers import MarkerCapsule, find_markers
 from limbcli.imaging.marrow import find_marrow
 from limbcli.imaging.skin_segmentation import rough_outline, skin_outline
 from limbcli.imaging.volume import Volume, back
@@ -48,7 +48,7 @@ class Segmentation:
     skin: Volume
     bones: tuple[Volume, ...]
     fat: Volume | None = None
-    markers: tuple[Marker, ...] = ()
+    markers: tuple[MarkerCapsule, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -60,7 +60,7 @@ class Masks:
     bones: list[NDArray[np.bool_]]
     fat: NDArray[np.bool_] | None
     marker: NDArray[np.bool_]
-    markers: tuple[Marker, ...]
+    markers: tuple[MarkerCapsule, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
-from limbcli.imaging.fields import evened, filled_by_slice, largest, opened
 from limbcli.imaging.intensity import TissueIntensities, otsu
+from limbcli.imaging.signed_distance import evened, filled_by_slice, largest, opened
 from limbcli.imaging.volume import Volume
 
 _ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) still exceeds

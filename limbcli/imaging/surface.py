@@ -19,7 +19,7 @@ from skimage import measure
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.files import atomic_file, read_triangles
-from limbcli.imaging.fields import box_around, signed_distance
+from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array, IntArray
 

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 from limbcli.model import Array, IntArray
 
 FOLDS, INNER_FOLDS = 10, 3
+_DRAWS = 4000  # of people again: the ends of the interval then stand to a few hundredths
 _SHRINK = ((1.0, 10.0), (1.0, 60.0))  # slopes of all sites, of each site
 _INTERCEPT = 1e-3
 _CORNER = 0.05  # where the absolute value is rounded off
@@ -49,6 +50,22 @@ def person_folds(people: Array, n_folds: int, seed: int) -> IntArray:
 def percent_off(predicted: Array, measured: Array) -> Array:
     """|predicted - measured| / measured (n,), percent."""
     return np.asarray(100.0 * np.abs(predicted - measured) / measured)
+
+
+def mean_interval(people: Array, values: Array, *, seed: int = 7) -> tuple[float, float]:
+    """95 % interval of the mean of values (n,), if other people like these had been measured.
+
+    Percentiles of the means of people drawn again with replacement, all rows of a person together (Efron &
+    Tibshirani 1993, An Introduction to the Bootstrap, chapters 8 and 13); that the training would have seen
+    other people, too, is not in it.
+    """
+    names, number = np.unique(people.astype(str), return_inverse=True)
+    total = np.bincount(number, weights=values)
+    count = np.bincount(number).astype(float)
+    drawn = np.random.default_rng(seed).integers(len(names), size=(_DRAWS, len(names)))
+    means = total[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def predict_left_out(

@@ -1,4 +1,4 @@
-"""Constitutive laws. `LAWS` lists every law by name; see `model.Material` for the convention."""
+"""Constitutive laws. `LAWS` holds every law by its name; see `model.Material` for the convention."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from limbcli.materials.cache import drop_stale_kernels
 
 drop_stale_kernels()
 
-from limbcli.materials.laws import LAWS  # noqa: E402
+from limbcli.materials.laws import LAWS, register  # noqa: E402
 from limbcli.materials.ogden import ogden_type  # noqa: E402
 from limbcli.materials.program import Compiled, Program, compile_material  # noqa: E402
 
-__all__ = ["LAWS", "Compiled", "Program", "compile_material", "ogden_type"]
+__all__ = ["LAWS", "Compiled", "Program", "compile_material", "ogden_type", "register"]

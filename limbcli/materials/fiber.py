@@ -1,4 +1,4 @@
-"""Fibres along a0: exponential-power law, and prescribed active contraction.
+"""Fibres along a0: the exponential-power law.
 
 `fiber-exp-pow` (tension only, I4 = a0.C.a0 > lam0^2):
     W = ksi/(alpha beta) (exp(alpha x^beta) - 1) + mu/4 a0.(C - 1)^2.a0,  x = I4 - lam0^2
@@ -9,17 +9,18 @@ to stand on the jump have no equilibrium, so the term comes in linearly between 
 (or the parameter `band`, which FEBio does not have: a wider one is solved sooner).
 The slope of that belongs to no energy: its tangent is not symmetric, and is added only where it is asked for.
 
-Active contraction: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
-
-Source: FEBio User Manual 4.0, "Fiber with Exponential-Power Law" and "Prescribed
-Fiber Active Contraction".
+Source: FEBio User Manual 4.0, "Fiber with Exponential-Power Law".
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
+from limbcli.materials.kernel import Deformation, Kernel
+from limbcli.materials.law import FebioNames, Law
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
 
 JUMP = 1e-3
@@ -50,8 +51,9 @@ def symmetric_product(A, C, p):
 
 
 @njit(cache=True)
-def add_fiber(par, off, sloped, C, A, S, CC, tangent):
+def add_fiber(par, off, sloped, J, work, S, CC, tangent):
     """sloped : add the slope of the shear term's coming in to the tangent"""
+    C, A = work[0][0], work[0][1]
     ksi, alpha, beta, mu = par[off], par[off + ALPHA], par[off + BETA], par[off + MU]
     fibre_dyad(par, off + A0, A)
     I4 = fibre_square(A, C)
@@ -96,8 +98,9 @@ def add_fiber(par, off, sloped, C, A, S, CC, tangent):
 
 
 @njit(cache=True)
-def add_fiber_derivative(par, off, which, C, A, S):
+def add_fiber_derivative(par, off, which, J, work, S, CC, tangent):
     """dS with respect to ALPHA, BETA, LAM0 or BAND."""
+    C, A = work[0][0], work[0][1]
     ksi, alpha, beta = par[off], par[off + ALPHA], par[off + BETA]
     lam0, band = par[off + LAM0], par[off + BAND]
     fibre_dyad(par, off + A0, A)
@@ -122,9 +125,33 @@ def add_fiber_derivative(par, off, which, C, A, S):
             S[p] += part * par[off + MU] * (symmetric_product(A, C, p) - A[p])
 
 
-@njit(cache=True)
-def add_contraction(par, off, A, S):
-    """par[off:] = T0, a0x, a0y, a0z."""
-    fibre_dyad(par, off + 1, A)
-    for p in range(6):
-        S[p] += par[off] * A[p]
+def stretch_square(p: Any, first: int, C: Any) -> tuple[Any, Any]:
+    """The direction at p[:, first:] (n_cells, n_gauss, 3), and I4 along it (n_cells, n_gauss)."""
+    a = np.broadcast_to(p[:, first : first + 3, 0][:, None, :], (*C.shape[:2], 3))
+    return a, np.einsum("egi,egij,egj->eg", a, C, a)
+
+
+def energy(p: Any, extra: int, at: Deformation) -> Any:
+    """W (n_cells, n_gauss) MPa; p (n_cells, 9, 1)."""
+    a, I4 = stretch_square(p, A0, at.C)
+    x = I4 - p[:, LAM0] ** 2
+    stretched = np.real(x) > 0.0
+    alpha, beta = p[:, ALPHA], p[:, BETA]
+    small = np.abs(alpha) < 1e-12
+    safe = np.where(small, 1.0, alpha)
+    power = np.where(stretched, x, 1.0) ** beta
+    stretch = np.where(small, power * (1 + 0.5 * alpha * power), np.expm1(alpha * power) / safe) / beta
+    D = np.einsum("egij,egj->egi", at.C - np.eye(3), a)
+    return np.where(stretched, p[:, KSI] * stretch + 0.25 * p[:, MU] * (D**2).sum(-1), 0.0)
+
+
+_DERIVATIVE = Kernel(add_fiber_derivative)
+LAW = Law(
+    "fiber_exp_pow",
+    Kernel(add_fiber, energy, jump=MU),
+    {"ksi": None, "alpha": 0.0, "beta": 2.0, "mu": 0.0, "lam0": 1.0, "band": JUMP},
+    lambda v: [v["ksi"], v["alpha"], v["beta"], v["mu"], v["lam0"], v["band"]],
+    {k: (_DERIVATIVE, k) for k in (ALPHA, BETA, LAM0, BAND)},
+    fiber=True,
+    febio=FebioNames("fiber-exp-pow", tuple((each, each) for each in ("ksi", "alpha", "beta", "mu", "lam0"))),
+)

@@ -8,9 +8,13 @@ FEBio User Manual 4.0, "Holmes-Mow".
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
+from limbcli.materials.kernel import Deformation, Kernel
+from limbcli.materials.law import FebioNames, Law
 from limbcli.materials.tensors import add_outer, add_square, inverse6
 
 
@@ -23,8 +27,9 @@ def invariants(C):
 
 
 @njit(cache=True)
-def add_holmes_mow(par, off, J, C, inverse, B, S, CC, tangent):
+def add_holmes_mow(par, off, extra, J, work, S, CC, tangent):
     """S = e^Q/2 B, B = (2 mu - lambda) I + lambda (I1 I - C) - (lambda + 2 mu) C^-1."""
+    C, inverse, B = work[0][0], work[0][1], work[0][2]
     mu, lam, beta = par[off], par[off + 1], par[off + 2]
     Ha = lam + 2.0 * mu
     inverse6(C, inverse)
@@ -48,8 +53,9 @@ def add_holmes_mow(par, off, J, C, inverse, B, S, CC, tangent):
 
 
 @njit(cache=True)
-def add_holmes_mow_derivative(par, off, which, J, C, inverse, B, S):
+def add_holmes_mow_derivative(par, off, which, J, work, S, CC, tangent):
     """dS with respect to mu (which = 0), lambda (1) or beta (2)."""
+    C, inverse = work[0][0], work[0][1]
     mu, lam, beta = par[off], par[off + 1], par[off + 2]
     Ha = lam + 2.0 * mu
     inverse6(C, inverse)
@@ -72,3 +78,25 @@ def add_holmes_mow_derivative(par, off, which, J, C, inverse, B, S):
             value += 2.0 * mu - lam + lam * I1
             change += 2.0 * dmu - dlam + dlam * I1
         S[p] += e * (dQ * value + change)
+
+
+def energy(p: Any, extra: int, at: Deformation) -> Any:
+    """W (n_cells, n_gauss) MPa; p (n_cells, 3, 1)."""
+    mu, lam, beta = p[:, 0], p[:, 1], p[:, 2]
+    I1 = at.squares.sum(-1)
+    I2 = 0.5 * (I1**2 - (at.squares**2).sum(-1))
+    Ha = lam + 2 * mu
+    Q = beta * (((2 * mu - lam) * (I1 - 3) + lam * (I2 - 3)) / Ha - 2 * np.log(at.J))
+    return Ha / (4 * beta) * np.expm1(Q)
+
+
+_DERIVATIVE = Kernel(add_holmes_mow_derivative)
+LAW = Law(
+    "holmes_mow",
+    Kernel(add_holmes_mow, energy),
+    {"mu": None, "lambda": None, "beta": None},
+    lambda v: [v["mu"], v["lambda"], v["beta"]],
+    {k: (_DERIVATIVE, k) for k in range(3)},
+    positive=("mu",),
+    febio=FebioNames("Holmes-Mow", (("beta", "beta"),), elastic_constants=True),
+)

@@ -1,6 +1,4 @@
-"""Ogden's law, unconstrained and uncoupled, in the tissue's parameters.
-
-Unconstrained (FEBio "Ogden unconstrained"), up to six terms:
+"""Ogden's law, unconstrained (FEBio "Ogden unconstrained"), in the tissue's parameters; up to six terms:
 
     W = sum_k c_k/m_k^2 (l1^m_k + l2^m_k + l3^m_k - 3 - m_k ln J) + kappa/2 (J - 1)^2
 
@@ -8,19 +6,20 @@ with ground shear modulus sum(c_k)/2 and kappa Lame's lambda. The tissue law of 
 project, Psi = c/(2 m^2) sum(l^m + l^-m - 2) + kappa/2 (J - 1)^2, is c1 = c2 = c/2,
 m1 = m, m2 = -m: the logarithms cancel.
 
-Uncoupled (FEBio "Ogden"): W = sum_k c_k/m_k^2 (sum lt^m_k - 3) + k/2 (ln J)^2 with
-lt = J^(-1/3) l.
-
-Source: FEBio User Manual 4.0, "Ogden Unconstrained" and "Ogden".
+Source: FEBio User Manual 4.0, "Ogden Unconstrained".
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from limbcli.errors import SolveError
-from limbcli.materials.principal import add_principal
+from limbcli.materials.kernel import OGDEN, Deformation, Kernel
+from limbcli.materials.law import FebioNames, Law, Values
+from limbcli.materials.principal import add_principal, principal_axes
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, square6
 from limbcli.model import Material
 
@@ -80,8 +79,21 @@ def all_squares(par, off, n_terms):
 
 
 @njit(cache=True)
-def add_ogden_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
-    """`add_ogden` where all exponents are 2 or -2, in C, D = C^-1 and G = D^2 (6 each, the latter two set).
+def add_ogden(par, off, n_terms, J, work, S, CC, tangent):
+    """par[off:] = kappa, c1, m1, c2, m2, ..."""
+    if all_squares(par, off, n_terms):
+        _add_squares(par, off, n_terms, J, work[0][0], work[0][1], work[0][2], S, CC, tangent)
+        return
+    principal_axes(work)
+    three = work[1]
+    _add_powers(
+        par, off, n_terms, J, three[0], three[1], work[2], three[2], work[3], three[3], S, CC, tangent
+    )
+
+
+@njit(cache=True)
+def _add_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
+    """Where all exponents are 2 or -2, in C, D = C^-1 and G = D^2 (6 each, the latter two set).
 
     S = kappa (J - 1) J D + c+/2 (1 - D) + c-/2 (D - G), c+ and c- the sums of c_k of either sign.
     """
@@ -114,8 +126,8 @@ def add_ogden_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
 
 
 @njit(cache=True)
-def add_ogden(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
-    """par[off:] = kappa, c1, m1, c2, m2, ...; logs = ln l_i."""
+def _add_powers(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
+    """In principal axes; logs = ln l_i."""
     pressure = par[off] * (J - 1.0) * J
     slope = par[off] * (2.0 * J - 1.0) * J
     for i in range(3):
@@ -152,59 +164,74 @@ def add_ogden(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, ta
 
 
 @njit(cache=True)
-def add_ogden_exponent_derivative(par, off, term, squares, logs, vectors, tau, a, d, S, CC):
+def add_exponent_derivative(par, off, term, J, work, S, CC, tangent):
     """dS/dm of one term: tau_i = c (l^m ln l / m - (l^m - 1) / m^2)."""
+    principal_axes(work)
+    squares, logs, tau, d = work[1][0], work[1][1], work[1][2], work[1][3]
     c, m = par[off + 1 + 2 * term], par[off + 2 + 2 * term]
     for i in range(3):
         tau[i] = c * (np.exp(m * logs[i]) * logs[i] / m - np.expm1(m * logs[i]) / (m * m))
-    add_principal(squares, vectors, tau, a, d, S, CC, False)
+    add_principal(squares, work[2], tau, work[3], d, S, CC, False)
 
 
-@njit(cache=True)
-def add_uncoupled(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
-    """Uncoupled Ogden: the deviator of sum c_k/m_k lt^m_k, plus k ln J."""
-    lnJ = np.log(J)
-    f0, f1, f2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    d[0] = d[1] = d[2] = 0.0
-    for k in range(n_terms):
-        c = par[off + 1 + 2 * k]
-        if c == 0.0:
-            continue
-        m = par[off + 2 + 2 * k]
-        iso = np.exp(-m * lnJ / 3.0)
-        p0, p1, p2 = np.exp(m * logs[0]), np.exp(m * logs[1]), np.exp(m * logs[2])
-        f0 += c / m * np.expm1(m * (logs[0] - lnJ / 3.0))
-        f1 += c / m * np.expm1(m * (logs[1] - lnJ / 3.0))
-        f2 += c / m * np.expm1(m * (logs[2] - lnJ / 3.0))
-        g0 += c * p0 * iso
-        g1 += c * p1 * iso
-        g2 += c * p2 * iso
-        if tangent:
-            d[0] += c / m * iso * power_quotient(m, squares[0], squares[1], p0, p1)
-            d[1] += c / m * iso * power_quotient(m, squares[1], squares[2], p1, p2)
-            d[2] += c / m * iso * power_quotient(m, squares[0], squares[2], p0, p2)
-    mean = (f0 + f1 + f2) / 3.0
-    pressure = par[off] * lnJ
-    tau[0], tau[1], tau[2] = f0 - mean + pressure, f1 - mean + pressure, f2 - mean + pressure
-    g = (g0, g1, g2)
-    third = (g0 + g1 + g2) / 9.0
-    for i in range(3):
-        for j in range(3):
-            a[i, j] = par[off] + third - (g[i] + g[j]) / 3.0
-        a[i, i] += g[i]
-    add_principal(squares, vectors, tau, a, d, S, CC, tangent)
+# ---------------------------------------------------------------- a sum of terms, coupled or not
+
+PARAMETERS: dict[str, float | None] = {"kappa": None, "c1": None, "m1": None}
+PARAMETERS |= {f"{letter}{k}": 0.0 for k in range(2, MAX_TERMS + 1) for letter in "cm"}
+FEBIO_TERMS = tuple((f"{letter}{k}", f"{letter}{k}") for k in range(1, MAX_TERMS + 1) for letter in "cm")
 
 
-@njit(cache=True)
-def add_uncoupled_exponent_derivative(par, off, term, J, squares, logs, vectors, tau, a, d, S, CC):
-    """dS/dm of one term of the uncoupled law."""
-    c, m = par[off + 1 + 2 * term], par[off + 2 + 2 * term]
-    third = np.log(J) / 3.0
-    mean = 0.0
-    for i in range(3):
-        x = logs[i] - third
-        tau[i] = c * (np.exp(m * x) * x / m - np.expm1(m * x) / (m * m))
-        mean += tau[i] / 3.0
-    for i in range(3):
-        tau[i] -= mean
-    add_principal(squares, vectors, tau, a, d, S, CC, False)
+def n_terms(values: Values) -> int:
+    """The highest number of a term that is given."""
+    return max((k for k in range(1, MAX_TERMS + 1) if f"c{k}" in values), default=0)
+
+
+def slots(values: Values) -> list[Any]:
+    """kappa, c1, m1, c2, m2, ..."""
+    found = [values["kappa"]]
+    for k in range(1, n_terms(values) + 1):
+        found += [values.get(f"c{k}", 0.0), values.get(f"m{k}", 1.0)]
+    return found
+
+
+def exponents(derivative: Kernel) -> dict[int, tuple[Kernel, int] | None]:
+    """The slots of the exponents, each with the derivative of its term."""
+    return {2 + 2 * k: (derivative, k) for k in range(MAX_TERMS)}
+
+
+def check_terms(given: Values) -> tuple[str, str] | None:
+    """A modulus without its exponent, or an exponent of 0."""
+    for key, value in given.items():
+        if key.startswith("c") and f"m{key[1:]}" not in given:
+            return f"{key} without m{key[1:]}", f"give m{key[1:]}"
+        if key.startswith("m") and isinstance(value, float | int) and value == 0:
+            return f"the exponent {key} is 0", "give an exponent that is not 0"
+    return None
+
+
+def with_terms(total: Any, p: Any, number: int, squares: Any, logarithm: Any) -> Any:
+    """total (n_cells, n_gauss) plus the sum of c_k/m_k^2 (sum_i s_i^(m_k/2) - 3 - m_k logarithm)."""
+    for k in range(number):
+        c, m = p[:, 1 + 2 * k], p[:, 2 + 2 * k]
+        stretched = (squares ** (0.5 * m[..., None])).sum(-1) - 3
+        total = total + c / m**2 * (stretched - m * logarithm)
+    return total
+
+
+def energy(p: Any, extra: int, at: Deformation) -> Any:
+    """W (n_cells, n_gauss) MPa; p (n_cells, 1 + 2 n_terms, 1)."""
+    return with_terms(0.5 * p[:, 0] * (at.J - 1) ** 2, p, extra, at.squares, np.log(at.J))
+
+
+LAW = Law(
+    "ogden",
+    Kernel(add_ogden, energy, known_number=OGDEN),
+    PARAMETERS,
+    slots,
+    exponents(Kernel(add_exponent_derivative)),
+    n_terms,
+    positive=("kappa",),
+    check=check_terms,
+    terms=True,
+    febio=FebioNames("Ogden unconstrained", (("cp", "kappa"), *FEBIO_TERMS)),
+)

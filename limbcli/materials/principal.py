@@ -12,7 +12,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.materials.tensors import FIRST, SECOND
+from limbcli.materials.tensors import FIRST, SECOND, eigen6
+
+
+@njit(cache=True)
+def principal_axes(work):
+    """Principal squares of C, their logarithms halved and their directions into the workspace of a kernel,
+    if they are not there yet; once for all leaves of a program."""
+    squares, logs = work[1][0], work[1][1]
+    if squares[0] >= 0.0:
+        return
+    eigen6(work[0][0], squares, work[2])
+    for i in range(3):
+        logs[i] = 0.5 * np.log(squares[i])
 
 
 @njit(cache=True)

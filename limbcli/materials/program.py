@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.materials import dispatch
-from limbcli.materials.fiber import MU
-from limbcli.materials.laws import LAWS, LEAVES, Law
+from limbcli.materials.kernel import kernel_of
+from limbcli.materials.law import Law
+from limbcli.materials.laws import LAWS, WRAPPERS
 from limbcli.model import Array, Curved, ElementMap, IntArray, Material, Value
 
 CurveAt = Callable[[str], float]
@@ -68,7 +68,7 @@ class Compiled:
     def _ops(self) -> IntArray:
         rows, offset = [], 0
         for leaf in self.leaves:
-            rows.append((leaf.law.kernel, offset, leaf.law.extra(leaf.parameters)))
+            rows.append((leaf.law.kernel.number, offset, leaf.law.extra(leaf.parameters)))
             offset += leaf.n_slots
         return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
@@ -127,16 +127,17 @@ class Compiled:
 
 def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cells: int) -> list[Program]:
     programs = []
-    linear = {k for k in range(len(slopes)) if k not in leaf.law.kernels}
+    linear = {k for k in range(len(slopes)) if k not in leaf.law.derivatives}
     extra = leaf.law.extra(leaf.parameters)
     if any(np.any(slopes[k] != 0.0) for k in linear):
         columns = [slopes[k] if k in linear else slots[k] for k in range(len(slopes))]
         columns += slots[len(slopes) :]
-        ops = np.array([[leaf.law.kernel, 0, extra]], dtype=np.int64)
+        ops = np.array([[leaf.law.kernel.number, 0, extra]], dtype=np.int64)
         programs.append(Program(ops, _stack(columns, n_cells)))
-    for slot, (kernel, which) in leaf.law.kernels.items():
-        if slot < len(slopes) and np.any(slopes[slot] != 0.0) and kernel:
-            ops = np.array([[kernel, 0, which]], dtype=np.int64)
+    for slot, derivative in leaf.law.derivatives.items():
+        if slot < len(slopes) and np.any(slopes[slot] != 0.0) and derivative is not None:
+            kernel, which = derivative
+            ops = np.array([[kernel.number, 0, which]], dtype=np.int64)
             factor = np.broadcast_to(np.asarray(slopes[slot], dtype=float), (n_cells,)).copy()
             programs.append(Program(ops, _stack(slots, n_cells), factor))
     return programs
@@ -144,8 +145,10 @@ def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cell
 
 def jumping(ops: IntArray, par: Array) -> Array:
     """Which leaves of a program, by its ops and par, have a stress that jumps: sheared fibres (n_leaves,)."""
-    fibres = ops[:, 0] == dispatch.FIBER
-    return np.array([f and bool(par[:, k + MU].any()) for f, k in zip(fibres, ops[:, 1], strict=True)])
+    jumps = [kernel_of(number).jump for number in ops[:, 0]]
+    return np.array(
+        [j is not None and bool(par[:, off + j].any()) for j, off in zip(jumps, ops[:, 1], strict=True)]
+    )
 
 
 def compile_material(material: Material, name: str) -> Compiled:
@@ -166,12 +169,14 @@ def _leaves(material: Material, name: str, path: str) -> list[Leaf]:
             raise _problem(name, "a mixture without solids", "give it at least one solid")
         inside = f"{path}." if path else ""
         return [leaf for k, part in enumerate(material.parts) for leaf in _leaves(part, name, f"{inside}{k}")]
-    law = LEAVES.get(material.law)
+    law = LAWS.get(material.law)
     if law is None:
-        nested = material.law in LAWS
+        nested = material.law in WRAPPERS
         what = f"the law {material.law!r} inside another law" if nested else f"the law {material.law!r}"
         raise _problem(
-            name, f"the reference solver has no {what}", f"use one of {', '.join(LAWS)}, or run FEBio"
+            name,
+            f"the reference solver has no {what}",
+            f"use one of {', '.join((*LAWS, *WRAPPERS))}, or run FEBio",
         )
     return [Leaf(path, law, material.law, _checked(material, law, name))]
 
@@ -190,23 +195,14 @@ def _checked(material: Material, law: Law, name: str) -> dict[str, Value]:
     missing += ["fiber"] if law.fiber and "fiber" not in given else []
     if missing:
         raise _problem(name, f"law {material.law!r} misses {', '.join(missing)}", "give a value")
-    optional = {key: value for key, value in law.parameters.items() if value is not None}
-    if material.law in ("ogden", "ogden_uncoupled"):
-        optional = {}
-        _check_terms(given, name)
+    optional = {k: value for k, value in law.parameters.items() if value is not None and not law.terms}
+    if (wrong := law.check(given)) is not None:
+        raise _problem(name, *wrong)
     for key in law.positive:
         value = given.get(key)
         if isinstance(value, float | int) and not value > 0:
             raise _problem(name, f"{key} = {value} is not positive", f"give a positive {key}")
     return {**optional, **given}
-
-
-def _check_terms(given: Mapping[str, Value], name: str) -> None:
-    for key, value in given.items():
-        if key.startswith("c") and f"m{key[1:]}" not in given:
-            raise _problem(name, f"{key} without m{key[1:]}", f"give m{key[1:]}")
-        if key.startswith("m") and isinstance(value, float | int) and value == 0:
-            raise _problem(name, f"the exponent {key} is 0", "give an exponent that is not 0")
 
 
 def _prony(material: Material, name: str) -> tuple[float, tuple[tuple[float, float], ...]]:

@@ -1,7 +1,8 @@
 """Stress and tangent at sixteen points at once: `dispatch.second_piola` for the element loops.
 
 All numbers of the sixteen points stand in rows of one flat array (`simd_rows`). Ogden's unconstrained
-law, the tissue's, is computed in vectors; other laws are added point by point.
+law, the tissue's, is computed in vectors, from formulas of its own; every other law is added point by point
+by `second_piola`, which a new law needs nothing for. tests/materials/test_simd.py holds both equal.
 
 S = beta D + what is given by the law, with D = C^-1; its tangent is
 alpha D (x) D + the symmetric product of D with X + what is given: pressure, and Ogden's terms with
@@ -13,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from limbcli.materials.dispatch import OGDEN, second_piola
+from limbcli.materials.dispatch import second_piola
+from limbcli.materials.kernel import OGDEN
 from limbcli.materials.ogden import all_squares
 from limbcli.materials.simd import LANES, add_product, add_three
 from limbcli.materials.simd_powers import add_powers, principal_stretches

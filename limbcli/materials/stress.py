@@ -1,6 +1,8 @@
 """Stresses of a law at given deformation gradients, outside a simulation.
 
-For tests, plots and the wave-speed prediction; a simulation uses the same kernels.
+For tests, plots, wave speeds and derivatives, by `dispatch.second_piola` point after point. The internal
+force and the tangent of a simulation come from `simd_laws`, which has Ogden's law a second time, in vectors,
+and calls `second_piola` for every other law; tests/materials/test_simd.py holds the two equal.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ TOLD_APART = 6.0  # difference of BIC beyond which the second best is out (stron
 
 
 @dataclass(frozen=True)
-class Change:
+class CycleChange:
     """One explanation: its size with one deviation, what it leaves, and whether noise explains that.
 
     name : "residual depth" (mm), "compliance" (share) or "force offset" (N)
@@ -38,7 +38,7 @@ class Change:
     explains: bool
 
 
-def changes(difference: Difference) -> tuple[Change, ...]:
+def changes(difference: Difference) -> tuple[CycleChange, ...]:
     """Every explanation, the best first. Empty where there are no more levels than it takes."""
     n = len(difference.depth)
     if n < 3:
@@ -52,14 +52,14 @@ def changes(difference: Difference) -> tuple[Change, ...]:
     return tuple(sorted(found, key=lambda each: each.left))
 
 
-def _fitted(name: str, column: Array, difference: Difference) -> Change:
+def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
     weighted = np.linalg.solve(difference.covariance, column)
     information = float(column @ weighted)
     size = float(weighted @ difference.depth) / information
     rest = difference.depth - size * column
     left = float(rest @ np.linalg.solve(difference.covariance, rest))
     fits = bool(chi2.sf(left, len(rest) - 1) >= LEVEL)
-    return Change(name, size, information**-0.5, left, fits)
+    return CycleChange(name, size, information**-0.5, left, fits)
 
 
 def change_words(difference: Difference) -> str:
@@ -77,19 +77,19 @@ def change_words(difference: Difference) -> str:
     return f"{pair} either {', or '.join(words)}: these levels do not tell which"
 
 
-def _residual(change: Change) -> str:
+def _residual(change: CycleChange) -> str:
     way = "deeper" if change.size > 0 else "less deep"
     size = f"{abs(change.size):.2g} mm (deviation {change.deviation:.1g})"
     return f"all depths are {size} {way}: deformation that did not come back, or the depth's zero moved"
 
 
-def _compliance(change: Change) -> str:
+def _compliance(change: CycleChange) -> str:
     way = "softer" if change.size > 0 else "stiffer"
     share = f"{100 * abs(change.size):.2g} % (deviation {100 * change.deviation:.1g})"
     return f"the tissue became {way} by {share} of the depth: preconditioning"
 
 
-def _offset(change: Change) -> str:
+def _offset(change: CycleChange) -> str:
     way = "less" if change.size > 0 else "more"
     size = f"{abs(change.size):.2g} N (deviation {change.deviation:.1g})"
     return f"the load cell reads {size} {way} at the same deformation: drift of its zero"

@@ -29,7 +29,7 @@ class ImageAngle:
 
 
 @dataclass(frozen=True, eq=False)
-class Direction:
+class FibreDirection:
     """axis (3,), unit; deviation_deg : one standard deviation of what was told of it; how : in words."""
 
     axis: Array
@@ -39,7 +39,7 @@ class Direction:
 
 def direction_of_angles(
     angles: Sequence[ImageAngle], beam: Array, *, proximal: Array, where: str = "site"
-) -> Direction:
+) -> FibreDirection:
     """The fibres' axis from one or two image angles.
 
     beam (3,) : unit, into the tissue; proximal (3,) : unit, along the limb
@@ -63,14 +63,14 @@ def direction_of_angles(
                 fix='add one with orientation = "axial", or give fibre_direction',
             )
         how = "in one image plane; how far the fibres leave it is not told, and taken as 0"
-        return Direction(_in_plane(only, beam), only.deviation_deg, how)
+        return FibreDirection(_in_plane(only, beam), only.deviation_deg, how)
     steps = [ImageAngle(a.lateral, a.angle_deg + _STEP_DEG, a.deviation_deg) for a in angles]
     axis = _crossing(angles, beam, where)
     moved = [_crossing([steps[0], angles[1]], beam, where), _crossing([angles[0], steps[1]], beam, where)]
     turned = [min(1.0, float(np.linalg.norm(np.cross(axis, each)))) for each in moved]
     rates = [float(np.degrees(np.arcsin(each))) / _STEP_DEG for each in turned]
     deviation = float(np.hypot(rates[0] * angles[0].deviation_deg, rates[1] * angles[1].deviation_deg))
-    return Direction(axis, deviation, "in two image planes")
+    return FibreDirection(axis, deviation, "in two image planes")
 
 
 def _in_plane(angle: ImageAngle, beam: Array) -> Array:

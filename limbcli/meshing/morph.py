@@ -109,3 +109,37 @@ def flatter(points: Array, rod: Rod, touched: Array, factor: float) -> Array:
     away = points - touched
     across, down = away @ aside, away @ rod.towards
     return np.asarray(np.outer((root - 1.0) * across, aside) + np.outer((1 / root - 1.0) * down, rod.towards))
+
+
+def sloping(points: Array, rod: Rod, touched: Array, slope: float) -> Array:
+    """Displacement (n, 3) of points on a rod that gets deeper by `slope` mm each mm along its axis.
+
+    touched : (3,) mm, where it keeps its depth
+    """
+    along = (points - touched) @ rod.axis
+    return np.asarray(-slope * np.outer(along, rod.towards))
+
+
+def aside(points: Array, rod: Rod, angle: float) -> Array:
+    """Displacement (n, 3) of points on a rod rolled round its seen line, which then lies on its flank.
+
+    angle : rad between the beam and the normal of the rod where the beam meets it
+    """
+    side = np.cross(rod.axis, rod.towards)
+    shift = rod.radius * ((1.0 - np.cos(angle)) * rod.towards + np.sin(angle) * side)
+    return np.asarray(np.broadcast_to(shift, points.shape))
+
+
+def tapered(points: Array, rod: Rod, touched: Array, rate: float) -> Array:
+    """Displacement (n, 3) of skin whose sections grow by `rate` each mm along the limb; its front line stays.
+
+    touched : (3,) mm, on the front line, at the section that keeps its size
+    """
+    away = points - touched
+    along = away @ rod.axis
+    return np.asarray((rate * along)[:, None] * (away - np.outer(along, rod.axis)))
+
+
+def larger(points: Array, touched: Array, factor: float) -> Array:
+    """Displacement (n, 3) of skin that is `factor` times as large about the place touched."""
+    return np.asarray((factor - 1.0) * (points - touched))

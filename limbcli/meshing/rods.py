@@ -87,7 +87,7 @@ def tube(radius: float, length: float) -> Rod:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class BoneHit:
     """Where a beam from the skin's `point` (3,) against its `normal` (3,) met bone: `depth` mm down."""
 
     point: Array
@@ -121,7 +121,9 @@ def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
     return axis if axis @ proximal > 0 else -axis
 
 
-def rods_for(seen: Mapping[str, Seen], limb: Limb, axis: Array, radius: float) -> list[tuple[Rod, list[str]]]:
+def rods_for(
+    seen: Mapping[str, BoneHit], limb: Limb, axis: Array, radius: float
+) -> list[tuple[Rod, list[str]]]:
     """The fewest rods that agree with what was seen, each with the names of the sites that see it.
 
     Every site alone puts the middle of its rod's section. Sites whose middles lie within one radius of each
@@ -162,7 +164,7 @@ def rods_for(seen: Mapping[str, Seen], limb: Limb, axis: Array, radius: float) -
     return found
 
 
-def _middle(seen: Seen, axis: Array, radius: float) -> Array:
+def _middle(seen: BoneHit, axis: Array, radius: float) -> Array:
     return seen.bone - radius * _unit(_across(seen.normal, axis))
 
 

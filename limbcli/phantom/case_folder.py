@@ -11,7 +11,7 @@ import numpy as np
 
 from limbcli.case import Probe
 from limbcli.model import Array
-from limbcli.phantom.subject import Place, Subject
+from limbcli.phantom.subject import PhantomSite, Subject
 from limbcli.version import __version__
 
 PROBE = Probe(name="GE 9L", length=53.0, width=14.0, edge_radius=3.0)
@@ -26,10 +26,11 @@ class NoiseLaw:
     depth_mm: float = 0.3
     swe_level_fraction: float = 0.05
     swe_pixel_fraction: float = 0.10
+    layer_mm: float = 0.2
 
     def times(self, factor: float) -> NoiseLaw:
         return NoiseLaw(*(factor * each for each in (
-            self.force_n, self.depth_mm, self.swe_level_fraction, self.swe_pixel_fraction
+            self.force_n, self.depth_mm, self.swe_level_fraction, self.swe_pixel_fraction, self.layer_mm
         )))  # fmt: skip
 
 
@@ -94,7 +95,7 @@ def case_table(
 
 
 def site_table(
-    place: Place, subject: Subject, *, marker: int | None, noise: NoiseLaw | None, measured: bool
+    place: PhantomSite, subject: Subject, *, marker: int | None, noise: NoiseLaw | None, measured: bool
 ) -> dict[str, Any]:
     """One [[site]]: placed by the marker of that number, or by its position."""
     table: dict[str, Any] = {"name": place.name}

@@ -13,6 +13,7 @@ from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 
 SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
+LAYER_COLUMNS = ("skin_mm", "fat_mm", "muscle_mm")
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 
 
@@ -21,7 +22,8 @@ class Readings:
     """One measurement as it would be written down, a row a level.
 
     skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
-    three accelerations in g; travel: of the probe (mm), where it is recorded.
+    three accelerations in g; travel: of the probe (mm), where it is recorded; layers: mm of skin and
+    fat and, above bone, muscle (n_levels, 2 or 3), where they are read.
     """
 
     force: Array
@@ -31,6 +33,7 @@ class Readings:
     hold: float
     trace: Array
     travel: Array | None = None
+    layers: Array | None = None
 
 
 def measure(
@@ -40,7 +43,8 @@ def measure(
 
     Force and depth errors are independent from level to level; level 0 is the tare and
     the reference of the depth, so it is 0 by definition. A speed carries an error common
-    to its level's pixels and one of each pixel's own, both relative.
+    to its level's pixels and one of each pixel's own, both relative. Skin and fat are read with
+    an error of each thickness; muscle is what is left of the way to the bone.
     """
     n = len(true.force)
     first = np.arange(n) == 0
@@ -51,14 +55,24 @@ def measure(
         _noisy_map(each, factor, law.swe_pixel_fraction, rng)
         for each, factor in zip(true.maps, common, strict=True)
     )
+    skin_bone = None if true.skin_bone is None else true.skin_bone - depth
+    trace = _trace(force, depth, protocol, rng, quiet=law.force_n == 0)
     return Readings(
         force=force,
         depth=depth,
         maps=maps,
-        skin_bone=None if true.skin_bone is None else true.skin_bone - depth,
+        skin_bone=skin_bone,
         hold=protocol.hold,
-        trace=_trace(force, depth, protocol, rng, quiet=law.force_n == 0),
+        trace=trace,
+        layers=None if true.borders is None else _layers(true.borders, skin_bone, law.layer_mm, rng),
     )
+
+
+def _layers(borders: Array, skin_bone: Array | None, deviation: float, rng: np.random.Generator) -> Array:
+    """mm (n_levels, 2 or 3): skin, fat, and the rest down to the bone."""
+    upper = np.diff(borders, axis=1, prepend=0.0)
+    upper = upper + deviation * rng.standard_normal(upper.shape)
+    return upper if skin_bone is None else np.column_stack([upper, skin_bone - upper.sum(axis=1)])
 
 
 def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generator) -> SweMap:
@@ -109,4 +123,8 @@ def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
         header.append("probe_travel_mm")
         for k, row in enumerate(rows):
             row.append(f"{readings.travel[k]:.6g}")
+    if readings.layers is not None:
+        header += LAYER_COLUMNS[: readings.layers.shape[1]]
+        for row, each in zip(rows, readings.layers, strict=True):
+            row += [f"{value:.6g}" for value in each]
     return header, rows

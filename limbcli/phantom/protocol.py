@@ -41,12 +41,14 @@ class TrueLevels:
     """What is so at every level, before it is measured: force N, depth mm, and the speed map.
 
     skin_bone : mm under the probe's centre before loading, or None where the beam meets no bone.
+    borders : mm (n_levels, 2) below the skin of skin's and fat's lower borders, or None where none is known.
     """
 
     force: Array
     depth: Array
     maps: tuple[SweMap, ...]
     skin_bone: float | None
+    borders: Array | None = None
 
 
 def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:

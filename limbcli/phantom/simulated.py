@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from limbcli.errors import SolveError
 from limbcli.measurement.elastography import SweMap
@@ -26,12 +27,14 @@ class Indentation:
 
     depth mm, force N (n_states,); positions (n_states, n_elements, 3) mm in the site's frame;
     deformation_gradient (n_states, n_elements, 3, 3)
+    borders : mm (n_states, 2) of skin's and fat's lower borders below the skin, where they are followed
     """
 
     depth: Array
     force: Array
     positions: Array
     deformation_gradient: Array
+    borders: Array | None = None
 
     def at(self, depth: float) -> tuple[Array, Array]:
         """Positions and deformation gradients at a depth, linear between the two nearest states."""
@@ -78,7 +81,10 @@ def true_levels(
         _map(*simulated.at(depth), terms, speed, face_height=-depth, window=window, density=density_kg_per_m3)
         for depth in depths
     )
-    return TrueLevels(force=forces, depth=depths, maps=maps, skin_bone=skin_bone)
+    borders = None
+    if simulated.borders is not None:
+        borders = np.asarray(PchipInterpolator(simulated.depth, simulated.borders)(depths))
+    return TrueLevels(force=forces, depth=depths, maps=maps, skin_bone=skin_bone, borders=borders)
 
 
 def _map(

@@ -18,7 +18,7 @@ AIR = 9.0  # around the limb and its markers
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class PhantomSite:
     """A site of the phantom: where on the limb (angle about its axis, height), and how the probe lies."""
 
     name: str
@@ -29,8 +29,8 @@ class Place:
 
 
 PLACES = (
-    Place("p1", angle_deg=97.0, height=SITE_HEIGHT, long_axis="transverse", by_marker=True),
-    Place("p2", angle_deg=28.0, height=SITE_HEIGHT - 4.0, long_axis="axial", by_marker=False),
+    PhantomSite("p1", angle_deg=97.0, height=SITE_HEIGHT, long_axis="transverse", by_marker=True),
+    PhantomSite("p2", angle_deg=28.0, height=SITE_HEIGHT - 4.0, long_axis="axial", by_marker=False),
 )
 
 
@@ -41,7 +41,7 @@ class Subject:
     anatomy: Anatomy
     patient_from_limb: Array
     grid: VoxelGrid
-    places: tuple[Place, ...]
+    places: tuple[PhantomSite, ...]
 
     @property
     def limb_from_patient(self) -> Array:
@@ -53,7 +53,7 @@ class Subject:
     def to_limb(self, points: Array) -> Array:
         return points @ self.limb_from_patient[:3, :3].T + self.limb_from_patient[:3, 3]
 
-    def position(self, place: Place) -> Array:
+    def position(self, place: PhantomSite) -> Array:
         """The place's point on the skin, patient frame."""
         point, _ = self.anatomy.skin_point(angle_deg=place.angle_deg, height=place.height)
         return self.to_patient(point[None])[0]
@@ -66,7 +66,7 @@ def make_subject(
     rng: np.random.Generator,
     *,
     voxel: tuple[float, float, float] = (1.0, 1.0, 4.0),
-    places: tuple[Place, ...] = PLACES,
+    places: tuple[PhantomSite, ...] = PLACES,
 ) -> Subject:
     """A random limb, posed a little askew, in an oblique image that just holds it.
 

@@ -16,14 +16,14 @@ from limbcli.phantom.subject import Subject
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedSurface:
+class TrueSurface:
     """points (n, 3) mm, patient frame; triangles (m, 3), outward normals."""
 
     points: Array
     triangles: IntArray
 
 
-def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> ClosedSurface:
+def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> TrueSurface:
     """An implicit shape of the limb frame, cut by the last slice's outer face, as triangles.
 
     Marching cubes on a grid of `edge` mm, then every vertex that is not on the cut is
@@ -45,7 +45,7 @@ def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> ClosedS
     over = np.where(on_cut, cut(limb), np.maximum(cut(limb), 0.0))
     normal = subject.limb_from_patient[:3, :3] @ subject.grid.axes[2]
     limb -= over[:, None] * normal
-    return ClosedSurface(subject.to_patient(limb), triangles[:, ::-1].astype(np.int64))
+    return TrueSurface(subject.to_patient(limb), triangles[:, ::-1].astype(np.int64))
 
 
 def _bounds(shape: Implicit, cut: Implicit) -> tuple[Array, Array]:
@@ -56,7 +56,7 @@ def _bounds(shape: Implicit, cut: Implicit) -> tuple[Array, Array]:
     return inside.min(axis=0) - 5.0, inside.max(axis=0) + 5.0
 
 
-def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, ClosedSurface]:
+def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, TrueSurface]:
     """Skin and bones of a subject, by name ("skin", "bone_tibia", "bone_fibula")."""
     found = {"skin": closed_surface(subject.anatomy.skin, subject, edge=edge)}
     for name, bone in subject.anatomy.bones().items():
@@ -64,7 +64,7 @@ def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, ClosedSurface]
     return found
 
 
-def write_surface(path: Path, surface: ClosedSurface) -> None:
+def write_surface(path: Path, surface: TrueSurface) -> None:
     """A binary PLY without a date: the same surface gives the same bytes."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment mm, patient LPS\n"

@@ -221,8 +221,13 @@ def left_out(data: Data) -> Reportlet:
     rows.append(("of it marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
     if repeat["percent_from_trials"] is not None:
         rows.append(("of it repeatability (trials)", repeat["percent_from_trials"]))
+    low, high = found["interval_95_percent"]
+    worst = found["largest_row"]
     table = PageTable(
-        "Mean of |predicted − measured| / measured, ten folds by person",
+        "Mean of |predicted − measured| / measured, ten folds by person. With other people the first would "
+        f"lie from {low:.1f} to {high:.1f} % (95 %); one row alone ({worst['subject']}, "
+        f"{worst['location']}, {worst['difference_percent']:.0f} % off) makes "
+        f"{worst['share_of_the_mean_percent']:.1f} points of it",
         (head("model", "percent"),),
         tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
     )

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.materials import LAWS
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Array, LimbModel, Material
 from limbcli.solvers.base import Table
 
 _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 _STRESS = ("sx", "sy", "sz", "sxy", "syz", "sxz")
-_PLAIN = ("ogden", "neo_hooke", "holmes_mow")
 _CELLS = 200  # with the largest stresses
 _TOLERANCE = 0.03  # of the stress: tet10's mean over a cell leaves 0.7 % even where it is pressed deep
 _LOADED = 0.05  # of the largest stress: less is round-off where a cell is at rest
@@ -74,7 +74,8 @@ def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
 
 def _is_plain(law: Material) -> bool:
     numbers = all(isinstance(each, int | float) for each in law.parameters.values())
-    return law.law in _PLAIN and not law.parts and numbers
+    known = LAWS.get(law.law)
+    return known is not None and not (known.fiber or known.uncoupled) and not law.parts and numbers
 
 
 def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:

@@ -81,7 +81,7 @@ class RunFiles:
         self._records(analysis, 0, 0.0, None)
 
     def _records(self, analysis: Analysis, step: int, time: float, snapshot: Snapshot | None) -> None:
-        from limbcli.fem.derivatives.fields import record_rows
+        from limbcli.fem.record_fields import record_rows
 
         system = analysis.system
         if snapshot is None:

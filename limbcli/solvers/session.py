@@ -230,7 +230,7 @@ class ReferenceSession:
         return replace(found, force_gradient=gradients, field_gradient=tables, differenced=True)
 
     def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
-        from limbcli.fem.derivatives.fields import BODY_FIELDS
+        from limbcli.fem.record_fields import BODY_FIELDS
 
         others = [r for r in model.records if everything and r.kind != "rigid_body"]
         rigid = [LogRecord("rigid_body", BODY_FIELDS, f"*{body.name}", body.name) for body in model.bodies]

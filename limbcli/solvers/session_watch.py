@@ -44,7 +44,7 @@ class Watch:
         self._times: list[float] = []
 
     def __call__(self, running: Analysis, snapshot: Snapshot) -> None:
-        from limbcli.fem.derivatives.fields import record_rows
+        from limbcli.fem.record_fields import record_rows
 
         for record in self.asked:
             rows = record_rows(running.system, snapshot.state, snapshot.forces, record)

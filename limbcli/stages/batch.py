@@ -20,7 +20,7 @@ from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
-from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, Failure, keep_error
+from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, StepFailure, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.asked import in_words
@@ -69,7 +69,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
         if not folder.is_dir():
             raise
         page = report_failure(folder, error, out=out).path("page")
-        return CaseOutcome(folder, out, failures=[Failure("check", None, error)], report=page)
+        return CaseOutcome(folder, out, failures=[StepFailure("check", None, error)], report=page)
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class CaseRun:
         if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
 
-    def keep(self, failure: Failure) -> None:
+    def keep(self, failure: StepFailure) -> None:
         """See that a failure is on the page, also where its process was lost and could leave nothing."""
         stage, site = failure.stage, failure.site
         if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
@@ -276,7 +276,7 @@ class CaseRun:
             self._pass_on(work())
         except LimbError as raised:
             error = pasted(raised, self.case.folder, self.out)
-            self.outcome.failures.append(Failure(stage, site, error))
+            self.outcome.failures.append(StepFailure(stage, site, error))
             for each in memories:
                 keep_error(self.out, stage, each, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")

@@ -12,7 +12,7 @@ from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
 from limbcli.stages.batch_task import in_words
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 from limbcli.writing import one_writer
 
@@ -58,13 +58,13 @@ def one_case(
         with turn if case.is_dir() else nullcontext():
             return batch(case, out=out, options=options, progress=progress)
     except Exception as error:  # one case's fault never stops the others
-        failure = Failure("", None, pasted(in_words(error, out), case, out))
+        failure = StepFailure("", None, pasted(in_words(error, out), case, out))
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
 def expectations(
     case: Path, out: Path, *, progress: Progress = SILENT
-) -> tuple[list[Comparison], list[Failure]]:
+) -> tuple[list[Comparison], list[StepFailure]]:
     """What was compared with the case's expected.toml, and what of it does not hold."""
     file = case / EXPECTED_FILE
     if not file.is_file():
@@ -73,10 +73,10 @@ def expectations(
     try:
         found = compare(case, out)
     except LimbError as error:
-        return [], [Failure(EXPECTED_FILE, None, error)]
+        return [], [StepFailure(EXPECTED_FILE, None, error)]
     fix = "look at the report; if the new value is right, write it there"
     unlike = [
-        Failure(
+        StepFailure(
             "", None,
             FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
         )

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
 from limbcli.results import CALLED
-from limbcli.stages.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, Call, Done, Part, work
+from limbcli.stages.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, BatchTask, Call, Done, work
 from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -86,7 +86,7 @@ class _Together:
     def __init__(self, client: Client, call: Call, cases: Sequence[tuple[Path, Path]], progress: Progress):
         self.client, self.call, self.progress = client, call, progress
         self.ways = [Way(k, CaseOutcome(case, out)) for k, (case, out) in enumerate(cases)]
-        self.parts: dict[Any, tuple[Way, Part]] = {}
+        self.parts: dict[Any, tuple[Way, BatchTask]] = {}
         self.stages: dict[str, str] = {}  # part: the stage it was at when it was last heard of
         self.refused: set[str] = set()  # addresses of workers
         self.n_parts, self.n_done, self.n_cases_done = len(self.ways), 0, 0
@@ -99,7 +99,9 @@ class _Together:
         self.client.subscribe_topic(self.call.topic, self._hear)
         over = threading.Event()
         threading.Thread(target=self._watch, args=(over,), daemon=True).start()
-        futures = [self._submit(way, Part(way.outcome.case, way.outcome.out, FIRST)) for way in self.ways]
+        futures = [
+            self._submit(way, BatchTask(way.outcome.case, way.outcome.out, FIRST)) for way in self.ways
+        ]
         try:
             running = as_completed(futures)
             for future in running:
@@ -116,7 +118,7 @@ class _Together:
 
     # ------------------------------------------------------------ parts
 
-    def _submit(self, way: Way, part: Part) -> Future:
+    def _submit(self, way: Way, part: BatchTask) -> Future:
         """Parts of earlier cases go first, so that cases end one after the other."""
         way.n_open += 1
         part = copy.deepcopy(part)  # the case's outcome goes on changing here
@@ -176,7 +178,7 @@ class _Together:
         if not sites:
             return self._last(way)
         case, out = way.outcome.case, way.outcome.out
-        return [self._submit(way, Part(case, out, SITE, (site,), done.begun)) for site in sites]
+        return [self._submit(way, BatchTask(case, out, SITE, (site,), done.begun)) for site in sites]
 
     def _diagnoses(self, way: Way) -> list[Future]:
         """Of the places whose sites have all ended."""
@@ -186,7 +188,7 @@ class _Together:
         outcome, begun = way.outcome, way.first.begun
         keys = [tuple(way.keys[name] for name in place) for place in ready]
         return [
-            self._submit(way, Part(outcome.case, outcome.out, DIAGNOSIS, place, begun, own, outcome))
+            self._submit(way, BatchTask(outcome.case, outcome.out, DIAGNOSIS, place, begun, own, outcome))
             for place, own in zip(ready, keys, strict=True)
         ]
 
@@ -194,7 +196,7 @@ class _Together:
         assert way.first is not None
         keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
         outcome, begun = way.outcome, way.first.begun
-        return [self._submit(way, Part(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
+        return [self._submit(way, BatchTask(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
 
     def _ended(self, way: Way) -> list[Future]:
         self.n_cases_done += 1
@@ -214,7 +216,7 @@ class _Together:
             self.refused.add(address)
             self._say("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
 
-    def _without_answer(self, way: Way, part: Part, error: Exception) -> Done:
+    def _without_answer(self, way: Way, part: BatchTask, error: Exception) -> Done:
         """The part as failed, where Dask gave it up.
 
         Raises
@@ -237,7 +239,7 @@ class _Together:
             text = f"the cluster gave it up ({type(error).__name__}: {error})"
             reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
-        outcome = CaseOutcome(part.case, part.out, failures=[Failure(stage, part.site, reported)])
+        outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
         return Done(outcome, is_all=part.kind == LAST)
 
     def _no_scheduler(self, error: Exception) -> ToolError:

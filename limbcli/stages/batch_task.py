@@ -14,7 +14,7 @@ from limbcli.progress import Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
 from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, Failure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
@@ -44,7 +44,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Part:
+class BatchTask:
     """A case's first or last part, or one of its sites', or the diagnosis of sites that share a place.
 
     begun, keys : what the parts before left; outcome : how the case went so far, for those that ask
@@ -81,7 +81,7 @@ class Done:
     is_all: bool = False
 
 
-def work(part: Part, call: Call) -> Done:
+def work(part: BatchTask, call: Call) -> Done:
     """One part, on a worker; whatever goes wrong with it is in its outcome.
 
     Raises
@@ -122,7 +122,7 @@ class _EventLog:
             self._send({"part": self._part, "stage": self._stage, "text": text})
 
 
-def done(part: Part, call: Call, tell: Tell) -> Done:
+def done(part: BatchTask, call: Call, tell: Tell) -> Done:
     """The same in this process; `tell` hears of its progress."""
     heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
     progress = Progress(heard, tell)
@@ -130,7 +130,7 @@ def done(part: Part, call: Call, tell: Tell) -> Done:
     try:
         return _KINDS[part.kind](part, call, progress)
     except Exception as error:  # one part's fault never stops the others
-        outcome.failures.append(Failure(heard.stage, part.site, in_words(error, part.out)))
+        outcome.failures.append(StepFailure(heard.stage, part.site, in_words(error, part.out)))
     return Done(outcome, is_all=not part.case.is_dir())
 
 
@@ -156,7 +156,7 @@ class _Heard:
             self.stage = str(facts["name"])
 
 
-def _first(part: Part, call: Call, progress: Progress) -> Done:
+def _first(part: BatchTask, call: Call, progress: Progress) -> Done:
     from limbcli.writing import one_writer
 
     turn = one_writer(part.out, wait=call.wait, progress=progress)
@@ -169,7 +169,7 @@ def _first(part: Part, call: Call, progress: Progress) -> Done:
     return Done(run.outcome, begun, tuple(site.name for site in case.sites))
 
 
-def _site(part: Part, call: Call, progress: Progress) -> Done:
+def _site(part: BatchTask, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
     from limbcli.writing import site_writer
 
@@ -180,7 +180,7 @@ def _site(part: Part, call: Call, progress: Progress) -> Done:
     return Done(run.outcome, part.begun, key=key)
 
 
-def _diagnosis(part: Part, call: Call, progress: Progress) -> Done:
+def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
     from limbcli.writing import site_writer
 
@@ -192,7 +192,7 @@ def _diagnosis(part: Part, call: Call, progress: Progress) -> Done:
     return Done(_only_new(part, own), part.begun)
 
 
-def _last(part: Part, call: Call, progress: Progress) -> Done:
+def _last(part: BatchTask, call: Call, progress: Progress) -> Done:
     from limbcli.case import Case
     from limbcli.writing import one_writer
 
@@ -205,13 +205,13 @@ def _last(part: Part, call: Call, progress: Progress) -> Done:
     return Done(_only_new(part, own), part.begun, is_all=True)
 
 
-def _so_far(part: Part) -> CaseOutcome:
+def _so_far(part: BatchTask) -> CaseOutcome:
     """An outcome of its own that knows what failed before."""
     failures = [] if part.outcome is None else list(part.outcome.failures)
     return CaseOutcome(part.case, part.out, failures=failures)
 
 
-def _only_new(part: Part, own: CaseOutcome) -> CaseOutcome:
+def _only_new(part: BatchTask, own: CaseOutcome) -> CaseOutcome:
     del own.failures[: len(_so_far(part).failures)]
     return own
 

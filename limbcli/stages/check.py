@@ -25,7 +25,7 @@ from limbcli.stages.site_model.site_states import state_problems
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class CaseCheck:
     """What was looked at, what was found wrong with it, and what of it is worth showing (a line each)."""
 
     case: Path
@@ -52,7 +52,7 @@ class CheckResult:
         }
 
 
-def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
+def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     """Validate a case folder completely; never raises for what is wrong with the case."""
     progress.event("stage", name="check")
     case, problems = read_case(folder)
@@ -66,7 +66,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CheckResult:
         problems += state_problems(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
-    return CheckResult(folder, tuple(looked_at), tuple(problems), tuple(shown))
+    return CaseCheck(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 
 Reader = Callable[[Path], list[Problem]]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limbcli.case import Case, Noise
+from limbcli.case import Case, StatedNoise
 
 if TYPE_CHECKING:
     from limbcli.measurement.indentation import LayerNoise, Levels
@@ -17,7 +17,7 @@ def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
     """Of a site's raw table in case.toml; the usual values where it states none that can be used."""
     from limbcli.measurement.indentation import LayerNoise
 
-    table, usual = site.get("noise"), Noise()
+    table, usual = site.get("noise"), StatedNoise()
     table = table if isinstance(table, Mapping) else {}
     found = {"layer_mm": usual.layer, "depth_mm": usual.depth} | dict(table)
     good = all(isinstance(found[key], int | float) for key in ("layer_mm", "depth_mm"))

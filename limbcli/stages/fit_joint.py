@@ -32,7 +32,8 @@ from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_s
 from limbcli.stages.fitting.contact_check import leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
 from limbcli.stages.fitting.fibre_doubt import leave_direction_doubt, told_deviation
-from limbcli.stages.fitting.fibres import leave_orientations, rest_speed
+from limbcli.stages.fitting.fibre_orientations import leave_orientations
+from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named

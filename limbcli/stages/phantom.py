@@ -27,14 +27,14 @@ from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geo
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
-from limbcli.phantom.subject import PLACES, Place, Subject, make_subject
+from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.synth import (
-    SiteMeasurement,
+    SyntheticSite,
     SynthOptions,
     measure_sites,
     summary_of,
@@ -116,7 +116,7 @@ def _check_target(folder: Path, *, force: bool) -> None:
     raise CaseError(what, where=str(folder), fix="name another folder")
 
 
-def _places(names: tuple[str, ...]) -> tuple[Place, ...]:
+def _places(names: tuple[str, ...]) -> tuple[PhantomSite, ...]:
     known = {each.name: each for each in PLACES}
     for name in names:
         if name not in known:
@@ -144,7 +144,7 @@ def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> No
 
 
 def _write_truth(
-    subject: Subject, work: Path, options: PhantomOptions, measured: list[SiteMeasurement]
+    subject: Subject, work: Path, options: PhantomOptions, measured: list[SyntheticSite]
 ) -> None:
     table = geometry_truth(subject, seed=options.seed, dice_labels=LABELS)
     if measured and options.synth is not None:
@@ -154,7 +154,7 @@ def _write_truth(
 
 def _measure(
     subject: Subject, work: Path, options: PhantomOptions, progress: Progress
-) -> list[SiteMeasurement]:
+) -> list[SyntheticSite]:
     """Simulate and write the readings; on the truth surfaces, or on the case's own mesh."""
     if options.synth is None:
         return []
@@ -209,7 +209,7 @@ def _result(
     folder: Path,
     subject: Subject,
     volume: SimulatedVolume,
-    measured: list[SiteMeasurement],
+    measured: list[SyntheticSite],
     options: PhantomOptions,
 ) -> StageResult:
     size = sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())

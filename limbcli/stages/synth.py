@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import CASE_FILE, Case, Noise, Site
+from limbcli.case import CASE_FILE, Case, Site, StatedNoise
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, atomic_folder
 from limbcli.model import LimbModel
@@ -26,13 +26,18 @@ from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, provenance, stage_folder
+from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.scratch import scratch_folder
 from limbcli.shear_waves.pixels import Window
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import Hidden
 from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
-from limbcli.stages.simulated_subjects.synth_case import case_table, copy_imaging
+from limbcli.stages.simulated_subjects.synth_case import (
+    borders_at_rest,
+    case_table,
+    copy_imaging,
+    noise_table,
+)
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI
 from limbcli.version import __version__
@@ -51,6 +56,7 @@ class SynthOptions:
     usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
     contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
     one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
+    layers : read skin, fat and muscle too, as thick at first touch as `segment` tells them;
     alter : a change of the meshed model; hidden : effects in tissue and readings.
     """
 
@@ -67,10 +73,11 @@ class SynthOptions:
     window: Window = field(default_factory=Window)
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()
+    layers: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class SiteMeasurement:
+class SyntheticSite:
     """One site's truth and readings."""
 
     site: str
@@ -95,7 +102,8 @@ def synth(
     Raises
     ------
     CaseError
-        If `out_case` is there already and `force` is not given, or is the case itself.
+        If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
+        read and `segment` tells none.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -106,7 +114,7 @@ def synth(
         copy_imaging(case, work)
         for each in measured:
             write_readings(work / each.site, each.readings)
-        table = case_table(case, {each.site: each.law for each in measured})
+        table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
         (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
     with atomic_file(truth_file(out_case)) as path:
         path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
@@ -141,7 +149,7 @@ def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
 
 def measure_sites(
     case: Case, sites: tuple[Site, ...], *, out: Path, options: SynthOptions, progress: Progress = SILENT
-) -> list[SiteMeasurement]:
+) -> list[SyntheticSite]:
     """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing."""
     numbers = {each.name: k for k, each in enumerate(case.sites)}
     with scratch_folder() as scratch:
@@ -174,8 +182,9 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
 
 def _measure_site(
     case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
-) -> SiteMeasurement:
+) -> SyntheticSite:
     progress.event("stage", name="synth", site=site.name)
+    borders = borders_at_rest(read_result(folder, "segment"), site) if options.layers else None
     model = _meshed(case, site, folder, options, progress)
     if options.alter is not None:
         model = options.alter(model)
@@ -191,11 +200,12 @@ def _measure_site(
         progress=progress,
         change=_change([contact, *(each.in_model for each in options.hidden)]),
         change_for_waves=_change([contact, *(each.for_waves or each.in_model for each in options.hidden)]),
+        borders=borders,
     )
     law = noise_law(site.noise).times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
-    return SiteMeasurement(site.name, true, read_off(true, law, options, number), law, facts)
+    return SyntheticSite(site.name, true, read_off(true, law, options, number), law, facts)
 
 
 def read_off(true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int) -> Readings:
@@ -222,15 +232,15 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
     return change
 
 
-def noise_law(noise: Noise) -> NoiseLaw:
+def noise_law(noise: StatedNoise) -> NoiseLaw:
     """The case's noise as the law to measure with."""
-    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction)
+    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
 
 
 # ---------------------------------------------------------------- what is written
 
 
-def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[str, Any]:
+def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
     """What is true of the measurements."""
     return {
         "made_by": f"limbcli {__version__}",
@@ -246,18 +256,27 @@ def truth_table(measured: list[SiteMeasurement], options: SynthOptions) -> dict[
                 "force_n": _rounded(each.true.force),
                 "depth_mm": _rounded(each.true.depth),
                 "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
-                "noise": vars(each.law),
+                **_true_layers(each),
+                "noise": noise_table(each.law, layers=each.true.borders is not None),
             }
             for each in measured
         ],
     }
 
 
+def _true_layers(each: SyntheticSite) -> dict[str, list[float]]:
+    """Thickness of skin and fat (mm) at every level, where they were followed."""
+    if each.true.borders is None:
+        return {}
+    upper = np.diff(each.true.borders, axis=1, prepend=0.0)
+    return {"skin_mm": _rounded(upper[:, 0]), "fat_mm": _rounded(upper[:, 1])}
+
+
 def _rounded(values: Any) -> list[float]:
     return [round(float(each), 6) for each in values]
 
 
-def summary_of(each: SiteMeasurement) -> str:
+def summary_of(each: SyntheticSite) -> str:
     """One line for people."""
     true = each.true
     speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
@@ -267,7 +286,7 @@ def summary_of(each: SiteMeasurement) -> str:
     )
 
 
-def _result(case: Case, out_case: Path, measured: list[SiteMeasurement]) -> StageResult:
+def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
     return StageResult(
         stage="synth",
         subject=case.subject,

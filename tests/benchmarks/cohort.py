@@ -89,7 +89,13 @@ def show(title: str, data: dict[str, Any], seconds: float) -> None:
     print("|-|-|")
     print(
         f"| from thicknesses | {found['mean_absolute_difference_percent']:.1f} (± "
-        f"{found['standard_deviation_percent']:.1f}) |"
+        f"{found['standard_deviation_percent']:.1f}; with other people "
+        f"{found['interval_95_percent'][0]:.1f} to {found['interval_95_percent'][1]:.1f}) |"
+    )
+    worst = found["largest_row"]
+    print(
+        f"| of it one row ({worst['subject']} {worst['location']}, {worst['difference_percent']:.0f} % "
+        f"off) | {worst['share_of_the_mean_percent']:.1f} |"
     )
     if found["with_person_columns"]:
         person = found["with_person_columns"]

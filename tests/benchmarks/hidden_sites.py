@@ -29,7 +29,7 @@ from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.run import run
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue
-from limbcli.stages.synth import SiteMeasurement, SynthOptions, measure_sites, read_off
+from limbcli.stages.synth import SyntheticSite, SynthOptions, measure_sites, read_off
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
 anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2
@@ -37,7 +37,7 @@ nonlinearity=0.9 tilt=7 friction=0.3 thickness=0.1 force-gain=1.08 depth-gain=1.
 TISSUE = KnownTissue(8.0, 80.0, 6.0)
 
 
-def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list[SiteMeasurement]]:
+def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list[SyntheticSite]]:
     """The truth with this hidden, once for all its measurements."""
     source = Case.open(options.truth or options.case)
     hidden = () if arm == "none" else tuple(hide(each) for each in arm.split("+"))
@@ -50,7 +50,7 @@ def simulated(arm: str, options: argparse.Namespace) -> tuple[SynthOptions, list
 
 
 def one(
-    arm: str, seed: int, how: SynthOptions, truth: list[SiteMeasurement], options: argparse.Namespace
+    arm: str, seed: int, how: SynthOptions, truth: list[SyntheticSite], options: argparse.Namespace
 ) -> dict:
     """Measure, diagnose, and compare with what was hidden."""
     work: Path = options.work

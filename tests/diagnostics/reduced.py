@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.case import Noise
+from limbcli.case import StatedNoise
 from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves
 from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
@@ -140,7 +140,7 @@ class ReducedBook:
         return np.concatenate([ratio[:1], ratio]), changed.log_speed - plain.log_speed
 
 
-NOISE = Noise(force=0.1, depth=0.15, swe_level_fraction=0.03, swe_pixel_fraction=0.1, source="repeats")
+NOISE = StatedNoise(force=0.1, depth=0.15, swe_level_fraction=0.03, swe_pixel_fraction=0.1, source="repeats")
 
 
 def truth(
@@ -160,7 +160,7 @@ def truth(
 
 def measured(
     rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
-    m: float = 4.0, noise: Noise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
+    m: float = 4.0, noise: StatedNoise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
     understated: float = 1.0,
     hold: float = 20.0, onset: float = 0.0,
 ) -> Levels:  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from limbcli.diagnostics.conclusions.sentences import sentences
@@ -19,11 +18,10 @@ def run(case, seed: int = 7, **more):
 
 
 def test_nothing_missing_is_seldom_named(rng):
-    """At most 5 % + 2 standard errors of 40 data sets may be more than adequate."""
+    """Two of 40 at the most, as of a test at 5 %. False alarms in 10 % of all data sets would pass with 22 %,
+    in 20 % with 1 %."""
     verdicts = Counter(run(toy.make(rng), seed=k).verdict for k in range(40))
-    assert verdicts["named"] + verdicts["ambiguous"] + verdicts["unexplained"] <= 40 * 0.05 + 2 * np.sqrt(
-        40 * 0.05 * 0.95
-    )
+    assert verdicts["named"] + verdicts["ambiguous"] + verdicts["unexplained"] <= 2
 
 
 @pytest.mark.parametrize(
@@ -44,9 +42,14 @@ def test_twins_are_never_told_apart(rng):
     assert found.angles["toe / twin-of-toe"] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_two_effects_are_found_together(rng):
-    found = run(toy.make(rng, {"offset": 6.0, "wave": 6.0}))
-    assert ("offset", "wave") in {tuple(sorted(each)) for each in found.confidence_set}
+@pytest.mark.parametrize("pair", [{"offset": 6.0, "wave": 6.0}, {"offset": 14.0, "guided": 60.0}])
+def test_two_effects_are_found_together(rng, pair):
+    """The pair is named, in two data sets of two, with nothing mocked. A share of 70 % would pass all
+    four with 24 %, of 50 % with 6 %."""
+    for _ in range(2):
+        found = run(toy.make(rng, pair))
+        assert found.verdict == "named"
+        assert set(found.chosen) == set(pair)
 
 
 def test_an_effect_outside_the_library_is_not_named(rng):
@@ -106,18 +109,23 @@ def test_the_proposal_that_sees_the_difference_is_recommended(rng):
 
 @pytest.mark.slow
 def test_rates_over_many_data_sets(rng):
-    """Truth in the set >= 95 % (less 2 standard errors), named right >= 90 %, at twice the visible size."""
+    """At twice the visible size: of 70 data sets 56 are named and right, two at the most are named wrong, and
+    the truth is missing in three sets at the most.
+
+    A share of right names of 70 % would pass with 4 %; 10 % of wrong names with 5 %; 10 % of truths that are
+    missing with 7 %. All of these stood at 61, 0 and 0 when this was written.
+    """
     sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
-    right = wrong = inside = total = 0
+    right = wrong = inside = 0
     for k in range(70):
         name = list(sizes)[k % len(sizes)]
         found = run(toy.make(rng, {name: sizes[name]}), seed=k)
         if found.verdict == "named":
             right, wrong = right + (found.chosen == (name,)), wrong + (found.chosen != (name,))
-        if found.confidence_set:
-            total, inside = total + 1, inside + ((name,) in found.confidence_set)
-    assert right / max(right + wrong, 1) >= 0.9
-    assert inside / total >= 0.95 - 2 * np.sqrt(0.95 * 0.05 / total)
+        inside += (name,) in found.confidence_set
+    assert right >= 56
+    assert wrong <= 2
+    assert inside >= 67
 
 
 def test_no_name_where_something_is_left(rng, monkeypatch):
@@ -135,6 +143,7 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
 
 @pytest.mark.parametrize(("chi2", "refitted"), [(39.0, ["near"]), (41.0, ["near", "far"])])
 def test_all_are_refitted_where_the_fit_without_effects_is_grossly_wrong(chi2, refitted):
+    # From here on single rules of decision, with what surrounds them made up; whole diagnoses are above.
     """It may have ended anywhere; sensitivities there tell little."""
     tests = [
         SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=1 - p, direction=None))

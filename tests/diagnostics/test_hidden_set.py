@@ -1,6 +1,10 @@
 """A fast set of hidden truths: nothing missing, every effect that can be told, pairs, something unknown.
 
 Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): it is not among them.
+
+One measurement each, of a fixed seed, and none is forgiven. A diagnosis that misses the truth in a share p of
+all measurements passes the nine effects with (1 - p)^9: 63 % at p = 0.05, 13 % at 0.2, 2 % at 0.35. That what
+misses often fails is all that they are for; rates of many measurements are for `make hidden`.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ ONCE = {
     "swe-time-scale": {"swe_modulus_scale": 0.5},
     "swe-guided-wave": {"guided_1e4_per_hz2": 1.6},
 }
-SEEDS = (9, 10, 11)
+SEED = 9
 PAIRS = (("depth-zero", "anisotropy"), ("force-zero", "skin-layer"))
 
 
@@ -31,6 +35,8 @@ def found(arm: str, truth, seed: int = 7, **more):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_nothing_missing_names_nothing(seed):
+    """Of false alarms in a share p of all measurements three in a row are without with (1 - p)^3; see also
+    `test_engine` and `test_reduced_site`, which count them."""
     result = found("nothing", {}, seed)
     assert result.verdict == "adequate"
     assert result.chosen == ()
@@ -51,18 +57,16 @@ def missed(name: str, seed: int) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(ONCE))
 def test_truth_is_in_the_set_and_the_gap_is_closed_by_it(name):
-    """Of a measurement, or, as one in twenty may be missed, of the next two. Rates are for `make hidden`."""
-    first, *others = SEEDS
-    wrong = missed(name, first)
-    if wrong:
-        again = [missed(name, seed) for seed in others]
-        assert not any(again), [wrong, *again]
+    assert missed(name, SEED) == ""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
-def test_pairs_are_never_named_as_something_else(pair):
+def test_pairs_are_found_and_never_named_as_something_else(pair):
+    """The pair is among what these data cannot exclude. Two measurements: pairs that are missed in a
+    share p of all pass with (1 - p)^2."""
     result = found(" + ".join(pair), {name: ONCE[name] for name in pair}, max_effects=2)
+    assert set(pair) in [set(each) for each in result.confidence_set]
     assert result.verdict in ("named", "ambiguous", "unexplained")
     if result.verdict == "named":  # one of the two may be all that shows
         assert set(result.chosen) <= set(pair)
@@ -71,7 +75,8 @@ def test_pairs_are_never_named_as_something_else(pair):
 @pytest.mark.slow
 def test_what_the_library_does_not_know_is_named_nothing():
     result = found("outside", {})
-    assert result.verdict in ("unexplained", "ambiguous")
+    assert result.verdict == "unexplained"
+    assert result.chosen == ()
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.case import Noise
+from limbcli.case import StatedNoise
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, continued
@@ -16,6 +16,7 @@ from limbcli.effects.places import Places
 from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -25,6 +26,7 @@ from limbcli.stages.site_model.layer_readings import LayerReadings
 from tests.diagnostics import reduced
 from tests.stages import block_case
 
+ALONE = Solving(threads=1)
 REST = np.array([1.5, 8.0])
 NOISE = replace(reduced.NOISE, layer=0.1)
 CANDIDATES = ("force-zero", "depth-zero", "adipose-layer", "thickness", "skin-layer", "swe-guided-wave")
@@ -138,7 +140,7 @@ def test_the_stand_in_of_the_lines_is_near_a_simulation(layered_block):
     """Springs in series against the solver: fat of a third of the stiffness."""
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
-    book = CurveBook(layered_block, [1.0, 2.0], c=0.006, threads=1, borders=BorderLines(layers))
+    book = CurveBook(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, borders=BorderLines(layers))
     plain, soft = book.curves(3.0), book.curves(3.0, fat)
     book.close()
     moved = line_shift(book.model, plain, fat)
@@ -155,18 +157,18 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.05, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
     depths = [0.5, 1.0, 2.0, 3.2]
-    fine = CurveBook(skinned((6, 4, 6)), depths, c=0.0065, threads=1, borders=BorderLines(layers))
+    fine = CurveBook(skinned((6, 4, 6)), depths, c=0.0065, solving=ALONE, borders=BorderLines(layers))
     truth = fine.curves(4.0, fat)
     fine.close()
     n, nan = 7, np.full(7, np.nan)
     protocol = Protocol(np.zeros(n), np.linspace(0.0, 3.0, n), np.zeros(n))
-    so, noise = read(truth, protocol), Noise(0.02, 0.03, layer=0.05, source="repeats")
+    so, noise = read(truth, protocol), StatedNoise(0.02, 0.03, layer=0.05, source="repeats")
     off = [sd * np.r_[0.0, rng.standard_normal(n - 1)] for sd in (noise.force, noise.depth)]
     levels = Levels(
         so.force + off[0], protocol.depth + off[1], nan, nan, nan, ("load",) * n, nan, nan, nan, Path("x")
     )
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
-    book = CurveBook(layered_block, depths, c=0.006, threads=1, borders=BorderLines(seen))
+    book = CurveBook(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))
     site = site_data("p1", levels, noise, windows=book.windows, layers=seen)
     the_bench = SiteForwardModel([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
@@ -208,7 +210,14 @@ def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.5}),)
     books = [
-        CurveBook(layered_block, [1.0, 2.0], c=0.006, threads=1, keep=tmp_path, borders=BorderLines(layers))
+        CurveBook(
+            layered_block,
+            [1.0, 2.0],
+            c=0.006,
+            solving=ALONE,
+            keep=tmp_path,
+            borders=BorderLines(layers),
+        )
         for _ in range(2)
     ]
     plain, soft = books[0].curves(3.0), books[0].curves(3.0, fat)
@@ -220,11 +229,11 @@ def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_
     assert np.all(np.exp(soft.log_line[1:, 1]) < np.exp(plain.log_line[1:, 1]) - 0.02)
     np.testing.assert_array_equal(books[1].curves(3.0, fat).log_line, soft.log_line)
     assert books[1].n_solves == 0
-    without = CurveBook(layered_block, [1.0, 2.0], c=0.006, threads=1, keep=tmp_path)
+    without = CurveBook(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, keep=tmp_path)
     assert without.curves(3.0).log_line is None
     assert without.n_solves == 1
     without.close()
 
 
 def test_noise_of_a_case_states_that_of_layers():
-    assert Noise().layer == 0.2
+    assert StatedNoise().layer == 0.2

@@ -166,6 +166,8 @@ def test_jacobian_is_that_of_the_prediction(rng):
 
 @pytest.mark.slow
 def test_false_alarms_on_the_reduced_model(rng):
+    """One of 16 at the most. Alarms at 5 % of all sites pass with 81 %, at 20 % with 14 %, at 30 % with 3 %;
+    `test_engine` counts more of them, on the toy."""
     names = [
         each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
     ]
@@ -174,7 +176,7 @@ def test_false_alarms_on_the_reduced_model(rng):
         measured = levels(rng)
         verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
         alarms += verdict in ("named", "ambiguous")
-    assert alarms <= 3  # one in twenty is what the test is made for: more than three by chance 1 time in 100
+    assert alarms <= 1
 
 
 def of_the_block(measured) -> ModelError:

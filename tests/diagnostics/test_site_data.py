@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.case import Noise
+from limbcli.case import StatedNoise
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -74,13 +74,13 @@ def test_a_mean_whose_region_is_not_known_lies_between_that_of_a_narrow_and_of_a
 
 
 def test_channels_are_those_measured():
-    plain = site_data("p1", levels(), Noise(), windows=Windows())
+    plain = site_data("p1", levels(), StatedNoise(), windows=Windows())
     assert plain.channels == ("force",)
     assert len(plain.rows) == N - 1  # level 0 is 0 N at 0 mm by definition
     full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
     held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
-    rich = site_data("p1", full, Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
+    rich = site_data("p1", full, StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
     assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
     assert sum(row.channel == "map" for row in rich.rows) == 60 * N
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
@@ -89,12 +89,12 @@ def test_channels_are_those_measured():
 
 
 def test_assumed_noise_is_recognised_and_known_noise_is_not():
-    assert site_data("p1", levels(), Noise(source="assumed"), windows=Windows()).data.noise.is_assumed
-    assert not site_data("p1", levels(), Noise(source="spec"), windows=Windows()).data.noise.is_assumed
+    assert site_data("p1", levels(), StatedNoise(source="assumed"), windows=Windows()).data.noise.is_assumed
+    assert not site_data("p1", levels(), StatedNoise(source="spec"), windows=Windows()).data.noise.is_assumed
 
 
 def test_pixels_of_a_level_err_together():
-    data = site_data("p1", levels(), Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
+    data = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
     covariance = data.data.noise.covariance
     index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
     within = covariance[index["map", 2, 1], index["map", 2, 5]]
@@ -105,9 +105,13 @@ def test_pixels_of_a_level_err_together():
 def test_model_error_moves_force_and_speed_as_stated():
     log_force, log_speed = np.full(N, 0.05), np.zeros((N, len(Windows().depths)))
     with_error = site_data(
-        "p1", levels(), Noise(), windows=Windows(), model_error=[ModelError("mesh", log_force, log_speed)]
+        "p1",
+        levels(),
+        StatedNoise(),
+        windows=Windows(),
+        model_error=[ModelError("mesh", log_force, log_speed)],
     )
-    without = site_data("p1", levels(), Noise(), windows=Windows())
+    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert np.diag(added) == pytest.approx((0.05 * without.data.y) ** 2)
 
@@ -115,8 +119,8 @@ def test_model_error_moves_force_and_speed_as_stated():
 def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
     none = np.zeros((N, len(Windows().depths)))
     touch = ModelError("first touch", np.zeros(N), none, depth=0.4)
-    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[touch])
-    without = site_data("p1", levels(), Noise(), windows=Windows())
+    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[touch])
+    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
     slope = depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert added == pytest.approx(np.outer(0.4 * slope, 0.4 * slope))
@@ -126,8 +130,8 @@ def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
 def test_doubt_about_the_thickness_moves_levels_by_their_depth():
     none = np.zeros((N, len(Windows().depths)))
     thick = ModelError("thickness", np.zeros(N), none, strain=0.02)
-    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[thick])
-    without = site_data("p1", levels(), Noise(), windows=Windows())
+    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[thick])
+    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
     depth = np.array([with_error.protocol.depth[row.level] for row in with_error.rows])
     shift = 0.02 * depth * depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
     added = with_error.data.noise.covariance - without.data.noise.covariance
@@ -136,8 +140,8 @@ def test_doubt_about_the_thickness_moves_levels_by_their_depth():
 
 def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():
     mesh = ModelError("mesh", np.full(N, 0.05), np.zeros((N, len(Windows().depths))), correlation=0.8)
-    with_error = site_data("p1", levels(), Noise(), windows=Windows(), model_error=[mesh])
-    without = site_data("p1", levels(), Noise(), windows=Windows())
+    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[mesh])
+    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
     added = with_error.data.noise.covariance - without.data.noise.covariance
     size = 0.05 * without.data.y
     assert added[1, 2] == pytest.approx(0.8 * size[1] * size[2])
@@ -148,7 +152,7 @@ def test_prediction_is_laid_out_like_the_data():
     depth = np.linspace(0, 10, 6)
     curves = Curves(depth, depth**1.2, np.tile(np.log(np.arange(2.0, 63.0)), (6, 1)), MAPPED.depths, 28.0)
     data = site_data(
-        "p1", levels(skin_bone=np.full(N, 30.0)), Noise(), windows=MAPPED, maps=[grid_map(2.0)] * N
+        "p1", levels(skin_bone=np.full(N, 30.0)), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N
     )
     found = data.predict(curves, Reading())
     for row, value in zip(data.rows, found, strict=True):
@@ -180,7 +184,7 @@ def measured_on_steep(depth_error) -> Levels:
 def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(size):
     """By the slopes that its noise has: over a curve that bends that much, not those of the curve there."""
     error = size * np.cos(2.0 * np.arange(14)) * (np.arange(14) > 0)
-    site = site_data("p1", measured_on_steep(error), Noise(), windows=Windows())
+    site = site_data("p1", measured_on_steep(error), StatedNoise(), windows=Windows())
     left = site.data.y - site.predict(steep(), Reading())
     levels = np.array([row.level for row in site.rows])
     assert left == pytest.approx(-site.slope * error[levels], rel=0.02, abs=0.02)
@@ -198,7 +202,7 @@ def test_so_it_does_where_the_reading_is_distorted(reading):
         force=(true.force + reading.force_zero - reading.preload)[keep][-N:], depth=depth[keep][-N:] + error,
         swe_mean_m_per_s=true.swe_mean_m_per_s[keep][-N:], swe_pixels=np.full(N, 100.0),
     )  # fmt: skip
-    site = site_data("p1", record, Noise(), windows=Windows())
+    site = site_data("p1", record, StatedNoise(), windows=Windows())
     left = site.data.y - site.predict(steep(), reading)
     at = np.array([row.level for row in site.rows])
     assert left == pytest.approx(-site.slope * error[at], rel=0.02, abs=0.03)
@@ -208,7 +212,7 @@ def test_slopes_of_a_steep_curve_are_not_flattened_by_errors_of_depth():
     rng, found = np.random.default_rng(3), []
     for _ in range(40):
         error = 0.3 * rng.standard_normal(14) * (np.arange(14) > 0)
-        site = site_data("p1", measured_on_steep(error), Noise(), windows=Windows())
+        site = site_data("p1", measured_on_steep(error), StatedNoise(), windows=Windows())
         found.append(site.slope[: len(site.protocol) - 1])
     true = 1.1 * (np.linspace(0.0, 26.0, 14)[1:] + 0.3)
     assert np.median(found, axis=0)[3:] == pytest.approx(true[3:], rel=0.25)

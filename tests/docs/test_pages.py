@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import subprocess
@@ -20,6 +19,7 @@ from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
 from limbcli.materials import laws
 from limbcli.stages.diagnose import load_effect
+from tests.loading import module_at
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -47,14 +47,14 @@ def command_lines() -> list[tuple[str, str]]:
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
 def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(element, "shape", element.shape)  # what a page changes is put back
-    known = dict(laws.LEAVES)
+    known = dict(laws.LAWS)
     code = blocks(page, "python")
     assert sum("assert" in each for each in code) >= 1
     try:
         exec(compile("\n".join(code), str(page), "exec"), {"__name__": "page"})
     finally:
-        for name in set(laws.LEAVES) - set(known):
-            laws.LEAVES.pop(name)  # type: ignore[attr-defined]
+        for name in set(laws.LAWS) - set(known):
+            laws.LAWS.pop(name)  # type: ignore[attr-defined]
 
 
 def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
@@ -97,11 +97,7 @@ def test_every_case_is_told_of_in_the_list_of_cases():
 
 
 def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):
-    spec = importlib.util.spec_from_file_location("from_program", DOCS / "from_program.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = module_at(DOCS / "from_program.py")
     (tmp_path / "command-gone.md").write_text("of a command that is no more")
     module.write_all(tmp_path)
     assert {each.stem for each in tmp_path.glob("command-*")} == {f"command-{name}" for name in COMMANDS}

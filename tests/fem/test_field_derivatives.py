@@ -18,11 +18,18 @@ from limbcli.fem.derivatives.field_derivatives import (
     principal_changes,
     record_derivatives,
 )
-from limbcli.fem.derivatives.fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
-from limbcli.fem.derivatives.parameters import BodyMotion, LawParameter, Parameter, Prestrain, Shape, Tied
+from limbcli.fem.derivatives.parameters import (
+    BodyMotion,
+    LawParameter,
+    Parameter,
+    Prestrain,
+    ShapeParameter,
+    Tied,
+)
 from limbcli.fem.derivatives.sensitivity import sensitivities
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.rigid import rotation_matrix
+from limbcli.fem.record_fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
 from limbcli.materials import compile_material, ogden_type
 from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, LogRecord, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession
@@ -147,7 +154,7 @@ def test_fields_with_tet10_by_a_number_of_a_mixture(name: str, h: float) -> None
     check(parameter, lambda step: small(moved(law, name, step * size), "tet10"), h, records=cells)
 
 
-def by_depth() -> tuple[Shape, Callable[[float], LimbModel]]:
+def by_depth() -> tuple[ShapeParameter, Callable[[float], LimbModel]]:
     """Depths of the nodes in proportion, and in part to the side."""
     model = small()
     directions = np.zeros_like(model.mesh.points)
@@ -158,10 +165,10 @@ def by_depth() -> tuple[Shape, Callable[[float], LimbModel]]:
     def change(h: float) -> LimbModel:
         return replace(model, mesh=replace(model.mesh, points=model.mesh.points + h * directions))
 
-    return Shape(directions), change
+    return ShapeParameter(directions), change
 
 
-def by_depth_under_prestrain() -> tuple[Shape, Callable[[float], LimbModel]]:
+def by_depth_under_prestrain() -> tuple[ShapeParameter, Callable[[float], LimbModel]]:
     shape, change = by_depth()
     return shape, lambda h: change(h).with_material("tissue", LAWS["prestrain"][0])
 

@@ -16,7 +16,7 @@ from limbcli.fem.derivatives.sensitivity import (
     LawParameter,
     Parameter,
     Prestrain,
-    Shape,
+    ShapeParameter,
     sensitivities,
 )
 from limbcli.fem.equilibrium.newton import Settings
@@ -126,19 +126,21 @@ def test_force_by_thickness() -> None:
     def change(model: LimbModel, h: float) -> LimbModel:
         return replace(model, mesh=replace(model.mesh, points=model.mesh.points + h * directions))
 
-    check(model, Shape(directions), change, 1e-3)
+    check(model, ShapeParameter(directions), change, 1e-3)
 
 
 def test_a_thickness_is_one_of_the_laws_that_are_there_now() -> None:
     """What a Shape keeps from one solve is not used for another law."""
     directions = np.zeros_like(small().mesh.points)
     directions[:, 2] = small().mesh.points[:, 2] / 8.0
-    kept = Shape(directions)
+    kept = ShapeParameter(directions)
     analysis = Analysis(small(), TIGHT)
     for stiffer in (1.0, 2.0, 4.0):
         analysis.model = small(material=ogden_type(c=0.0052 * stiffer, f_kappa=7.3, m=3.1))
         last = analysis.run()[-1]
-        found, fresh = sensitivities(analysis.newton, last.state, last.forces, [kept, Shape(directions)])
+        found, fresh = sensitivities(
+            analysis.newton, last.state, last.forces, [kept, ShapeParameter(directions)]
+        )
         np.testing.assert_allclose(found.bodies, fresh.bodies, rtol=1e-9, atol=1e-12)
     analysis.close()
 

@@ -11,10 +11,10 @@ from small_models import block
 
 from limbcli.errors import MeshError, SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.derivatives.fields import cell_fields, gauss_fields
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
+from limbcli.fem.record_fields import cell_fields, gauss_fields
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.materials.energy import energy_density

@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial import Delaunay
 
 from limbcli.imaging.marker_skin import without_bumps
-from limbcli.imaging.markers import Marker
+from limbcli.imaging.markers import MarkerCapsule
 from limbcli.imaging.surface import ClosedSurface
 
 RADIUS, LENGTH = 45.0, 80.0
 
 
-def tube(bump: float, at: float = 0.3) -> tuple[ClosedSurface, Marker, np.ndarray]:
+def tube(bump: float, at: float = 0.3) -> tuple[ClosedSurface, MarkerCapsule, np.ndarray]:
     """A limb of radius 45 mm along z, its sides only, with a bump 5 mm wide; and where that is."""
     rng = np.random.default_rng(7)
     grid = np.stack(np.meshgrid(np.arange(0, 2 * np.pi * RADIUS, 2.0), np.arange(0, LENGTH, 2.0)), -1)
@@ -24,7 +24,7 @@ def tube(bump: float, at: float = 0.3) -> tuple[ClosedSurface, Marker, np.ndarra
     r = RADIUS + bump * np.exp(-((away / 5.0) ** 2))
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     place = (RADIUS + 4.0) * np.array([np.cos(at), np.sin(at), 0.0]) + [0, 0, LENGTH / 2]
-    marker = Marker(1, tuple(place.tolist()), 250.0)
+    marker = MarkerCapsule(1, tuple(place.tolist()), 250.0)
     return ClosedSurface(points, triangles.astype(np.int64)), marker, away
 
 

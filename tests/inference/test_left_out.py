@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from limbcli.inference.left_out import (
     FOLDS,
+    mean_interval,
     percent_off,
     person_folds,
     predict_left_out,
@@ -70,3 +71,14 @@ def test_springs_in_series_are_found_exactly(rng):
     thickness = rng.uniform(2, 40, (30, 2))
     compliance = thickness @ [20.0, 12.0]
     assert springs_left_out(people, thickness, compliance) == pytest.approx(compliance)
+
+
+def test_the_interval_of_the_mean_keeps_people_together(rng):
+    """Eight rows of a person that are all alike tell as much as one."""
+    own = rng.standard_normal(60)
+    people, values = np.repeat(np.arange(60), 8).astype(str), np.repeat(own, 8)
+    low, high = mean_interval(people, values)
+    expected = 1.96 * own.std() / np.sqrt(60)
+    assert (high - low) / 2 == pytest.approx(expected, rel=0.1)
+    alone = mean_interval(np.arange(480).astype(str), values)
+    assert (alone[1] - alone[0]) / 2 == pytest.approx(expected / np.sqrt(8), rel=0.1)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import law_checks as checks
 import numpy as np
 import pytest
+from law_checks import evaluated, one_by_one
 
-from limbcli.materials import compile_material, ogden_type
-from limbcli.materials import simd_laws as lanes
-from limbcli.materials import simd_rows as lane_rows
-from limbcli.materials.dispatch import workspace
+from limbcli.materials import LAWS, ogden_type
 from limbcli.materials.simd import LANES
-from limbcli.materials.stress import _evaluate
 from limbcli.model import ElementMap, Material
 
-UNIT = (0.0, 0.8, 0.6)
-FIBRES = Material("fiber_exp_pow", {"ksi": 0.003, "alpha": 0.4, "beta": 2.5, "mu": 0.004, "fiber": UNIT})
+FIBRES = checks.MATERIALS["fiber_exp_pow"]
 MATERIALS = {
     "squares": ogden_type(c=0.005, f_kappa=20.0, m=2.0),
     "any exponent": ogden_type(c=0.005, f_kappa=20.0, m=7.3),
@@ -41,48 +38,23 @@ MATERIALS = {
 }
 
 
-def evaluated(
-    material: Material, F: np.ndarray, shift: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J (16,), S (16, 6), CC (16, 6, 6) of the vectors."""
-    program = compile_material(material, "m").program(LANES, lambda name: 1.0)
-    w, place, six, square = lane_rows.simd_workspace()
-    rows = w.reshape(-1, LANES)
-    rows[lane_rows.F : lane_rows.F + 9] = F.reshape(LANES, 9).T
-    if shift is not None:
-        rows[lane_rows.SHIFT] = shift
-    numbers = np.arange(LANES) if len(program.par) > 1 else np.zeros(LANES, dtype=np.int64)
-    lanes.measure(w)
-    lanes.add_laws(w, program.ops, program.par, numbers, True, place, six, square, workspace())
-    lanes.finish(w, True)
-    CC = rows[lane_rows.CC + lane_rows.UPPER]
-    return (
-        rows[lane_rows.J].copy(),
-        rows[lane_rows.S : lane_rows.S + 6].T.copy(),
-        CC.transpose(2, 0, 1).copy(),
-    )
-
-
-def one_by_one(material: Material, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    program = compile_material(material, "m").program(LANES, lambda name: 1.0)
-    S, CC = np.zeros((LANES, 6)), np.zeros((LANES, 6, 6))
-    _evaluate(F, program.ops, program.par, S, CC, True)
-    return S, CC
-
-
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("size", [1e-9, 1e-4, 0.2])
 def test_stress_and_tangent_are_those_of_single_points(
     name: str, size: float, rng: np.random.Generator
 ) -> None:
-    F = np.eye(3) + size * rng.standard_normal((LANES, 3, 3))
-    assert (np.linalg.det(F) > 0).all()
-    J, S, CC = evaluated(MATERIALS[name], F)
-    exact_S, exact_CC = one_by_one(MATERIALS[name], F)
-    np.testing.assert_allclose(J, np.linalg.det(F), rtol=1e-14)
-    np.testing.assert_allclose(CC, exact_CC, rtol=0, atol=2e-12 * abs(exact_CC).max())
-    # at rest the stress is a difference of numbers as large as the stiffness
-    np.testing.assert_allclose(S, exact_S, rtol=0, atol=1e-12 * abs(exact_S).max() + 1e-15 * abs(CC).max())
+    checks.vectors_are_single_points(MATERIALS[name], size, rng)
+
+
+@pytest.mark.parametrize("name", checks.MATERIALS)
+def test_every_law_is_the_same_in_both_at_hundreds_of_states(name: str, rng: np.random.Generator) -> None:
+    """Up to strains at which half of the random gradients turn inside out; these are left out."""
+    for size in np.repeat([0.02, 0.1, 0.3, 0.5], 10):
+        checks.vectors_are_single_points(checks.MATERIALS[name], size, rng)
+
+
+def test_every_law_has_an_example() -> None:
+    assert {*LAWS, "mixture"} <= {each.law for each in checks.MATERIALS.values()}
 
 
 @pytest.mark.parametrize("stretches", [(1.2, 1.2, 0.7), (1.2, 1.2 * (1 + 1e-9), 0.7), (0.9, 0.9, 0.9)])

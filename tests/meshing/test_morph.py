@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeshError
-from limbcli.meshing.morph import deeper, flatter, morphed, wider
+from limbcli.meshing.morph import aside, deeper, flatter, larger, morphed, sloping, tapered, wider
 from limbcli.meshing.regions import quadratic
 from limbcli.meshing.rods import Rod
 from limbcli.model import Block, Mesh
@@ -66,3 +66,26 @@ def test_a_flatter_limb_bends_less_where_it_is_touched_and_is_as_long_round():
     assert (near[2, 0] / 1.0) ** 2 / (2 * sag) == pytest.approx(85.0, rel=1e-3)
     around = np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1).sum()
     assert around == pytest.approx(2 * np.pi * 50.0, rel=0.03)
+
+
+def test_a_sloping_rod_gets_deeper_along_the_limb_and_stays_where_it_is_touched():
+    line = np.array([[0.0, y, -20.0] for y in (-10.0, 0.0, 10.0)])
+    moved = sloping(line, ROD, np.zeros(3), 0.13)
+    np.testing.assert_allclose(moved, [[0, 0, 1.3], [0, 0, 0], [0, 0, -1.3]], atol=1e-12)
+
+
+def test_a_rod_met_on_its_flank_still_lies_where_the_beam_meets_it():
+    angle = np.linspace(0, 2 * np.pi, 721)
+    ring = ROD.centre + 10.0 * np.stack([np.sin(angle), np.zeros(721), np.cos(angle)], axis=1)
+    there = ring + aside(ring, ROD, np.radians(22.0))
+    seen = np.argmin(np.linalg.norm(there - [0.0, 0.0, -20.0], axis=1))
+    assert there[seen] == pytest.approx([0.0, 0.0, -20.0], abs=0.05)
+    normal = (there[seen] - there[:-1].mean(axis=0)) / 10.0
+    assert np.degrees(np.arccos(normal[2])) == pytest.approx(22.0, abs=0.5)
+
+
+def test_a_tapered_skin_keeps_its_front_line_and_a_larger_one_its_place_touched():
+    skin = np.array([[0.0, -10.0, 0.0], [0.0, 10.0, 0.0], [5.0, 10.0, -40.0], [5.0, 0.0, -40.0]])
+    away = tapered(skin, ROD, np.zeros(3), 0.01)
+    np.testing.assert_allclose(away, [[0, 0, 0], [0, 0, 0], [0.5, 0, -4.0], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(larger(skin, np.zeros(3), 1.1), 0.1 * skin)

@@ -9,7 +9,7 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.mending import mend
-from limbcli.meshing.rods import Rod, Seen, limb_axis, rods_for, tube
+from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
 
 
 def closed(surface) -> bool:
@@ -46,11 +46,11 @@ def tapered(make_tube):
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def seen_on(limb, angle_deg: float, depth: float, z: float = 0.0) -> Seen:
+def seen_on(limb, angle_deg: float, depth: float, z: float = 0.0) -> BoneHit:
     """On the tube of 44 mm round (0, 5, 0), straight in."""
     normal = np.array([np.sin(np.radians(angle_deg)), -np.cos(np.radians(angle_deg)), 0.0])
     middle = np.array([0.0, 5.0 + z / 20, z])
-    return Seen(middle + (44.0 + z / 25) * normal, normal, depth)
+    return BoneHit(middle + (44.0 + z / 25) * normal, normal, depth)
 
 
 def test_the_axis_is_the_limbs_own_near_the_site(tapered):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
@@ -11,7 +13,7 @@ from limbcli.measurement import indentation
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.measured_files import write_readings
-from limbcli.phantom.noise import measure
+from limbcli.phantom.noise import levels_rows, measure
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
 
 PROTOCOL = LoadingProtocol(hold=2.0)
@@ -96,3 +98,18 @@ def test_the_trace_holds_every_level_at_60_hz(tmp_path, rng):
         assert held.mean() == pytest.approx(force, abs=0.012)
         assert held.std() == pytest.approx(0.03, rel=0.25)
     assert np.linalg.norm(trace.acceleration_g, axis=1) == pytest.approx(1.0, abs=0.05)
+
+
+def test_layers_are_read_with_their_own_noise_and_muscle_goes_down_to_the_bone(rng):
+    true = true_levels(60)
+    borders = np.column_stack([np.full(60, 1.5), 8.0 - 0.02 * np.arange(60)])
+    seen = measure(replace(true, borders=borders), NoiseLaw(), protocol=PROTOCOL, rng=rng).layers
+    assert seen.shape == (60, 3)
+    off = seen[:, :2] - np.diff(borders, axis=1, prepend=0.0)
+    assert off.std() == pytest.approx(NoiseLaw().layer_mm, rel=0.2)
+    assert np.allclose(seen.sum(axis=1)[0], 40.0)
+    exact = measure(replace(true, borders=borders), NoiseLaw().times(0.0), protocol=PROTOCOL, rng=rng)
+    header, rows = levels_rows(exact)
+    assert header[-3:] == ["skin_mm", "fat_mm", "muscle_mm"]
+    assert [float(each) for each in rows[10][-3:]] == pytest.approx([1.5, 6.3, 40.0 - 15.0 - 7.8])
+    assert measure(true, NoiseLaw(), protocol=PROTOCOL, rng=rng).layers is None

@@ -13,7 +13,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.frame import closest_on_triangles
-from limbcli.meshing.rods import tube
+from limbcli.meshing.rods import Rod, tube
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
@@ -218,7 +218,8 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     wanted = FitOptions(
         gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
     )
-    found = fit(case, out=out, solver="reference", options=wanted)[0].data
+    (first,) = fit(case, out=out, solver="reference", options=wanted)
+    found = first.data
     doubt = found["geometry_doubt"]
     for name, true in (("f_kappa", 2.0), ("m", 5.0)):
         narrow, wide = doubt["interval_95_noise"][name], doubt["interval_95"][name]
@@ -228,10 +229,13 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     # A flatter limb is stiffer as a whole: f_kappa makes up for it, not m.
     assert np.log(wide_over(doubt, "f_kappa")) > 1.0
     kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in doubt["variations"]}
-    assert set(kinds) == {"radius", "depth", "roundness"}
+    assert set(kinds) == {"radius", "depth", "slope", "side", "roundness", "taper"}
+    assert (kinds["side"] > 0).all()  # less tissue beside the beam
+    (unmade,) = [each for each in first.warnings if "second bone" in each]  # too coarse a mesh for it
+    assert "was not evaluated" in unmade
     assert (kinds["depth"] < 0).all()  # more tissue is softer
     assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
-    assert doubt["n_solves"] == 5
+    assert doubt["n_solves"] == 9
     brief = replace(wanted, intervals=False)
     again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_doubt"]
     assert again["n_solves"] == 0
@@ -240,3 +244,52 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     page = report(case, out=out)
     assert "what the assumed geometry adds" in (page.folder / "report.html").read_text()
     assert json.loads((out / "fit" / "p1" / "geometry.json").read_text())["key"]
+
+
+def flank_and_slope(folder: Path, *, angle_deg: float, slope: float) -> Case:
+    """The scanned limb as it is: its bone slopes along it, and the beam meets the bone's flank."""
+    folder.mkdir()
+    skin, radius, towards = tube(RADIUS, 160.0), 9.0, np.array([0.0, -1.0, 0.0])
+    axis = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)
+    seen, side = np.array([0.0, 15.0 - RADIUS, 0.0]), np.cross(axis, towards)
+    angle = np.radians(angle_deg)
+    centre = seen - radius * (np.cos(angle) * towards - np.sin(angle) * side)
+    across = towards - (towards @ axis) * axis
+    bone = Rod(centre, axis, radius, -60.0, 60.0, across / np.linalg.norm(across))
+    for name, each in (("skin", skin.surface(edge=4.0)), ("bone", bone.surface(edge=3.0))):
+        write_surface(folder / f"{name}.ply", ClosedSurface(each.points, each.faces))
+    imaging = 'skin = "skin.ply"\nbones = ["bone.ply"]'
+    (folder / "case.toml").write_text(
+        CASE.format(imaging=imaging, place=f"position_mm = [0, {-RADIUS:.4f}, 0]")
+    )
+    (folder / "levels.csv").write_text(LEVELS.format(more="", first="", rest=""))
+    return Case.open(folder)
+
+
+@pytest.mark.slow
+def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_path):
+    """Simulated on the true surfaces, fitted on a scan and a straight rod: m is off beyond the noise."""
+    real = flank_and_slope(tmp_path / "real", angle_deg=30.0, slope=0.15)
+    truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
+    plan = SynthOptions(
+        tissue=truth, size=3.0, far_size=7.0, noise=0.2,
+        protocol=LoadingProtocol(step=0.75, max_force=4.0),
+    )  # fmt: skip
+    synth(real, out=tmp_path / "real-out", out_case=tmp_path / "made", options=plan)
+    case = scanned(tmp_path / "case", place=f"position_mm = [0, {-RADIUS:.4f}, 0]\nskin_bone_mm = 15")
+    (case.folder / "levels.csv").write_bytes((tmp_path / "made" / "p1" / "levels.csv").read_bytes())
+    quiet = case.file.read_text().replace("0.02", "0.004").replace("0.05", "0.01")
+    case.file.write_text(quiet)
+    case, out = Case.open(case.folder), tmp_path / "out"
+    segment(case, out=out)
+    mesh(case, out=out, **SIZES)
+    build_feb(case, out=out)
+    wanted = FitOptions(
+        gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
+    )
+    doubt = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_doubt"]
+    (low, _), (alone, _) = doubt["interval_95"]["m"], doubt["interval_95_noise"]["m"]
+    assert low < 5.0 < alone
+    moved = {each["kind"]: each["log_shift"]["m"] for each in doubt["variations"]}
+    assert set(moved) == {"radius", "depth", "slope", "side", "scale"}  # the second bone: too coarse a mesh
+    assert moved["side"] > 3 * max(abs(moved["radius"]), abs(moved["depth"]))

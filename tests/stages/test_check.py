@@ -49,12 +49,12 @@ def test_files_are_read_even_where_the_case_has_faults(folder: Path):
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
     from limbcli.problems import Problem
-    from limbcli.stages.check import CheckResult
+    from limbcli.stages.check import CaseCheck
 
     wrong = Problem("a", "b", "c", family="measurement")
     warning = Problem("a", "b", "c", severity="warning")
-    assert CheckResult(folder, (), (wrong,)).exit_code == 3
-    assert CheckResult(folder, (), (warning,)).exit_code == 0
+    assert CaseCheck(folder, (), (wrong,)).exit_code == 3
+    assert CaseCheck(folder, (), (warning,)).exit_code == 0
 
 
 def test_a_bone_elsewhere_and_sites_off_the_skin_are_told(tmp_path: Path):

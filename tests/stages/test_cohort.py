@@ -39,6 +39,11 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     found = data["compliance_left_out"]
     off = [each["difference_percent"] for each in found["rows"]]
     assert found["mean_absolute_difference_percent"] == pytest.approx(np.mean(off))
+    low, high = found["interval_95_percent"]
+    assert low < np.mean(off) < high
+    worst = found["largest_row"]
+    assert worst["difference_percent"] == max(off)
+    assert worst["share_of_the_mean_percent"] == pytest.approx(max(off) / 12)
     assert sorted(set(found["folds"].values())) == list(range(10))
     for each in found["rows"]:
         assert each["fold"] == found["folds"][each["subject"]]
@@ -49,6 +54,7 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     page = (out / "cohort.html").read_text()
     assert page.count("data:image") == 4
     assert "Who stands out?" in page
+    assert f"from {low:.1f} to {high:.1f} % (95 %)" in page
     assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
     assert result.summary[0] == "12 rows of 12 people"
 

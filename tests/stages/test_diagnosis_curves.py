@@ -12,12 +12,14 @@ from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from tests.stages import block_case
 
+ALONE = Solving(threads=1)
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
 THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
 
@@ -39,7 +41,7 @@ class Stops:
 
 
 def whole(block, m, ingredients=()):
-    book = CurveBook(block, DEPTHS, c=0.006, threads=1, tolerance=1e-6)
+    book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
     curves = book.curves(m, ingredients)
     book.close()
     assert book.in_part == {}
@@ -53,7 +55,7 @@ def whole(block, m, ingredients=()):
 def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredients, words, within):
     stops = Stops(9)
     book = CurveBook(
-        block, DEPTHS, c=0.006, threads=1, tolerance=1e-6, progress=Progress(stops), keep=tmp_path
+        block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops), keep=tmp_path
     )
     book.curves(8.0)
     stops.after = 3
@@ -70,18 +72,18 @@ def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredie
 
 
 def test_what_stops_far_short_has_no_curves(block):
-    book = CurveBook(block, DEPTHS, c=0.006, threads=1, progress=Progress(Stops(2)))
+    book = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)))
     with pytest.raises(SolveError, match="as far as it goes"):
         book.curves(5.0)
     book.close()
-    fits = CurveBook(block, DEPTHS, c=0.006, threads=1, progress=Progress(Stops(2)), needed=2.0)
+    fits = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)), reach=Reach(2.0))
     assert len(fits.curves(5.0).depth) == len(DEPTHS) + 1  # the deeper levels are tried, not needed
     assert fits.in_part == {}
     fits.close()
 
 
 def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(block, tmp_path):
-    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
+    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
     first, second = book.curves(3.0), again.curves(3.0)
     assert (book.n_solves, again.n_solves) == (1, 0)
     assert second.force == pytest.approx(first.force)
@@ -101,7 +103,7 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
     def solved(folder, n_before: int):
         """Curves and kept deformation by one book, or by two with a stop in between."""
         for some in (asked[:n_before], asked):
-            book = CurveBook(block, DEPTHS, c=0.006, threads=1, keep=folder)
+            book = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, keep=folder)
             curves = [book.curves(m, ingredients) for m, ingredients in some]
             gradient = book.kinematics(4.0).gradient if some is asked else None
             book.close()
@@ -119,7 +121,7 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
 
 @pytest.mark.parametrize("spoil", [Path.unlink, lambda path: path.write_bytes(b"PK\x03\x04 cut off")])
 def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, spoil):
-    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, threads=1) for _ in range(2))
+    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
     book.curves(3.0)
     for path in tmp_path.glob("*-cells.npz"):
         spoil(path)
@@ -171,7 +173,7 @@ def test_a_candidate_of_a_large_model_is_stopped_sooner(n_cells, iterations):
 )
 def test_a_size_that_was_fitted_is_told_from_a_sensitivitys(block, monkeypatch, name, theta, fitted):
     """By how much work the solve may take."""
-    book, seen = CurveBook(block, DEPTHS, c=0.006, threads=1), {}
+    book, seen = CurveBook(block, DEPTHS, c=0.006, solving=ALONE), {}
 
     def begin(**facts):
         seen.update(facts)

@@ -8,6 +8,7 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, log_force_at
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.curves.penetration import Penetration, penetration
 from tests.stages import block_case
 
@@ -19,7 +20,7 @@ HARDER = ((effect("contact"), {"penalty_factor": 16.0}),)
 @pytest.fixture(scope="module")
 def book():
     block = block_case.block_model(counts=(4, 2, 2))
-    made = CurveBook(block, DEPTHS, c=0.006, f_kappa=2.0, threads=1, tolerance=1e-6)
+    made = CurveBook(block, DEPTHS, c=0.006, f_kappa=2.0, solving=Solving(1e-6, threads=1))
     yield made
     made.close()
 

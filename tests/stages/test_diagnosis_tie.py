@@ -10,6 +10,7 @@ import pytest
 from limbcli.errors import CaseError, SolveError
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_run
 from limbcli.stages.run import run
 from tests.stages import block_case as block
@@ -29,7 +30,7 @@ def ran(tmp_path_factory):
 
 def _book(folder: Path, **counts) -> CurveBook:
     model = block.block_model("tet4", **counts)
-    return CurveBook(model, [0.45, *DEPTHS], c=C, keep=folder, tolerance=1e-6, threads=1)
+    return CurveBook(model, [0.45, *DEPTHS], c=C, keep=folder, solving=Solving(1e-6, threads=1))
 
 
 def test_run_is_scaled_to_the_reference_stiffness(ran):

@@ -22,7 +22,8 @@ from limbcli.shear_waves.from_simulation import AT_REST, level_maps
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.fibres import not_told, rest_speed, share_along
+from limbcli.stages.fitting.fibre_orientations import not_told, share_along
+from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.stages.report import report

@@ -12,7 +12,7 @@ import nibabel as nib
 import numpy as np
 import pytest
 
-from limbcli.case import Case, Imaging, ModelOptions, Noise, Probe, Site
+from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.phantom.dicom_series import write_series
@@ -118,7 +118,7 @@ def from_labels(segmented, series, tmp_path_factory):
         trace=None,
         swe_maps=None,
         density_kg_per_m3=1000.0,
-        noise=Noise(),
+        noise=StatedNoise(),
     )
     case = replace(case_with(folder, mri=series, labels=first.path("labels")), sites=(site,))
     return segment(case, out=folder)

@@ -9,7 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.fem.derivatives.fields import (
+from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
+from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
+from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
+from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.state import State
+from limbcli.fem.record_fields import (
     _CENTER,
     _F,
     _STRAIN,
@@ -22,11 +27,6 @@ from limbcli.fem.derivatives.fields import (
     pair_push,
     pushed,
 )
-from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, Shape
-from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
-from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
-from limbcli.fem.motion.rigid import rotation_vector
-from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array, IntArray, LogRecord
 
@@ -137,7 +137,7 @@ def _node_changes(
 ) -> tuple[Array, Array]:
     """Changes (n_points, 3) of the nodes' displacements and of their places at rest; of bodies' own too."""
     moves, rest = sensitivity.displacement.copy(), np.zeros_like(system.X)
-    if isinstance(parameter, Shape):
+    if isinstance(parameter, ShapeParameter):
         rest += parameter.directions
     for b, body in enumerate(system.bodies):
         turn, arm = state.bodies[b].turn, system.X[body.points] - body.center

@@ -55,7 +55,7 @@ class BodyMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ShapeParameter:
     """Places of nodes in the reference state: node n moves by directions[n] theta (a layer's
     thickness). The residual's dependence on the places is taken by central differences of `step` mm,
     the response's dependence on the residual exactly."""
@@ -76,7 +76,7 @@ class Prestrain:
     step: float = 1e-5
 
 
-Parameter = LawParameter | Tied | BodyMotion | Shape | Prestrain
+Parameter = LawParameter | Tied | BodyMotion | ShapeParameter | Prestrain
 
 
 def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
@@ -199,7 +199,7 @@ def _nodal_forces(system: System, state: State) -> Array:
     return nodal
 
 
-def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array]:
+def _shape(system: System, state: State, parameter: ShapeParameter) -> tuple[Array, Array]:
     sides = []
     for sign in (1.0, -1.0):
         moved = moved_system(system, parameter, sign)
@@ -211,7 +211,7 @@ def _shape(system: System, state: State, parameter: Shape) -> tuple[Array, Array
     return (n1 - n0) / (2 * parameter.step), (b1 - b0) / (2 * parameter.step)
 
 
-def moved_system(system: System, parameter: Shape, sign: float) -> System:
+def moved_system(system: System, parameter: ShapeParameter, sign: float) -> System:
     groups, moved = parameter._systems.get(sign, (None, None))
     if moved is None or groups is not system.groups:  # other laws, or another model
         mesh = system.model.mesh

@@ -7,7 +7,7 @@ With v = du/dtheta the mesh's F = 1 + grad u moves by grad v. Besides, at held u
 - a number of the law changes what the law answers, by its derivative programs.
 
 Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule: exact, apart from the tangent,
-see `materials.differences`.
+see `materials.tangent_change`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from limbcli.fem.derivatives.parameters import (
     LawParameter,
     Parameter,
     Prestrain,
-    Shape,
+    ShapeParameter,
     Tied,
     prestrain_change,
     programs,
@@ -29,8 +29,8 @@ from limbcli.fem.elements import kernels
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.materials.differences import tangent_change
 from limbcli.materials.energy import program_energy_change
+from limbcli.materials.tangent_change import tangent_change
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array
 
@@ -104,7 +104,7 @@ def point_changes(
     system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, law_F, S, CC), len(o.cells))
     F = law_F @ np.linalg.inv(o.base)
     dF = _gradient(group, v)
-    if isinstance(parameter, Shape):
+    if isinstance(parameter, ShapeParameter):
         dF -= (F - np.eye(3)) @ _gradient(group, parameter.directions)
     law_dF = dF @ o.base
     if isinstance(parameter, Prestrain) and group.material.name == parameter.material:

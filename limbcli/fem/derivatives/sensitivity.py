@@ -18,7 +18,7 @@ from limbcli.fem.derivatives.parameters import (
     LawParameter,
     Parameter,
     Prestrain,
-    Shape,
+    ShapeParameter,
     given_motions,
     partial,
 )
@@ -34,7 +34,7 @@ __all__ = [
     "Parameter",
     "Prestrain",
     "Sensitivity",
-    "Shape",
+    "ShapeParameter",
     "partial",
     "sensitivities",
 ]

@@ -13,7 +13,6 @@ from limbcli.fem.elements.element import reference_gradients
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.elements.simd_kernels import WIDTH
 from limbcli.materials import Compiled, Program, compile_material
-from limbcli.materials.laws import UNCOUPLED_LAWS
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate
@@ -145,7 +144,7 @@ def _first_cells(blocks: tuple[Block, ...]) -> dict[str, int]:
 
 def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     compiled = compile_material(model.materials[domain.material], domain.material)
-    if block.kind in ("hex8", "penta6") and any(leaf.name in UNCOUPLED_LAWS for leaf in compiled.leaves):
+    if block.kind in ("hex8", "penta6") and any(leaf.law.uncoupled for leaf in compiled.leaves):
         raise SolveError(
             f"an uncoupled law in {block.kind} cells (FEBio's three-field element) is not supported",
             where=f"block {block.name!r}",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.first_guesses import continued, extrapolate
 from limbcli.fem.equilibrium.history import Histories
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
@@ -44,11 +47,11 @@ class LoadStepping:
     _step: Step
     _histories: Histories | None
     _reached: list[State]
-    _forces: Forces  # at the last load step
     _tried: Forces  # at the last first guess
 
     def __init__(self) -> None:
         self._wary = 0
+        self._forces: Forces | None = None  # at the last load step
         self.patient = True  # where Newton's method fails, whether the tissue is let come to rest
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
@@ -58,7 +61,6 @@ class LoadStepping:
         # increments are short steps that serve as first guesses only
         self._incremental = bool(model.contacts) and not self._timed
         self._increment = _FIRST * step.step_size if self._incremental else np.inf
-        self._cuts = self._restless = 0  # on the way: cuts, and tissue that did not come to rest
         self._reached = [newton.system.start]
         self._known: State | None = None  # of an earlier solve, at the last load step
         self._n_touching = self._n_pressed = 0  # points that touched last; increments that ended in contact
@@ -72,96 +74,136 @@ class LoadStepping:
         brief : give up after a few cuts and iterations
 
         Increments on the way serve as first guesses only: they are solved loosely and not kept.
+        What becomes of each has a name, see `increments.Outcome`.
         """
-        newton, reached = self._newton, self._reached
-        self._restless = 0
-        cuts, self._cuts, start = 0, 0, (len(reached), self._n_pressed, self._n_touching)
-        until = newton.counts.iterations + _BRIEF_ITERATIONS
-        most = BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries)
+        newton = self._newton
         newton.mixed = newton.settings.mixed
+        way = LoadStepPath(
+            target, load_step, known, brief,
+            most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
+            most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
+            start=(len(self._reached), self._n_pressed, self._n_touching),
+        )  # fmt: skip
         while True:
-            begin = reached[-1].time
-            rest = target - begin
-            n = 1 if known is not None else int(np.ceil(rest / self._increment - 1e-6))
-            aim = target if n <= 1 else begin + rest / n
-            last = cuts >= most
-            before = newton.counts.iterations
-            if brief and before > until:
-                raise newton.failure(reached[-1], self._forces, load_step, before - until, "it takes long")
-            try:
-                patient = last or self._has_friction or newton.system.jumps
-                state, forces = self._solve(aim, load_step, known, aim == target, patient=patient)
-                if aim == target:
-                    state, forces = self._augmented(state, forces, load_step)
-            except (NotConverged, SingularMatrix) as error:
-                cuts += 1
-                self._note_cut(error)
-                relaxed = (
-                    None
-                    if brief or not self.patient
-                    else self._relaxed(aim, load_step, error, last=aim == target)
-                )
-                if relaxed is not None:
-                    cuts, known = 0, None
-                    self._increment = aim - begin
-                    if aim < target:
-                        self._accept(*relaxed, easily=False)
-                        continue
-                    state, forces = self._augmented(*relaxed, load_step)
-                    self._accept(state, forces, easily=False)
-                    self._forces, self._known = forces, None
+            increment = self._next(way)
+            outcome, found, error = self._attempt(way, increment)
+            if found is not None:
+                way.cuts = 0
+                state, forces = self._take(way, increment, outcome, *found)
+                if increment.is_last:
                     return state, forces
-                hopeless = _hopeless(error, reached)
-                if last or aim - begin < _SMALLEST * self._step.step_size or hopeless:
-                    if not newton.mixed or self._timed or self._has_friction or brief or hopeless:
-                        raise self._explained(error, load_step, aim) from error
-                    self._start_again(*start)
-                    cuts, aim, begin = 0, target, reached[-1].time
-                self._increment = rest if known is not None else 0.5 * (aim - begin)
-                self._wary = _WARY if known is None else 0
-                known = None
-                if newton.counts.iterations > before:  # else the factor is of the state to start from
-                    newton.linearised.reuse_cost = np.inf
-                newton.system.recall(reached[-1].hints)
-                continue
-            cuts = 0
-            easy = _EASY + (2 if aim == target else 0)
-            self._accept(state, forces, easily=newton.counts.iterations - before <= easy)
-            if aim == target:
-                self._forces, self._known = forces, known
-                return state, forces
+            elif outcome is IncrementOutcome.HOPELESS:
+                assert error is not None
+                raise self._explained(error, load_step, increment.aim) from error
+            else:
+                if outcome is IncrementOutcome.BEGIN_AGAIN:
+                    increment = self._begin_again(way, increment)
+                self._shorten(way, increment)
 
-    def _relaxed(
-        self, time: float, load_step: LoadStep, error: SolveError, *, last: bool
+    def _next(self, way: LoadStepPath) -> Increment:
+        """What is tried next; raises NotConverged where a load step that is tried briefly takes long."""
+        newton, begin = self._newton, self._reached[-1].time
+        before = newton.counts.iterations
+        if way.most_iterations is not None and before > way.most_iterations:
+            forces = self._forces if self._forces is not None else self._tried
+            spent = before - way.most_iterations
+            raise newton.failure(self._reached[-1], forces, way.load_step, spent, "it takes long")
+        rest = way.target - begin
+        n = 1 if way.known is not None else int(np.ceil(rest / self._increment - 1e-6))
+        aim = way.target if n <= 1 else begin + rest / n
+        return Increment(begin, aim, rest, before, is_last=aim == way.target)
+
+    def _attempt(
+        self, way: LoadStepPath, increment: Increment
+    ) -> tuple[IncrementOutcome, tuple[State, Forces] | None, SolveError | None]:
+        """What becomes of an increment, with its equilibrium where there is one, or the error."""
+        patient = way.is_exhausted or self._has_friction or self._newton.system.jumps
+        try:
+            found = self._solve(way, increment, patient=patient)
+            if increment.is_last:
+                found = self._augmented(*found, way.load_step)
+        except (NotConverged, SingularMatrix) as error:
+            exhausted = way.is_exhausted
+            way.note_cut()
+            self._note_cut(error)
+            at_rest = None if way.brief or not self.patient else self._at_rest(way, increment, error)
+            if at_rest is not None:
+                return IncrementOutcome.CAME_TO_REST, at_rest, None
+            return self._outcome(way, increment, error, exhausted), None, error
+        return IncrementOutcome.CONVERGED, found, None
+
+    def _outcome(
+        self, way: LoadStepPath, increment: Increment, error: SolveError, exhausted: bool
+    ) -> IncrementOutcome:
+        """Of an increment that has no equilibrium: how to go on."""
+        if _has_no_factor(error, self._reached):
+            return IncrementOutcome.HOPELESS
+        if not exhausted and increment.length >= _SMALLEST * self._step.step_size:
+            return IncrementOutcome.SHORTEN
+        by_the_way = self._timed or self._has_friction
+        again = self._newton.mixed and not by_the_way and not way.brief
+        return IncrementOutcome.BEGIN_AGAIN if again else IncrementOutcome.HOPELESS
+
+    def _take(
+        self, way: LoadStepPath, increment: Increment, outcome: IncrementOutcome, state: State, forces: Forces
+    ) -> tuple[State, Forces]:
+        """The state that an increment ended at, accepted: at the load step, or on the way to it."""
+        easily = False
+        if outcome is IncrementOutcome.CAME_TO_REST:
+            way.known = None
+            self._increment = increment.length
+            if increment.is_last:
+                state, forces = self._augmented(state, forces, way.load_step)
+        else:
+            easy = _EASY + (2 if increment.is_last else 0)
+            easily = self._newton.counts.iterations - increment.iterations_before <= easy
+        self._accept(state, forces, easily=easily)
+        if increment.is_last:
+            self._forces, self._known = forces, way.known
+        return state, forces
+
+    def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
+        """Half the increment; or the same without the guess from an earlier solve, if there was one."""
+        newton = self._newton
+        self._increment = increment.rest if way.known is not None else 0.5 * increment.length
+        self._wary = _WARY if way.known is None else 0
+        way.known = None
+        if newton.counts.iterations > increment.iterations_before:
+            newton.linearised.reuse_cost = np.inf  # else the factor is of the state to start from
+        newton.system.recall(self._reached[-1].hints)
+
+    def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
+        """Back to the last load step, for a try without pressures of their own: they go further, but now and
+        then astray. Returns the whole way as one increment."""
+        n_reached, self._n_pressed, self._n_touching = way.start
+        self._newton.mixed = False
+        del self._reached[n_reached:]
+        way.cuts = 0
+        return replace(increment, begin=self._reached[-1].time, aim=way.target, is_last=True)
+
+    def _at_rest(
+        self, way: LoadStepPath, increment: Increment, error: SolveError
     ) -> tuple[State, Forces] | None:
-        """The state that the tissue relaxes to at a time, from the last increment's; None if it does not."""
+        """The state that the tissue relaxes to from the last increment's; None if it does not."""
         newton, begin = self._newton, self._reached[-1]
         # the response is by the way, or by forces on bodies
         given = self._timed or self._has_friction or bool(newton.system.rigid)
-        restless = self._restless >= _MOST_RESTLESS
+        restless = way.restless >= _MOST_RESTLESS
         if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
         newton.system.recall(begin.hints)
         newton.linearised.reuse_cost = np.inf
         try:
-            guess = newton.system.prescribed(begin, time)
-            return relax(newton, guess, load_step, tolerance=None if last else _FIRM)
+            guess = newton.system.prescribed(begin, increment.aim)
+            return relax(newton, guess, way.load_step, tolerance=None if increment.is_last else _FIRM)
         except (NotConverged, SingularMatrix):
-            self._restless += 1
+            way.restless += 1
             return None
 
     def _note_cut(self, error: SolveError) -> None:
-        self._cuts += 1
         self._newton.counts.retries += 1
         if isinstance(error, SingularMatrix):
             self._newton.linearised.inverse = None
-
-    def _start_again(self, n_reached: int, n_pressed: int, n_touching: int) -> None:
-        """Back to the last load step, for a try without pressures of their own: they go further, but now and
-        then astray."""
-        self._newton.mixed = False
-        del self._reached[n_reached:]
-        self._n_pressed, self._n_touching = n_pressed, n_touching
 
     def _accept(self, state: State, forces: Forces, *, easily: bool) -> None:
         """Take an increment: the next begins at its end, and may be longer after an easy one."""
@@ -175,17 +217,16 @@ class LoadStepping:
         if self._histories is not None:
             self._histories.accept(length, state)
 
-    def _solve(
-        self, time: float, load_step: LoadStep, known: State | None, must: bool, *, patient: bool
-    ) -> tuple[State, Forces]:
-        newton = self._newton
-        tolerance = None if must or self._timed else _FIRM if self._cuts else _LOOSE
+    def _solve(self, way: LoadStepPath, increment: Increment, *, patient: bool) -> tuple[State, Forces]:
+        newton, aim = self._newton, increment.aim
+        on_the_way = _FIRM if way.was_cut else _LOOSE
+        tolerance = None if increment.is_last or self._timed else on_the_way
         if self._histories is not None:
-            self._histories.begin(time - self._reached[-1].time)
-        guess, forces = self._guess(time, load_step, known, patient)
-        if known is not None:  # a load step away from where the factor was made
+            self._histories.begin(increment.length)
+        guess, forces = self._guess(aim, way.load_step, way.known, patient)
+        if way.known is not None:  # a load step away from where the factor was made
             newton.linearised.reuse_cost = np.inf
-        return newton.equilibrate(guess, load_step, forces=forces, tolerance=tolerance, patient=patient)
+        return newton.equilibrate(guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
         self, time: float, load_step: LoadStep, known: State | None, patient: bool
@@ -273,6 +314,6 @@ class LoadStepping:
         return state, forces
 
 
-def _hopeless(error: SolveError, reached: list[State]) -> bool:
+def _has_no_factor(error: SolveError, reached: list[State]) -> bool:
     """No factor of the unloaded tissue: shorter steps will not give one."""
     return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
-from limbcli.fem.motion import curves
+from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, rotation_matrix
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
@@ -115,7 +115,7 @@ class Kinematics:
                 where="load curves",
                 fix=f"use one of {list(self.model.curves)}",
             )
-        return curves.value(self.model.curves[name], time)
+        return load_curves.value(self.model.curves[name], time)
 
     def curve(self, name: str) -> float:
         return self.curve_at(name, self.time)

@@ -20,7 +20,7 @@ _BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ScenePart:
     """Points (n, 3) mm at rest, their displacement (n, 3) mm, triangles (m, 3) and edges (k, 2) to draw.
 
     coloured : by the size of the displacement; else in one colour
@@ -71,7 +71,7 @@ def scene_of(state: DeformedState) -> dict[str, Any]:
     }
 
 
-def _parts(state: DeformedState) -> list[Part]:
+def _parts(state: DeformedState) -> list[ScenePart]:
     u = state.displacement
     rigid = np.broadcast_to(state.probe_shift, u.shape)
     return [
@@ -85,7 +85,7 @@ def _parts(state: DeformedState) -> list[Part]:
 
 def _surface(
     name: str, facets: dict[str, IntArray], points: Array, displacement: Array, *, coloured: bool = True
-) -> Part:
+) -> ScenePart:
     """Facets whose corners are all known; edges are those of the elements, not of the triangles drawn."""
     triangles, edges = [np.zeros((0, 3), np.int64)], [np.zeros((0, 2), np.int64)]
     for kind, each in facets.items():
@@ -97,7 +97,7 @@ def _surface(
     lines = np.unique(np.sort(lines, axis=1), axis=0)
     used, numbers = np.unique(np.concatenate([faces.ravel(), lines.ravel()]), return_inverse=True)
     n = faces.size
-    return Part(
+    return ScenePart(
         name,
         points[used],
         displacement[used],
@@ -107,7 +107,7 @@ def _surface(
     )
 
 
-def _section(state: DeformedState) -> Part:
+def _section(state: DeformedState) -> ScenePart:
     """The cut through the probe's middle plane (y = 0), for a look inside."""
     tetrahedra, _ = linear_tetrahedra(state.kind, state.cells)
     cut = cut_tetrahedra(state.points, tetrahedra)
@@ -115,7 +115,7 @@ def _section(state: DeformedState) -> Part:
     known = np.isfinite(displacement[cut.triangles]).all(axis=(1, 2))
     triangles = cut.triangles[known]
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return Part("section", points, np.nan_to_num(displacement), triangles, np.unique(edges, axis=0))
+    return ScenePart("section", points, np.nan_to_num(displacement), triangles, np.unique(edges, axis=0))
 
 
 def _packed(values: np.ndarray) -> str:

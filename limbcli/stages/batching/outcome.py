@@ -38,7 +38,7 @@ class BatchOptions:
 
 
 @dataclass(frozen=True)
-class Failure:
+class StepFailure:
     stage: str
     site: str | None
     error: LimbError
@@ -62,7 +62,7 @@ class CaseOutcome:
     ran: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
     kept: dict[str, str] = field(default_factory=dict)
-    failures: list[Failure] = field(default_factory=list)
+    failures: list[StepFailure] = field(default_factory=list)
     report: Path | None = None
     begun: bool = True
 

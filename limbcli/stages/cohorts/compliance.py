@@ -11,6 +11,7 @@ from limbcli.inference.layered_family import LayeredFamily
 from limbcli.inference.left_out import (
     FOLDS,
     lines_left_out,
+    mean_interval,
     percent_off,
     predict_left_out,
     springs_left_out,
@@ -42,11 +43,18 @@ def compliance_left_out(
     people, sites, measured = table.person, table.site, table.compliance
     found = predict_left_out(people, sites, features, measured, physics, seed=seed)
     off = percent_off(found.predicted, measured)
-    soft = table.thickness[:, 1:]
+    soft, worst = table.thickness[:, 1:], int(np.argmax(off))
     entry: dict[str, Any] = {
         "mean_absolute_difference_percent": float(off.mean()),
+        "interval_95_percent": list(mean_interval(people, off, seed=seed)),
         "standard_deviation_percent": float(off.std()),
         "median_absolute_difference_percent": float(np.median(off)),
+        "largest_row": {
+            "subject": str(people[worst]),
+            "location": str(sites[worst]),
+            "difference_percent": float(off[worst]),
+            "share_of_the_mean_percent": float(off[worst] / len(off)),
+        },
         "predicted_from": ["location", "skin_mm", "fat_mm", "muscle_mm", "thickness_mm", "probe's face"],
         "n_folds": FOLDS,
         "seed": seed,

@@ -271,7 +271,11 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
         lines.append(f"{name}: {site['n_rows']} rows, {', '.join(reported)}")
     told_off = data["compliance_left_out"]["mean_absolute_difference_percent"]
     if told_off is not None:
-        lines.append(f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average")
+        low, high = data["compliance_left_out"]["interval_95_percent"]
+        lines.append(
+            f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average ({low:.1f} to "
+            f"{high:.1f} with other people)"
+        )
     standing = data["stands_out"]
     lines.append(f"{len(standing['rows'])} rows and {len(standing['people'])} people stand out")
     lines.append(f"page: {page}")

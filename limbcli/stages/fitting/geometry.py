@@ -1,16 +1,8 @@
 """What a geometry that nobody imaged does to a fit: computed, by varying what is assumed.
 
-The fitted model's mesh is moved to other shapes (`meshing.morph`) and solved again at the fitted parameters.
-Each variation is one deviation:
-
-bone's radius    times 0.7 and 1.4: the tibia of OpenLimb's limbs has 9 to 20 mm (`case_schema`)
-bone's depth     by the noise of a depth reading that the case states, else 0.3 mm
-roundness        of a limb in numbers only: the skin's radius of curvature times 0.7 and 1.7 at the same
-                 circumference. Round residual limbs it is 0.68 to 1.8 times that of a circle of the same
-                 circumference (16 and 84 % of all directions, sections 3 to 15 cm above the end, the mean and
-                 four virtual limbs of OpenLimb; Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622)
-
-Two that are opposite count half each. c, from the shear-wave speed, is not changed by any of them.
+The fitted model's mesh is moved to other shapes and solved again at the fitted parameters. Each variation
+(`geometry_variations`) is one deviation; two that are opposite count half each. c, from the shear-wave
+speed, is not changed by any of them.
 """
 
 from __future__ import annotations
@@ -26,31 +18,16 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError
-from limbcli.meshing.morph import deeper, flatter, morphed, wider
 from limbcli.meshing.rods import Rod
-from limbcli.model import Array, LimbModel, Mesh
+from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter, plain, read_result, stage_folder
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.fitting.geometry_variations import Variation, depth_deviation, shaped, variations
 from limbcli.stages.provenance.freshness import key_of
 
 FILE = "geometry.json"
-RADIUS, ROUNDNESS, USUAL_DEPTH = (0.7, 1.4), (0.7, 1.7), 0.3
 _TOLERANCE = 1e-4
-_PARTS = (1.0, 0.5, 0.25, 0.1)  # of a variation, where cells would be crushed: what it does is then scaled up
-
-
-@dataclass(frozen=True)
-class Variation:
-    """What is varied, in words; `value`: a factor, or mm."""
-
-    kind: str
-    value: float
-    words: str
-
-    def part(self, share: float) -> float:
-        """The value of a smaller step of the same kind."""
-        return share * self.value if self.kind == "depth" else self.value**share
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +87,8 @@ def geometry_doubt(
     geometry, frame = segmented.data["geometry"], meshed.data["frame"]
     writer.used_result(segmented, data=["geometry"])
     writer.used_result(meshed, data=["frame"])
-    note = site.noise.depth if site.noise.depth > 0 else USUAL_DEPTH
-    todo = variations(round_limb=case.imaging.shape is not None, depth=note)
+    depth = depth_deviation(site.noise.depth, geometry["sites"][site.name])
+    todo = variations(case.imaging, depth=depth, bones=len(geometry["bones"]))
     law = {name: vars(each) for name, each in fitted.materials.items()}
     points = fitted.mesh.points.round(6).tobytes()
     key = key_of(
@@ -133,17 +110,6 @@ def geometry_doubt(
     return found if found.done else None
 
 
-def variations(*, round_limb: bool, depth: float) -> tuple[Variation, ...]:
-    """What is assumed of a limb, varied by one deviation; `depth`: mm."""
-    found = [Variation("radius", each, f"bone's radius times {each:g}") for each in RADIUS]
-    found.append(Variation("depth", depth, f"bone {depth:g} mm deeper"))
-    if round_limb:
-        found += [
-            Variation("roundness", each, f"skin's radius of curvature times {each:g}") for each in ROUNDNESS
-        ]
-    return tuple(found)
-
-
 def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Array) -> Rod:
     """The bone that a site looks at, in the site's frame."""
     bone = geometry["bones"][geometry["sites"][site]["bone"]]
@@ -156,30 +122,6 @@ def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Arr
     )  # fmt: skip
 
 
-def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -> Mesh:
-    """A site's mesh in another shape.
-
-    Raises
-    ------
-    MeshError
-        If a cell would lose nearly all of its volume.
-    """
-    value = variation.part(part)
-    moves = {
-        name: np.zeros((len(mesh.node_sets[name]), 3)) for name in ("bone", "skin") if name in mesh.node_sets
-    }
-    bone, skin = (mesh.points[mesh.node_sets.get(name, np.zeros(0, np.int64))] for name in ("bone", "skin"))
-    away = bone - rod.centre
-    radial = np.linalg.norm(away - np.outer(away @ rod.axis, rod.axis), axis=1)
-    own = (np.abs(radial - rod.radius) < 0.5 * rod.radius)[:, None]
-    if variation.kind == "roundness":
-        moves["skin"] = flatter(skin, rod, np.zeros(3), value)
-    else:
-        move = wider if variation.kind == "radius" else deeper
-        moves["bone"] = np.where(own, move(bone, rod, value), 0.0)
-    return morphed(mesh, moves)
-
-
 def _solve_all(
     fitted: LimbModel, forces: Array, rod: Rod, todo: tuple[Variation, ...], progress: Progress
 ) -> GeometryDoubt:
@@ -189,7 +131,7 @@ def _solve_all(
     for number, each in enumerate(todo, 1):
         progress.event("task", name=f"geometry: {each.words}", done=number, total=len(todo))
         try:
-            model, part = _shaped(fitted, rod, each)
+            model, part = shaped(fitted, rod, each)
             session = ReferenceSession(model, progress=progress, tolerance=_TOLERANCE)
             if before is not None:
                 session.start_like(before)
@@ -203,16 +145,6 @@ def _solve_all(
     if before is not None:
         before.close()
     return GeometryDoubt("", tuple(found), len(todo), time.perf_counter() - clock)
-
-
-def _shaped(fitted: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel, float]:
-    """The model in its varied shape, and how much of the variation its cells could take."""
-    for part in _PARTS[:-1]:
-        try:
-            return fitted.with_mesh(varied_mesh(fitted.mesh, rod, variation, part)), part
-        except LimbError:
-            continue
-    return fitted.with_mesh(varied_mesh(fitted.mesh, rod, variation, _PARTS[-1])), _PARTS[-1]
 
 
 def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryDoubt | None:

@@ -17,7 +17,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import leave_exports, parameter_rows, write_table
-from limbcli.stages.fitting.fibres import leave_moduli
+from limbcli.stages.fitting.fibre_orientations import leave_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.units import kpa_from_mpa

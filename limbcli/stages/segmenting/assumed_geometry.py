@@ -21,7 +21,7 @@ from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
 from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.rods import Rod, Seen, limb_axis, rods_for, tube
+from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import Problem, errors_of, raise_errors
 from limbcli.stages.segmenting.surfaces import read_body
@@ -206,11 +206,11 @@ def _disagreement(name: str, measured: float, made: float | None, names: list[st
     ]
 
 
-def _seen(site: Site, limb: Limb, case: Case) -> Seen:
+def _seen(site: Site, limb: Limb, case: Case) -> BoneHit:
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     assert site.position is not None
     frame = site_frame(limb, np.array(site.position), site.long_axis, probe, where=f"site {site.name}")
-    return Seen(frame.skin_point, frame.normal, _known(site)[0])
+    return BoneHit(frame.skin_point, frame.normal, _known(site)[0])
 
 
 def _known(site: Site) -> tuple[float, str]:

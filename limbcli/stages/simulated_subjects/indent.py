@@ -26,6 +26,7 @@ from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import block_speeds
 from limbcli.solvers.base import Simulation
+from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 from limbcli.units import mpa_from_kpa
@@ -58,6 +59,7 @@ def indent(
     progress: Progress = SILENT,
     change: Change | None = None,
     change_for_waves: Change | None = None,
+    borders: Array | None = None,
 ) -> TrueLevels:
     """What is true at every level of the protocol on a meshed site.
 
@@ -65,11 +67,14 @@ def indent(
     tolerance : residual over the forces at play
     change : of the loaded model, its tissue included; speeds then follow from the changed law,
         or from that of `change_for_waves`; the skin-bone distance is that of the changed model
+    borders : mm (2,) below the skin of skin's and fat's lower borders at rest, to be followed
 
     Raises
     ------
     SolveError
         If the simulation fails before three levels are reached.
+    MeasurementError
+        If a border does not lie in the model's tissue.
     """
     expected = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
@@ -78,7 +83,7 @@ def indent(
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
     known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
     return true_levels(
-        _indentation(model, simulation),
+        _indentation(model, simulation, borders),
         OgdenTerms.of(known),
         protocol=protocol,
         skin_bone=skin_bone_distance(model),
@@ -180,7 +185,7 @@ def _depth(model: LimbModel, simulation: Simulation) -> Array:
     return simulation.probe_depth(PROBE) + float(model.info.get("depth_offset_mm", 0.0))
 
 
-def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
+def _indentation(model: LimbModel, simulation: Simulation, borders: Array | None) -> Indentation:
     """States from first touch (at rest) on, as arrays over the recorded elements."""
     states = ElementStates.of(model, simulation)
     positions = np.stack([states.positions(row) for row in range(len(states.gradient))])
@@ -191,4 +196,11 @@ def _indentation(model: LimbModel, simulation: Simulation) -> Indentation:
         force=np.concatenate([[0.0], simulation.probe_force(PROBE)]),
         positions=np.concatenate([rest[None], positions]),
         deformation_gradient=np.concatenate([identity, F]),
+        borders=None if borders is None else _followed(model, simulation, borders),
     )
+
+
+def _followed(model: LimbModel, simulation: Simulation, rest: Array) -> Array:
+    """mm (n_states, n_borders) below the skin, at rest first."""
+    lines = material_lines(model, rest)
+    return np.vstack([rest, lines.below_skin(displacements(lines, simulation)[..., 2])])

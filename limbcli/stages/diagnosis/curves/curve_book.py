@@ -26,6 +26,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
+from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
 from limbcli.stages.diagnosis.curves.ingredients import (
     Ingredients,
     fields,
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
 # The stiffer law keeps its stability further, and its levels lead the softer ones through.
 FIRST_M, USUAL_M = (8.0, 4.0), 4.0
 _PATH_STEPS = 2  # a depth
-_TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
 _STALLED = 5.0  # times that, where a contact point comes and goes
 # Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
 # the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
@@ -77,39 +77,34 @@ class CurveBook:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. Where the solver
-        stops short of it, but beyond `_ENOUGH` of it, curves go on beside those of a stiffer law, or of the
-        model without effects: `in_part` tells which do
+    reach : how far. Where the solver stops short of the depth needed, but beyond `_ENOUGH` of it, curves go
+        on beside those of a stiffer law, or of the model without effects: `in_part` tells which do
     c : MPa, the reference stiffness; keep : folder of curves already solved
-    penalty : of the contact; None: four times that of the usual model
-    beside : of the same depths on another mesh, whose curves lead where this one's solver stops
-    enough_force : N (at c), beyond which no reading lies: the first level that bears it is the last
     borders : of layers, that are followed
     """
 
     def __init__(
         self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
-        progress: Progress = SILENT, tolerance: float = _TOLERANCE, threads: int = 2,
-        needed: float | None = None, penalty: float | None = None, beside: CurveBook | None = None,
-        enough_force: float | None = None,
-        borders: BorderLines | None = None,
+        progress: Progress = SILENT, borders: BorderLines | None = None,
+        reach: Reach = Reach(), solving: Solving = Solving(),
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
         cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
         self._table = CellTable(cells, windows, density_kg_per_m3)
-        model = with_penalty(model, penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
+        model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         followed = () if borders is None else (borders.record(model),)
         self.model = replace(model, records=(*model.records[:1], self._table.record, *followed))
         self.borders = borders
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.work, self.beside, self.enough_force = Work(n_cells=len(cells)), beside, enough_force
+        self.work = Work(n_cells=len(cells))
+        self.beside, self.enough_force = reach.beside, reach.enough_force
         self.kept, self.progress = CurveStore(keep), progress
-        self.tolerance, self.threads = tolerance, threads
+        self.solving = solving
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
-        self.needed = self.depths[-1] if needed is None else needed
+        self.needed = self.depths[-1] if reach.needed is None else reach.needed
         self._hoped, self._required = (
             min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
             for share in (1.0, _ENOUGH)
@@ -124,7 +119,7 @@ class CurveBook:
         self._plain: dict[float, _Plain] = {}
         rest = None if borders is None else borders.rest
         self._fingerprint = fingerprint(
-            self.model, depths, c, f_kappa, windows, enough_force=enough_force, lines=rest
+            self.model, depths, c, f_kappa, windows, enough_force=reach.enough_force, lines=rest
         )
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
@@ -285,7 +280,7 @@ class CurveBook:
         """What curves go on beside: those without effects, of another mesh, or of a stiffer law, which keeps
         its stability further; None where there is none."""
         if self.beside is not None and not ingredients:
-            return self.beside.curves(m)
+            return self.beside(m)
         stiffer = min((each for each in FIRST_M if each > m), default=m)
         if not ingredients and stiffer == m:
             return None
@@ -323,8 +318,8 @@ class CurveBook:
     def _fresh(self, model: LimbModel) -> ReferenceSession:
         watched = self.progress.also(self.work)
         return ReferenceSession(
-            model, progress=watched, tolerance=self.tolerance, stalled=_STALLED * self.tolerance,
-            threads=self.threads,
+            model, progress=watched, tolerance=self.solving.tolerance,
+            stalled=_STALLED * self.solving.tolerance, threads=self.solving.threads,
         )  # fmt: skip
 
     def _key(self, m: float, ingredients: Ingredients) -> str:

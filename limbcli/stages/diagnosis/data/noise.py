@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.case import Noise as StatedNoise
+from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.noise import NoisePart, common, correlated, independent
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels

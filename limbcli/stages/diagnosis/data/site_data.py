@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.case import Noise as StatedNoise
+from limbcli.case import StatedNoise
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter
 
-from limbcli.effects.frozen import Seen
+from limbcli.effects.frozen import ScannerView
 from limbcli.effects.places import Places
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel
@@ -113,7 +113,9 @@ class Windows:
         lateral = self.middles[:, :1] + dx.ravel()
         return lateral.ravel(), (self.middles[:, 1:] + dz.ravel()).ravel()
 
-    def seen(self, model: LimbModel, places: Array, rest: Array, gradient: Array, *, depth: float) -> Seen:
+    def seen(
+        self, model: LimbModel, places: Array, rest: Array, gradient: Array, *, depth: float
+    ) -> ScannerView:
         """What the region shows of cells with the face at this depth (mm).
 
         places, rest : (n_cells, 3) mm, deformed and at rest; gradient : (n_cells, 3, 3)
@@ -125,7 +127,7 @@ class Windows:
         F = np.where(np.asarray(np.isfinite(F).all(axis=(1, 2)))[:, None, None], F, np.eye(3))
         back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
         blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
-        return Seen(averages, Places(blurred, model), weight, self)
+        return ScannerView(averages, Places(blurred, model), weight, self)
 
     def _blur(self) -> tuple[Array, Array]:
         """Offsets (27, 3) mm and weights (27,) of the places that one pixel averages."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.curve_plan import Reach
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0
@@ -111,9 +112,9 @@ def own_curves(
     depths = sorted({book.depths[int(np.abs(deep - share * book.needed).argmin())] for share in _SHARES})
     own = CurveBook(
         meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
-        windows=book.windows, keep=book.kept.folder, progress=book.progress, threads=book.threads,
-        tolerance=book.tolerance, beside=book,
-        penalty=size_ratio * book.model.contacts[0].penalty, enough_force=book.enough_force,
+        windows=book.windows, keep=book.kept.folder, progress=book.progress,
+        reach=Reach(enough_force=book.enough_force, beside=book.curves),
+        solving=replace(book.solving, penalty=size_ratio * book.model.contacts[0].penalty),
     )  # fmt: skip
     own.work.at_most = _TIMES_USUAL * max(book.work.mean, _LEAST_WORK)
     try:

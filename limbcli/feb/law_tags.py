@@ -1,6 +1,7 @@
 """FEBio's material tags and what the laws are called inside: one table for reader and writer.
 
-Parameters that only change their name are listed as (FEBio's, ours). Two laws
+Elementary laws bring their names with them (`materials.law.FebioNames`); those that wrap others stand here.
+Parameters that only change their name are listed as (FEBio's, ours). Some laws
 are written by FEBio with Young's modulus and Poisson's ratio and kept inside
 with Lame's constants; `lame` and `young` convert.
 """
@@ -9,7 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-_TERMS = tuple((f"{letter}{k}", f"{letter}{k}") for k in range(1, 7) for letter in "cm")
+from limbcli.materials import LAWS
+
 _PRONY = (("g0", "g0"), *((f"{letter}{k}", f"{letter}{k}") for k in range(1, 7) for letter in "gt"))
 
 
@@ -34,20 +36,8 @@ class LawTag:
     has_density: bool = True
 
 
-LAW_TAGS = (
-    LawTag("ogden", "Ogden unconstrained", (("cp", "kappa"), *_TERMS)),
-    LawTag("neo_hooke", "neo-Hookean", elastic_constants=True),
-    LawTag("mooney_rivlin", "Mooney-Rivlin", (("c1", "c1"), ("c2", "c2"), ("k", "kappa"))),
-    LawTag("ogden_uncoupled", "Ogden", (("k", "kappa"), *_TERMS)),
-    LawTag("holmes_mow", "Holmes-Mow", (("beta", "beta"),), elastic_constants=True),
+_WRAPPERS = (
     LawTag("mixture", "solid mixture", part="solid", n_parts=None),
-    LawTag(
-        "fiber_exp_pow",
-        "fiber-exp-pow",
-        tuple((name, name) for name in ("ksi", "alpha", "beta", "mu", "lam0")),
-        fiber=True,
-    ),
-    LawTag("active_contraction", "prescribed fiber active contraction", (("T0", "T0"),), fiber=True),
     LawTag("viscoelastic", "viscoelastic", _PRONY, part="elastic", n_parts=1),
     LawTag("prestrain", "prestrain elastic", part="elastic", n_parts=1),
     LawTag(
@@ -59,8 +49,26 @@ LAW_TAGS = (
         has_density=False,
     ),
 )
-BY_FEBIO = {each.febio: each for each in LAW_TAGS}
-BY_LAW = {each.law: each for each in LAW_TAGS}
+
+
+def law_tags() -> tuple[LawTag, ...]:
+    """Every law that FEBio has."""
+    own = (
+        LawTag(each.name, names.material, names.parameters, names.elastic_constants, fiber=each.fiber)
+        for each in LAWS.values()
+        if (names := each.febio) is not None
+    )
+    return (*own, *_WRAPPERS)
+
+
+def tag_of_law(law: str) -> LawTag | None:
+    """By our name."""
+    return next((each for each in law_tags() if each.law == law), None)
+
+
+def tag_of_febio(material: str) -> LawTag | None:
+    """By FEBio's name."""
+    return next((each for each in law_tags() if each.febio == material), None)
 
 
 def lame(young: float, poisson: float) -> tuple[float, float]:

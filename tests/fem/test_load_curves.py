@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.fem.motion.curves import value
+from limbcli.fem.motion.load_curves import value
 from limbcli.model import Curve
 
 POINTS = ((0.0, 0.0), (1.0, 2.0), (2.0, 3.0), (4.0, 1.0))

@@ -1,0 +1,98 @@
+"""fit with fibres: how the images lie to them, and what the orientations measured can tell, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limbcli.effects.tissue import fibre_direction
+from limbcli.meshing.fibres import mean_axis
+from limbcli.model import ElementMap, LimbModel
+from limbcli.results import StageWriter
+from limbcli.stages.fitting.laws import FIBRE_F_KAPPA
+
+_ALIKE = 0.25  # shares along fibres closer than that are one orientation
+_ACROSS, _ALONG = 0.25, 0.75
+
+
+def share_along(model: LimbModel) -> float:
+    """How much of the fibres' shear stiffness the image's waves feel: f_x^2 + f_z^2 (0 across, 1 along)."""
+    direction = fibre_direction(model)
+    axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
+    axis, _ = mean_axis(axes)
+    return float(axis[0] ** 2 + axis[2] ** 2)
+
+
+def leave_orientations(
+    models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
+) -> None:
+    """`orientations` of fit-joint.json, and in words what they cannot tell.
+
+    models : site name and model; has_speeds : whether the site's speeds were read
+    """
+    shares = {name: share_along(model) for name, model in models}
+    writer.data["orientations"] = {
+        name: {
+            "fibre_to_image_deg": float(np.degrees(np.arccos(min(1.0, np.sqrt(share))))),
+            "share_along": share,
+            "fibres_told": model.fibres is not None,
+            "has_speeds": seen,
+        }
+        for (name, model), share, seen in zip(models, shares.values(), has_speeds, strict=True)
+    }
+    listed = ", ".join(f"{name} {np.degrees(np.arccos(np.sqrt(s))):.0f} deg" for name, s in shares.items())
+    writer.summary.append(f"fibres to the image plane: {listed}")
+    for name, model in models:
+        if model.fibres is None:
+            writer.warnings.append(
+                f"no fibre direction is told for site {name}: along the limb, within the skin, is taken"
+            )
+    linear = [name for name, model in models if any(b.kind == "tet4" for b in model.mesh.solid_blocks)]
+    if linear:
+        writer.warnings.append(
+            f"linear tetrahedra lock at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds "
+            f"({', '.join(linear)}): their forces are too high, and c, m and the fibres make up for it; mesh "
+            "with --element tet10"
+        )
+    writer.warnings.extend(not_told(list(shares.values()), has_speeds))
+
+
+def not_told(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[str]:
+    """What records of these orientations leave open.
+
+    >>> not_told([0.0, 1.0], [True, True])
+    []
+    >>> print(not_told([0.0], [True])[0][:61])
+    all records are across the fibres: their speeds tell c, but h
+    """
+    seen = [share for share, speeds in zip(shares, has_speeds, strict=True) if speeds]
+    if max(shares) - min(shares) >= _ALIKE:
+        if len(seen) < 2 or max(seen) - min(seen) < _ALIKE:
+            return [
+                "shear-wave speeds were read in one orientation only: fibre_shear rests on forces; read the "
+                "speeds in the other orientation too"
+            ]
+        return []
+    share = float(np.mean(shares))
+    turn = "turn the probe by 90 degrees and measure there too"
+    if share < _ACROSS:
+        return [
+            "all records are across the fibres: their speeds tell c, but how much stiffer the muscle is "
+            f"along its fibres is told by the force alone, where m and the mesh act alike; {turn}"
+        ]
+    if share > _ALONG:
+        return [
+            "all records are along the fibres: their speeds tell c (1 + fibre_shear) together, not each; a "
+            f"softer c with stiffer fibres fits alike; {turn}"
+        ]
+    return [f"all records are of one orientation: c and fibre_shear are told by one mixture of them; {turn}"]
+
+
+def leave_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:
+    """The shear moduli along and across, as elastography states them."""
+    across = c_kpa / 2
+    writer.data["mu_across_kpa"], writer.data["mu_along_kpa"] = across, across * (1 + fibre_shear)
+    writer.summary.append(
+        f"shear modulus across the fibres {across:.2f} kPa, along them {across * (1 + fibre_shear):.2f} kPa"
+    )

@@ -1,0 +1,82 @@
+"""What becomes of an increment: each outcome where it belongs, and in whole solves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from small_models import punch
+
+from limbcli.errors import SolveError
+from limbcli.fem.analysis import Analysis
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
+from limbcli.fem.equilibrium.load_stepping import LoadStepping
+from limbcli.fem.equilibrium.newton import LoadStep, NotConverged, Settings
+from limbcli.fem.linear_solvers.singular import SingularMatrix
+from limbcli.materials import ogden_type
+from limbcli.model import Step
+
+QUICK = Settings(tolerance=1e-6, threads=1)
+FAILED = NotConverged("no", where="here", fix="none")
+NO_FACTOR = SingularMatrix("no", where="here", fix="none")
+
+
+@pytest.mark.parametrize(
+    ("changed", "outcome"),
+    [
+        ({}, IncrementOutcome.SHORTEN),
+        ({"exhausted": True}, IncrementOutcome.BEGIN_AGAIN),
+        ({"length": 1e-5}, IncrementOutcome.BEGIN_AGAIN),
+        ({"exhausted": True, "mixed": False}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "timed": True}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "friction": True}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "brief": True}, IncrementOutcome.HOPELESS),
+        ({"brief": True}, IncrementOutcome.SHORTEN),
+        ({"error": NO_FACTOR}, IncrementOutcome.HOPELESS),
+        ({"error": NO_FACTOR, "n_reached": 2}, IncrementOutcome.SHORTEN),
+    ],
+)
+def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: IncrementOutcome) -> None:
+    case = {
+        "exhausted": False, "length": 0.1, "mixed": True, "timed": False, "friction": False, "brief": False,
+        "error": FAILED, "n_reached": 1, **changed,
+    }  # fmt: skip
+    stepping = LoadStepping()
+    stepping._timed, stepping._has_friction = case["timed"], case["friction"]
+    stepping._newton = SimpleNamespace(mixed=case["mixed"])
+    stepping._reached = [SimpleNamespace(time=0.0)] * case["n_reached"]
+    stepping._step = Step(n_steps=10, step_size=0.1)
+    way = LoadStepPath(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, (1, 0, 0))
+    increment = Increment(0.0, case["length"], 1.0, 0, is_last=False)
+    assert stepping._outcome(way, increment, case["error"], case["exhausted"]) is outcome
+
+
+@pytest.fixture
+def outcomes(monkeypatch: pytest.MonkeyPatch) -> list[IncrementOutcome]:
+    found: list[IncrementOutcome] = []
+    attempt = LoadStepping._attempt
+
+    def watched(self, way, increment):
+        answer = attempt(self, way, increment)
+        found.append(answer[0])
+        return answer
+
+    monkeypatch.setattr(LoadStepping, "_attempt", watched)
+    return found
+
+
+def test_a_deep_punch_is_cut_comes_to_rest_and_arrives(outcomes: list[IncrementOutcome]) -> None:
+    """7.9 of 8 mm: Newton's method fails on the way, the tissue relaxes, and the end is an equilibrium."""
+    model = punch("tet4", depth=7.9, levels=1, width=4.0, material=ogden_type(c=0.008, f_kappa=1000.0, m=8.0))
+    (last,) = Analysis(model, QUICK).run()
+    assert {IncrementOutcome.CONVERGED, IncrementOutcome.SHORTEN, IncrementOutcome.CAME_TO_REST} == set(
+        outcomes
+    )
+    assert last.forces.error <= QUICK.tolerance
+
+
+def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[IncrementOutcome]) -> None:
+    model = punch("tet10", depth=5.0, levels=1, width=5.0, material=ogden_type(c=0.008, f_kappa=100.0, m=2.0))
+    with pytest.raises(SolveError, match="load step 1 of 1"):
+        Analysis(model, QUICK).run(required=1, hoped=0)
+    assert IncrementOutcome.BEGIN_AGAIN not in outcomes
