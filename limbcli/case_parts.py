@@ -133,7 +133,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class State:
+class StretchState:
     """One of several ways in which a place was stretched while it was measured.
 
     stretch : lengths over those in a state of the user's choice, the same for all; levels : its levels.csv
@@ -194,5 +194,5 @@ class Site:
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     skin_bone: float | None = None
     fibres: Fibres = field(default_factory=Fibres)
-    states: tuple[State, ...] = ()
+    states: tuple[StretchState, ...] = ()
     unloaded: Stretch = Stretch()

@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli import case_schema as schema
 from limbcli.case_files import CaseFiles
-from limbcli.case_parts import State, Stretch
+from limbcli.case_parts import Stretch, StretchState
 from limbcli.problems import Problem
 
 _NOT_BESIDE = ("trace", "swe_maps", "load_cell", "b_mode", "swe_images", "layers")
@@ -27,7 +27,7 @@ def site_schema(table: object) -> Mapping[str, schema.Key]:
 
 def read_states(
     values: Mapping[str, Any], files: CaseFiles, label: str
-) -> tuple[tuple[State, ...], Stretch, list[Problem]]:
+) -> tuple[tuple[StretchState, ...], Stretch, list[Problem]]:
     """The states of a site, and the stretches at which its tissue is known to be unloaded.
 
     values : of the site's table, defaults filled in
@@ -40,7 +40,7 @@ def read_states(
         fix = "add [[site.state]] tables, or leave it out"
         return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in told]
     problems = _beside(values, label, file)
-    states: list[State] = []
+    states: list[StretchState] = []
     for k, table in enumerate(tables, 1):
         state, found = _read_state(table, files, f"{label} state {k}")
         problems += found
@@ -49,7 +49,7 @@ def read_states(
     return tuple(states), known, problems + _alone(tables, label, file) + _twice(states, label, file)
 
 
-def _read_state(table: object, files: CaseFiles, label: str) -> tuple[State | None, list[Problem]]:
+def _read_state(table: object, files: CaseFiles, label: str) -> tuple[StretchState | None, list[Problem]]:
     file = str(files.folder / "case.toml")
     values, problems = schema.check_table(table, schema.STATE, name=label, file=file)
     if not values:
@@ -60,7 +60,7 @@ def _read_state(table: object, files: CaseFiles, label: str) -> tuple[State | No
     if problems or path is None:
         return None, problems
     along, around = (values[f"stretch_{way}"] for way in ("along", "around"))
-    return State(values["name"], Stretch(_number(along), _number(around)), path), problems
+    return StretchState(values["name"], Stretch(_number(along), _number(around)), path), problems
 
 
 def _number(value: object) -> float | None:
@@ -91,7 +91,7 @@ def _alone(tables: list[object], label: str, file: str) -> list[Problem]:
     return [Problem(f"{label} has one state; what is unloaded is found by comparing states", file, fix)]
 
 
-def _twice(states: list[State], label: str, file: str) -> list[Problem]:
+def _twice(states: list[StretchState], label: str, file: str) -> list[Problem]:
     problems = []
     names, paths = [each.name for each in states], [each.levels.resolve() for each in states]
     for name in sorted({each for each in names if names.count(each) > 1}):

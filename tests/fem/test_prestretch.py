@@ -11,7 +11,7 @@ from small_models import block
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.derivatives.fields import cell_fields
+from limbcli.fem.record_fields import cell_fields
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel, Material, NodeMap, Support

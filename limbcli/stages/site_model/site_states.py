@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.case_parts import State
+from limbcli.case_parts import StretchState
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.measurement.indentation import Levels
 from limbcli.problems import Problem, checked
@@ -18,7 +18,7 @@ from limbcli.stages.site_model.site_levels import levels_of
 class MeasuredState:
     """A state and its last loading: depths (mm) from first touch in that state."""
 
-    state: State
+    state: StretchState
     levels: Levels
 
 
@@ -67,18 +67,18 @@ def _read(site: Site) -> tuple[list[MeasuredState], list[Problem]]:
     return found, problems
 
 
-def _levels(site: Site, state: State) -> Levels:
+def _levels(site: Site, state: StretchState) -> Levels:
     return levels_of(replace(site, levels=state.levels))
 
 
-def _at_rest(site: Site, state: State) -> Problem | None:
+def _at_rest(site: Site, state: StretchState) -> Problem | None:
     try:
         return _without_rest(site, state, _levels(site, state))
     except LimbError:
         return None
 
 
-def _without_rest(site: Site, state: State, levels: Levels) -> Problem | None:
+def _without_rest(site: Site, state: StretchState, levels: Levels) -> Problem | None:
     if levels.begins_at_zero and np.isfinite(levels.swe_mean_m_per_s[0]):
         return None
     lacks = "shear-wave speed at rest" if levels.begins_at_zero else "level at rest (0 N)"
