@@ -22,6 +22,7 @@ TABLES = {
     "[model]": schema.MODEL,
     "[[site]]": schema.SITE,
     "[[site.pennation]]": schema.PENNATION,
+    "[[site.state]]": schema.STATE,
     "[site.noise]": schema.NOISE,
     "[site.layers.skin], [site.layers.fat]": schema.LAYER,
     "[site.load_cell]": schema.LOAD_CELL,

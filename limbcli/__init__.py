@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from limbcli.api.fit_results import Estimate as Estimate
     from limbcli.api.fit_results import FitResult as FitResult
     from limbcli.api.fit_results import JointFitResult as JointFitResult
+    from limbcli.api.fit_results import StatesFitResult as StatesFitResult
     from limbcli.api.fitting import compare_elements as compare_elements
     from limbcli.api.fitting import fit as fit
     from limbcli.api.fitting import fit_joint as fit_joint
+    from limbcli.api.fitting import fit_states as fit_states
     from limbcli.api.geometry import Marker as Marker
     from limbcli.api.geometry import MeshResult as MeshResult
     from limbcli.api.geometry import MeshStudyResult as MeshStudyResult
@@ -75,8 +77,8 @@ _PUBLIC = {
     "api.base": ("Result", "SiteResults"),
     "api.cohorts": ("BatchResult", "CaseResult", "CohortResult", "FailedStage", "batch", "cohort"),
     "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
-    "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult"),
-    "api.fitting": ("compare_elements", "fit", "fit_joint"),
+    "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult", "StatesFitResult"),
+    "api.fitting": ("compare_elements", "fit", "fit_joint", "fit_states"),
     "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from limbcli.case_files import CaseFiles
 from limbcli.case_imaging import place_of, read_imaging
 from limbcli.case_instruments import read_instruments, read_layers
 from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
+from limbcli.case_states import read_states, site_schema
 from limbcli.errors import CaseError
 from limbcli.problems import Problem, checked
 
@@ -206,7 +207,7 @@ def _read_site(
     table: object, files: CaseFiles, imaging: Imaging, *, label: str
 ) -> tuple[Site | None, list[Problem]]:
     file = str(files.folder / CASE_FILE)
-    values, problems = schema.check_table(table, schema.SITE, name=label, file=file)
+    values, problems = schema.check_table(table, site_schema(table), name=label, file=file)
     if not values:
         return None, problems
     label = f"site {values['name']}" if values.get("name") else label
@@ -214,6 +215,8 @@ def _read_site(
     problems += place_of(values, given, imaging, label, file)
     if imaging.shape is not None and not given:
         values["position_mm"] = imaging.shape.place
+    states, unloaded, found = read_states(values, files, label)
+    problems += found
     raw_noise = values.get("noise")
     noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
     problems += found
@@ -231,9 +234,11 @@ def _read_site(
         else:
             paths[key], found = files.existing(values.get(key), f"{label}: {key}", is_folder=is_folder)
         problems += found
-    if problems or paths["levels"] is None:
+    levels = states[0].levels if states else paths["levels"]
+    if problems or levels is None:
         return None, problems
-    return _make_site(values, noise, paths, paths["levels"], instruments, layers, fibres), problems
+    site = _make_site(values, noise, paths, levels, instruments, layers, fibres)
+    return replace(site, states=states, unloaded=unloaded), problems
 
 
 def _make_site(

@@ -125,6 +125,26 @@ class Fibres:
 
 
 @dataclass(frozen=True)
+class Stretch:
+    """Of tissue, along and around the limb (1): a ratio of lengths; None where it is not known."""
+
+    along: float | None = None
+    around: float | None = None
+
+
+@dataclass(frozen=True)
+class StretchState:
+    """One of several ways in which a place was stretched while it was measured.
+
+    stretch : lengths over those in a state of the user's choice, the same for all; levels : its levels.csv
+    """
+
+    name: str
+    stretch: Stretch
+    levels: Path
+
+
+@dataclass(frozen=True)
 class ModelOptions:
     """margin : mm of tissue kept beyond the probe face; element : "tet10" or "tet4"."""
 
@@ -157,6 +177,8 @@ class Site:
     layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
     skin_bone : mm from skin to bone along the beam at first touch, where it is given by hand
     fibres : of the muscle, as far as the case tells them
+    states : where it was measured in several; `levels` is then that of the first, whose shape the images show
+    unloaded : stretches, counted as those of the states, at which the tissue is known to be unloaded
     """
 
     name: str
@@ -172,3 +194,5 @@ class Site:
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     skin_bone: float | None = None
     fibres: Fibres = field(default_factory=Fibres)
+    states: tuple[StretchState, ...] = ()
+    unloaded: Stretch = Stretch()

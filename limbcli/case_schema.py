@@ -152,9 +152,16 @@ def thickness(value: object) -> str | None:
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
 
 
+def stretch(value: object) -> str | None:
+    """A ratio of lengths, or "unknown"."""
+    return None if value == "unknown" else number(*STRETCHES, "")(value)
+
+
 # The tibia's section in OpenLimb's mean residual limb has the area of a circle of 12 to 19 mm radius, 3 to
 # 9 cm above the end (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622); in others of that set 9 to 20.
 BONE_RADIUS_MM = 14.0
+# Sarcomeres bear force at 0.6 to 1.7 of their best length (Gordon et al. 1966, J Physiol 184:170).
+STRETCHES = (0.5, 2.0)
 VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # of an MRI in one file
 
 SUBJECT = {
@@ -196,6 +203,9 @@ SITE = {
     "density_kg_per_m3": Key("kg/m3", number(800.0, 1300.0, "kg/m3"), default=1000.0),
     "fibre_direction": Key("[x, y, z]", direction),
     "pennation": Key("list of tables", tables),
+    "state": Key("list of tables", tables),
+    "unloaded_stretch_along": Key("1", number(*STRETCHES, "")),
+    "unloaded_stretch_around": Key("1", number(*STRETCHES, "")),
     "noise": Key("table", table),
     "layers": Key("table", table),
     "load_cell": Key("table", table),
@@ -250,6 +260,12 @@ PENNATION = {
     "orientation": Key("axial | transverse | a site's name", text, required=True),
     "pennation_deg": Key("deg", number(-89.0, 89.0, "deg"), required=True),
     "deviation_deg": Key("deg", number(0.1, 45.0, "deg"), default=5.0),
+}
+STATE = {
+    "name": Key("text", plain_name, required=True),
+    "stretch_along": Key("1 | unknown", stretch),
+    "stretch_around": Key("1 | unknown", stretch),
+    "levels": Key("file", text, required=True),
 }
 NOISE = {
     "force_n": Key("N", number(0.0, 5.0, "N"), default=0.1),

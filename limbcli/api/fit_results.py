@@ -141,6 +141,45 @@ class JointFitResult(_WithParameters):
 
 
 @dataclass(frozen=True, eq=False)
+class StatesFitResult(_WithParameters):
+    """One law for several states of a site, and how far each was stretched. `table()` has a row a parameter.
+
+    Attributes
+    ----------
+    law : its name
+    parameters : the law's and those of the stretches, with intervals, flags and words
+    states : by name: `stretch_along` and `stretch_around` over the unloaded tissue (told, value, low, high,
+        known), the speed at rest as measured and as fitted (`swe_at_rest_m_per_s`, `..._fitted_m_per_s`)
+    least_stiffness : by way ("along", "around"): `stretch`, `low`, `high` (None: open), `told`, `words`
+    not_told : a sentence for everything that the data leave open
+    chi_square, n_freedom : of the likelihood
+    """
+
+    stage: ClassVar[str] = "fit-states"
+    law: str
+    parameters: tuple[Estimate, ...]
+    states: dict[str, dict[str, Any]]
+    least_stiffness: dict[str, dict[str, Any]]
+    not_told: tuple[str, ...]
+    chi_square: float
+    n_freedom: int
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        data = found.data
+        return cls(
+            found, data["law"], _estimates(data["parameters"]), dict(data["states"]),
+            dict(data["least_stiffness"]), tuple(data["not_told"]), data["chi_square"], data["n_freedom"],
+        )  # fmt: skip
+
+    def model(self, state: str) -> LimbModel:
+        """The fitted model of a state, prestretched, as in <state>.feb."""
+        from limbcli.feb.read import read_feb
+
+        return read_feb(self.files[f"feb_{state}"])
+
+
+@dataclass(frozen=True, eq=False)
 class ElementComparison(Result):
     """The same site fitted with tet4 and tet10 of the same mesh. `table()` has a row an element.
 

@@ -1,4 +1,4 @@
-"""fit, fit_joint and compare_elements: the tissue's parameters, and how far each can be trusted."""
+"""fit, fit_joint, fit_states, compare_elements: the parameters, and how far each can be trusted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from limbcli.api.base import SiteResults, by_site
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
-from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult
+from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult, StatesFitResult
 from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
 
@@ -127,6 +127,46 @@ def fit_joint(
             progress=work.progress,
         )  # fmt: skip
     return JointFitResult.of(found)
+
+
+@records_call
+def fit_states(
+    case: CaseLike,
+    *,
+    out: PathLike | None = None,
+    sites: str | Iterable[str] | None = None,
+    law: str = "ogden",
+    gain_deviation_fraction: float | None = None,
+    wait: bool = True,
+    progress: Heard = None,
+) -> SiteResults[StatesFitResult]:
+    """One law and a stretch a state, for each site with states (`limbcli fit --objective states`).
+
+    Parameters
+    ----------
+    case, out, wait, progress : as of `segment`
+    sites : those without states are passed over; None: all
+    law : as of `fit_joint`
+    gain_deviation_fraction : as of `fit`
+
+    Raises
+    ------
+    CaseError
+        If no site has states, they do not differ, or `build_feb` has not been run since its inputs changed.
+    MeasurementError
+        If the levels of a state cannot be used, or lack a speed at rest.
+    SolveError, FitError
+        As `fit`.
+    """
+    from limbcli.stages import fit_states as stage
+
+    with at_work(case, out, wait=wait, progress=progress) as work:
+        within("fit", gain_deviation_fraction=gain_deviation_fraction)
+        states = stage.StatesOptions(law=law, gain_deviation=gain_deviation_fraction)
+        found = stage.fit_states(
+            work.case, out=work.out, sites=names_of(sites), states=states, progress=work.progress
+        )
+    return by_site(StatesFitResult, found)
 
 
 @records_call

@@ -96,8 +96,17 @@ def command(
                 opened, out=folder, sites=site, joint=joint, options=options, progress=progress
             )
         else:
-            results = fit(
-                opened, out=folder, sites=site, solver=solver, febio=febio, options=options,
-                progress=progress,
-            )  # fmt: skip
+            results = []
+            if objective == "force":
+                results += fit(
+                    opened, out=folder, sites=site, solver=solver, febio=febio, options=options,
+                    progress=progress,
+                )  # fmt: skip
+            if objective == "states" or any(each.states for each in opened.selected(site)):
+                from limbcli.stages.fit_states import StatesOptions, fit_states
+
+                states = StatesOptions(law=law, gain_deviation=gain_deviation)
+                results += fit_states(
+                    opened, out=folder, sites=site, states=states, options=options, progress=progress
+                )
     emit(results, as_json=json)

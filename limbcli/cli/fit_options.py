@@ -25,12 +25,15 @@ TimeLimitOpt = Annotated[
 ]
 ObjectiveOpt = Annotated[
     str,
-    typer.Option(help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue."),
+    typer.Option(
+        help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: "
+        "the same for the states of one site."
+    ),
 ]
 LawOpt = Annotated[
     str,
     typer.Option(
-        help="Joint only: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres."
+        help="Joint, states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres."
     ),
 ]
 CompareLawsOpt = Annotated[

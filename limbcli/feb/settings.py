@@ -94,13 +94,22 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
         time = round(depth * SECONDS_PER_MM, _TIME_DIGITS)
         earliest = times[-1] + SMALLEST_STEP_S if times else SMALLEST_STEP_S
         times.append(round(max(time, earliest), _TIME_DIGITS))
-    n_steps = math.ceil(times[-1] / FIRST_STEP_S - 1e-9)
-    while n_steps * FIRST_STEP_S != round(n_steps * FIRST_STEP_S, _TIME_DIGITS):
-        n_steps += 1
-    times[-1] = n_steps * FIRST_STEP_S
+    times[-1] = whole_steps(times[-1]) * FIRST_STEP_S
     if start is None:
         start = min(START_DEPTHS[0], max(LEAST_START, _START_SHARE * depths[0]))
     return Schedule(start=start, times=tuple(times), depths=tuple(float(each) for each in depths))
+
+
+def whole_steps(time: float) -> int:
+    """First steps until a time (s) or, where binary arithmetic would miss that by a hair, a little later.
+
+    >>> whole_steps(0.25)
+    13
+    """
+    n_steps = math.ceil(time / FIRST_STEP_S - 1e-9)
+    while n_steps * FIRST_STEP_S != round(n_steps * FIRST_STEP_S, _TIME_DIGITS):
+        n_steps += 1
+    return n_steps
 
 
 def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:

@@ -16,9 +16,10 @@ SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 # Stages that not every case goes through: part of the page once they have been run.
 EXTRA_SUBJECT_STAGES = ("fit-joint",)
-EXTRA_SITE_STAGES = ("fit-elements", "mesh-study", "diagnose")
+EXTRA_SITE_STAGES = ("fit-states", "fit-elements", "mesh-study", "diagnose")
 _COMMANDS = {
     "fit-joint": "fit {case} --objective joint",
+    "fit-states": "fit {case} --objective states",
     "fit-elements": "fit {case} --compare-element",
     "mesh-study": "mesh {case} --study",
 }

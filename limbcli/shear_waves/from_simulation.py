@@ -70,10 +70,12 @@ def level_maps(
     density_kg_per_m3: float,
     window: Window = MEAN_WINDOW,
     pixels: Sequence[tuple[Array, Array] | None] | None = None,
+    face_depths: Array | None = None,
 ) -> list[SweMap]:
     """The map that the scanner would show at each row of the simulation's times (AT_REST: unloaded).
 
     pixels : for each level those of its measured map (lateral, depth mm), or None for the window's.
+    face_depths : (n_times,) mm at which the window hangs, where that is not the probe's (it stands clear)
     The model's element record must hold the deformation gradient, its node record the displacements.
 
     Raises
@@ -82,7 +84,7 @@ def level_maps(
         If the window holds no tissue at some level.
     """
     states = ElementStates.of(model, simulation)
-    depths, maps = simulation.probe_depth(), []
+    depths, maps = simulation.probe_depth() if face_depths is None else face_depths, []
     for k, row in enumerate(rows):
         loaded = row != AT_REST
         depth = float(depths[row]) if loaded else 0.0
@@ -97,10 +99,12 @@ def level_maps(
 
 def mean_speeds(
     model: LimbModel, simulation: Simulation, rows: IntArray, *, density_kg_per_m3: float,
-    window: Window = MEAN_WINDOW,
+    window: Window = MEAN_WINDOW, face_depths: Array | None = None,
 ) -> Array:  # fmt: skip
     """Mean over the scanner's window of the predicted speed, m/s (n_levels,); as `level_maps`."""
-    maps = level_maps(model, simulation, rows, density_kg_per_m3=density_kg_per_m3, window=window)
+    maps = level_maps(
+        model, simulation, rows, density_kg_per_m3=density_kg_per_m3, window=window, face_depths=face_depths
+    )
     return np.array([float(each.speed_m_per_s.mean()) for each in maps])
 
 

@@ -86,6 +86,32 @@ def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | 
     return OgdenTerms(np.stack(c, axis=-1), np.array(m)) if c else None
 
 
+def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
+    """rho0 v^2 (n,) MPa of the wave along one principal axis that moves the tissue along another.
+
+    rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), of the stretches l and q;
+    `acoustic_tensor` gives the same for principal axes along the wave. along, moving (n,) > 0; c_k alike
+    everywhere.
+
+    Source: Ogden 1984, Non-Linear Elastic Deformations, eq. 6.4.21 ff.
+
+    >>> principal_modulus(OgdenTerms.one_pair(c=0.008, m=2.0), np.array([1.0, 1.2]), np.array([1.0, 1.0]))
+    array([0.004  , 0.00488])
+    """
+    c, m = np.atleast_2d(terms.c)[:1], terms.m
+    middle = 0.5 * np.log(np.asarray(along) * moving)[:, None]  # powers as hyperbolic functions: no 0 / 0
+    half = 0.5 * np.log(np.asarray(along) / moving)[:, None]
+    rise = np.sum(c / m * np.exp(m * middle) * _sinh_ratio(m * half) * m, axis=1)
+    return np.asarray(along**2 * rise / (2.0 * np.exp(2.0 * middle) * _sinh_ratio(2.0 * half))[:, 0])
+
+
+def _sinh_ratio(x: Array) -> Array:
+    """sinh(x) / x."""
+    small = np.abs(x) < 1e-4
+    safe = np.where(small, 1.0, x)
+    return np.where(small, 1.0 + x * x / 6.0, np.sinh(safe) / safe)
+
+
 def acoustic_tensor(
     deformation_gradient: Array, direction: Array, terms: OgdenTerms, *, volumetric: bool = True
 ) -> Array:

@@ -127,7 +127,8 @@ class ReferenceSession:
         wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by; ("tissue",
             "m1-m2") is m1 and m2 together, the one up and the other down
         weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
-            theta moves by 1: their derivative is by theta
+            theta moves by 1, and for a prestrain's "F0" each of its nine numbers: their derivative is by
+            theta
         records : also fill the node and element tables that the model asks for
         field_gradients : fill them, and differentiate all that they hold by `wrt`, or those of these files
         required : how many levels must be reached, the rest as far as the solver gets; None: all

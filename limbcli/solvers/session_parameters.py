@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from limbcli.errors import SolveError
-from limbcli.model import Array, ElementMap, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel, Material
 
 if TYPE_CHECKING:
     from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
 Parameter = tuple[str, str]
+_GRADIENT = "F0"
 
 
 def tied_parts(name: str) -> list[tuple[str, float]]:
@@ -26,12 +29,22 @@ def tied_parts(name: str) -> list[tuple[str, float]]:
 
 
 def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Tied | Prestrain:
-    """What a key stands for; "ramp" of a prestrained material is its prestrain's."""
+    """What a key stands for; of a prestrained material "ramp" is its prestrain's, and "F0", or "F0" with any
+    ending, its gradient, whose nine numbers move by `weights`."""
     from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
     material, name = key
-    if name == "ramp" and model.materials[material].law == "prestrain":
-        return Prestrain(material)
+    if model.materials[material].law == "prestrain":
+        if name == "ramp":
+            return Prestrain(material)
+        if name.startswith(_GRADIENT):
+            if weights is None or np.size(weights) != 9:
+                raise SolveError(
+                    f"how the nine numbers of {name} move is not told",
+                    where="derivative with respect to a prestrain",
+                    fix="give `weights` of nine numbers",
+                )
+            return Prestrain(material, np.reshape(weights, (3, 3)))
     parts = tied_parts(name)
     if len(parts) == 1:
         return LawParameter(material, name, weights=weights)
@@ -43,18 +56,28 @@ def parameter_values(
 ) -> dict[Parameter, float]:
     """Every number of the model's laws; of a map along `weights` its coefficient; of tied ones the first."""
     out: dict[Parameter, float] = {}
-    for material, law in model.materials.items():
-        for name, value in law.parameters.items():
+    for material in model.materials:
+        for name, value in _own(model, material).parameters.items():
             if isinstance(value, float | int):
                 out[material, name] = float(value)
     for material, name in wrt:
-        first = model.materials[material].parameters.get(tied_parts(name)[0][0])
         along = weights.get((material, name))
+        gradient = model.materials[material].parameters.get(_GRADIENT)
+        if name.startswith(_GRADIENT) and isinstance(gradient, tuple) and along is not None:
+            out[material, name] = float(np.ravel(along) @ np.array(gradient) / np.sum(np.square(along)))
+            continue
+        first = _own(model, material).parameters.get(tied_parts(name)[0][0])
         if isinstance(first, float | int):
             out[material, name] = float(first)
         elif isinstance(first, ElementMap) and along is not None:
             out[material, name] = float(along @ first.values / (along @ along))
     return out
+
+
+def _own(model: LimbModel, name: str) -> Material:
+    """A material, or what it is prestrained of: their parameters are named alike."""
+    material = model.materials[name]
+    return material.parts[0] if material.law == "prestrain" else material
 
 
 def nudged(model: LimbModel, name: Parameter, relative: float) -> tuple[LimbModel, float]:

@@ -21,7 +21,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
 from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, StepFailure, keep_error
-from limbcli.stages.batching.steps import SITE_STAGES, parts_of, site_steps
+from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.asked import in_words
 from limbcli.stages.provenance.chain import Chain
@@ -113,7 +113,8 @@ class CaseRun:
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
         if not done:
             for site in self.case.sites:
-                self._skip(SITE_STAGES, site.name, because="segment")
+                states = (FIT_STATES,) if site.states else ()
+                self._skip((*SITE_STAGES, *states), site.name, because="segment")
         return Begun(key, done, self._places() if done and self.options.diagnose else ())
 
     def _seen(self) -> tuple[object, ...]:
@@ -136,7 +137,7 @@ class CaseRun:
 
         key = key_of(DIAGNOSE, *names, *keys)
         for failure in self.outcome.failures:
-            if failure.site in names and failure.stage != SITE_STAGES[-1]:
+            if failure.site in names and failure.stage not in (SITE_STAGES[-1], FIT_STATES):
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
                 return
@@ -194,7 +195,7 @@ class CaseRun:
 
     def _memory(self, stage: str, site: str | None) -> Memory:
         """Each site has its own, as parts of a case may run side by side."""
-        if site is None or stage not in (*SITE_STAGES, DIAGNOSE):
+        if site is None or stage not in (*SITE_STAGES, FIT_STATES, DIAGNOSE):
             return self.memory
         if site not in self._of_sites:
             self._of_sites[site] = Memory(self.out, self.case.subject, site=site)
@@ -224,14 +225,15 @@ class CaseRun:
         """The stages of one site; returns the key of the last, for the report."""
         own = ("templates",) if self.options.templates else ()
         without = {"mesh": ("element",) if self.options.element else ()}
-        asked = {each: self._asked(each, name, without=without.get(each, own)) for each in SITE_STAGES}
+        stages = (*SITE_STAGES, *([FIT_STATES] if self.case.site(name).states else []))
+        asked = {each: self._asked(each, name, without=without.get(each, own)) for each in stages}
         steps = site_steps(self.case, name, self.options, asked, out=self.out, progress=self.progress)
         for k, step in enumerate(steps):
             stage, key = step.stage, key_of(key, *step.parts)
             if stage == "fit" and self._fit_is_there(name):
                 self._memory(stage, name).remember(stage, name, key)
             if not self._stage(stage, name, key, step.work):
-                self._skip(SITE_STAGES[k + 1 :], name, because=stage)
+                self._skip(stages[k + 1 :], name, because=stage)
                 break
         return key
 

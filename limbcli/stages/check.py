@@ -21,6 +21,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
 from limbcli.stages.site_model.cycle_words import cycle_lines
+from limbcli.stages.site_model.site_states import state_problems
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         problems += reader(path)
     if case is not None:
         problems += _contradictions(case)
+        problems += state_problems(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
     return CaseCheck(folder, tuple(looked_at), tuple(problems), tuple(shown))
@@ -93,6 +95,9 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
         if isinstance(site, dict):
             noise = stated_layer_noise(site)
             listed += [(site.get("levels"), partial(_read_levels, noise=noise))]
+            states = site.get("state")
+            several = [each for each in states if isinstance(each, dict)] if isinstance(states, list) else []
+            listed += [(each.get("levels"), partial(_read_levels, noise=noise)) for each in several]
             listed += [(site.get("trace"), _read_trace)]
             listed += [(site.get("swe_maps"), _read_maps)]
     return [

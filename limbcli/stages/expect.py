@@ -12,11 +12,13 @@ force_ratio_tet4_over_tet10 = { min = 2.0 }
 "fibres.out_of_skin_deg" = { value = 12.0, tolerance = 1.0 }
 [segment]
 "quality.verdict" = { is = "good" }    # dots walk into tables
+[states.p1]                            # what `fit` found of several states
+"states.bent.stretch_along.value" = { value = 1.1, tolerance = 0.03 }
 [fit-joint]
 fibre_shear = { value = 1.0, tolerance = 0.2 }
 ```
-Keys are those of `data` in fit.json, fit-elements.json and mesh.json (per site), segment.json and
-fit-joint.json.
+Keys are those of `data` in fit.json, fit-elements.json, fit-states.json and mesh.json (per site),
+segment.json and fit-joint.json.
 """
 
 from __future__ import annotations
@@ -71,6 +73,8 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
         found += _table(f"site.{site}", rules, out, "fit", site, path)
     for site, rules in content.get("elements", {}).items():
         found += _table(f"elements.{site}", rules, out, "fit-elements", site, path)
+    for site, rules in content.get("states", {}).items():
+        found += _table(f"states.{site}", rules, out, "fit-states", site, path)
     for site, rules in content.get("mesh", {}).items():
         found += _table(f"mesh.{site}", rules, out, "mesh", site, path)
     for stage in ("segment", "fit-joint"):

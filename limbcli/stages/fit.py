@@ -44,6 +44,7 @@ from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_states import one_state
 
 __all__ = [
     "STAGE",
@@ -147,6 +148,8 @@ def _fit_site(
         simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
         leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         leave_cycle(levels, site, writer)
+        if site.states:
+            writer.warnings.insert(0, one_state(site))
         if doubt is not None:
             leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:

@@ -36,10 +36,11 @@ from limbcli.stages.fitting.fibre_orientations import leave_orientations
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
-from limbcli.stages.fitting.laws import LAWS, FitLaw, law_named
+from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_states import one_state
 
 STAGE = "fit-joint"
 
@@ -103,7 +104,7 @@ def fit_joint(
         measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
         for each in measured:
             leave_cycle(each.levels, each.site, writer, label=each.site.name)
-            _check_noise(each.site, speeds=each.levels.has_swe)
+            check_noise(each.site, speeds=each.levels.has_swe)
         models = [(each.site.name, each.model) for each in measured]
         told = any(model.fibres is not None for _, model in models)
         others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
@@ -144,6 +145,8 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
         warning = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
         if warning not in writer.warnings:
             writer.warnings.append(warning)
+    if site.states:
+        writer.warnings.append(one_state(site))
     layers, lines = layer_readings(levels, site), None
     if layers is not None:
         try:
@@ -175,7 +178,7 @@ def _identify(
             lines=each.lines, progress=progress,
         )  # fmt: skip
         memory = SolvedPoints(curve)
-        for shape in _first_shapes(law):
+        for shape in first_shapes(law):
             memory(shape, tuple(range(len(shape))))
         curves.append(memory)
         exact.append(curve)
@@ -183,7 +186,7 @@ def _identify(
     try:
         prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
         task = JointTask(curves, data, law.shape, c0, log_speed_0, prior)
-        starts = [np.r_[c0, shape] for shape in _first_shapes(law)]
+        starts = [np.r_[c0, shape] for shape in first_shapes(law)]
         problem, found = joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
     finally:
         for each_curve in exact:
@@ -226,17 +229,6 @@ def _check_contacts(
         leave_contact_check(fitted, forces, curve.depths, writer, site=each.site.name, progress=progress)
 
 
-def _first_shapes(law: FitLaw) -> list[Array]:
-    """Where to start: the usual values, and each parameter moved by its step factor (f_kappa: a tenth)."""
-    base = np.array([each.start for each in law.shape])
-    shapes = [base]
-    for k, parameter in enumerate(law.shape):
-        moved = base.copy()
-        moved[k] = base[k] / 10.0 if parameter.name == "f_kappa" else min(base[k] * 2.0, parameter.high)
-        shapes.append(moved)
-    return shapes
-
-
 def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:
     """The loading levels of a site with their stated noise."""
     levels, noise = measured.levels, measured.site.noise
@@ -269,7 +261,7 @@ def _layer_data(measured: Measured) -> LayerData:
     return LayerData(force, layer, thickness, block_diag(*blocks), measured.lines.rest)
 
 
-def _check_noise(site: Site, *, speeds: bool) -> None:
+def check_noise(site: Site, *, speeds: bool) -> None:
     """A likelihood needs the noise of all that it weighs."""
     noise = site.noise
     none = [] if noise.force > 0 or noise.depth > 0 else ["force_n", "depth_mm"]

@@ -31,7 +31,7 @@ def case(tmp_path: Path) -> Path:
         (["--law", "holmes-mow"], 2, "--objective joint"),
         ([], 2, "limbcli build-feb"),
         (["--site", "p9"], 2, "the sites are: p1"),
-        (["--objective", "both"], 2, "use force or joint"),
+        (["--objective", "both"], 2, "use force, joint or states"),
         (["--objective", "joint", "--solver", "febio"], 2, "reference solver does it"),
         (["--objective", "joint", "--law", "mooney"], 2, "mooney-rivlin"),
         (["--compare-element", "--solver", "febio"], 2, "leave --solver out"),

@@ -148,7 +148,7 @@ def test_elements_are_compared_and_the_mesh_is_named(case_and_out):
 def test_wrong_choices_are_refused_with_a_fix():
     with pytest.raises(CaseError, match="did you mean 'ogden'"):
         law_named("ogdn")
-    with pytest.raises(CaseError, match="force or joint"):
+    with pytest.raises(CaseError, match="force, joint or states"):
         check_choice("both", compare_element=False, solver="auto")
     with pytest.raises(CaseError, match="reference solver does it"):
         check_choice("joint", compare_element=False, solver="febio")

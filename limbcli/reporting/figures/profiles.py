@@ -31,7 +31,7 @@ class ProfileCurve:
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
     """A panel a parameter: a valley is an answer, a plain is none."""
     with style():
-        figure = new_figure(7.4, 3.1)
+        figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.1)
         panels = figure.subplots(1, max(len(profiles), 1), sharey=True, squeeze=False)[0]
         for axes, profile in zip(panels, profiles, strict=False):
             order = np.argsort(profile.values)

@@ -23,6 +23,7 @@ from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
 from limbcli.reporting.sections.segmentation import segmentation
+from limbcli.reporting.sections.states import states
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,8 @@ class SectionGroup:
 
 
 SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], ...] = (
-    force_over_depth, repeated_loading, layers, diagnosis, profiles, elastography, elements, deformation,
-    fibres, mesh, mesh_study, convergence,
+    force_over_depth, states, repeated_loading, layers, diagnosis, profiles, elastography, elements,
+    deformation, fibres, mesh, mesh_study, convergence,
 )  # fmt: skip
 
 

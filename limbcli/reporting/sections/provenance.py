@@ -51,7 +51,7 @@ def _made(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> list[tuple[str, 
 def _solvers(done: tuple[Outcome, ...]) -> PageTable:
     rows: list[tuple[Cell, ...]] = []
     for each in done:
-        if each.result is None or each.stage not in ("run", "fit", "fit-joint"):
+        if each.result is None or each.stage not in ("run", "fit", "fit-joint", "fit-states"):
             continue
         facts = {**each.result.provenance, **each.result.data}
         solver = facts.get("solver")

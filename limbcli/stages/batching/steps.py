@@ -14,6 +14,7 @@ from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.asked import Asked, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+FIT_STATES = "fit-states"  # after these, of a site that has states
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ def site_steps(
         tissue_options = options_of(TissueOptions, tissue)
         return build_feb(case, options=tissue_options, templates=templates, **common)
 
-    return [
+    steps = [
         SiteStep(
             "mesh",
             (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
@@ -70,6 +71,19 @@ def site_steps(
             lambda: fit(case, options=fit_options, **solver, **common),
         ),
     ]
+    if site.states:
+        several = asked.get(FIT_STATES, {})
+        parts = (*(each.levels for each in site.states), *steps[-1].parts, *parts_of(several))
+        steps.append(SiteStep(FIT_STATES, parts, _states_fit(case, several, common)))
+    return steps
+
+
+def _states_fit(case: Case, asked: Asked, common: Mapping[str, Any]) -> Callable[[], object]:
+    from limbcli.stages.fit import FitOptions
+    from limbcli.stages.fit_states import StatesOptions, fit_states
+
+    states, options = options_of(StatesOptions, asked), options_of(FitOptions, asked)
+    return lambda: fit_states(case, states=states, options=options, **common)
 
 
 def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:

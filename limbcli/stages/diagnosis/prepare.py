@@ -45,6 +45,7 @@ from limbcli.stages.site_model.fibres import with_fibres
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 from limbcli.stages.site_model.site_levels import levels_of, maps_of
+from limbcli.stages.site_model.site_states import one_state
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -197,6 +198,8 @@ class _Preparation:
         self.borders: BorderLines | None = None
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
+        if site.states:
+            self.notes.warnings.append(one_state(site))
 
     def all(self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement]) -> Prepared:
         book = self.book()

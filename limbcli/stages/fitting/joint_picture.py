@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction
+from limbcli.inference.joint import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
@@ -15,15 +17,17 @@ from limbcli.results import StageWriter
 from limbcli.units import kpa_from_mpa
 
 
-def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> None:
-    """fit-joint.png and profiles.png."""
-    sites = problem.task.data
+def draw_joint(
+    sites: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction], found: Intervals,
+    writer: StageWriter, *, file: str = "fit-joint.png", of: str = "site",
+) -> None:  # fmt: skip
+    """fit-joint.png and profiles.png; `of`: what each row of panels is."""
     with style():
         layered = any(len(each.layers) for each in sites)
         figure = new_figure(10.4 if layered else 7.6, 3.0 * len(sites))
         panels = figure.subplots(len(sites), 3 if layered else 2, squeeze=False)
         for k, (data, (left, right, *more)) in enumerate(zip(sites, panels, strict=True)):
-            seen = problem.predict(k, found.best)
+            seen = predict(k)
             order = np.argsort(data.force)
             left.errorbar(
                 data.depth, data.force, xerr=data.depth_deviation, yerr=data.force_deviation,
@@ -32,7 +36,7 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
             left.plot(
                 np.r_[0, seen.depth[order]], np.r_[0, data.force[order]], color=VERMILION, label="joint fit"
             )
-            left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]", title=f"site {data.name}")
+            left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]", title=f"{of} {data.name}")
             left.legend(loc="upper left")
             speed = np.exp(data.log_speed)
             right.errorbar(
@@ -45,7 +49,7 @@ def draw_joint(problem: JointProblem, found: Intervals, writer: StageWriter) -> 
                 right.text(0.5, 0.5, "no speeds enter", ha="center", transform=right.transAxes)
             for each in more:
                 _layers(each, data, seen)
-        save_figure(figure, writer.file("picture", "fit-joint.png"))
+        save_figure(figure, writer.file("picture", file))
     _draw_profiles(found, writer)
 
 
@@ -70,7 +74,21 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
         values = unit * each.values
         profiles.append(
             ProfileCurve(
-                name, values, each.deviance, unit * float(found.best[k]), "kPa" if name == "c" else "–"
+                _short(name),
+                values,
+                each.deviance,
+                unit * float(found.best[k]),
+                "kPa" if name == "c" else "–",
             )
         )
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+
+
+def _short(name: str) -> str:
+    """A parameter's name as a panel has room for.
+
+    >>> _short("unloaded_stretch_along"), _short("stretch_along_bent"), _short("f_kappa")
+    ('unloaded along', 'along bent', 'f_kappa')
+    """
+    first, stretch, rest = name.partition("stretch_")
+    return f"{first}{rest}".replace("_", " ") if stretch else name

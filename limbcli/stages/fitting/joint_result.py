@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from limbcli.effects.tissue import fibre_direction
-from limbcli.inference.adaptive import Intervals
+from limbcli.inference.adaptive import EstimationProblem, Intervals
 from limbcli.inference.identifiability import Verdict, correlation, verdict
-from limbcli.inference.joint import JointProblem, held_out_error
+from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
@@ -53,12 +53,12 @@ def leave_joint(
         n_solves=n_solves, sites=[name for name, _ in measured], solver="reference",
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
-    _leave_levels(writer, problem, found)
+    leave_levels(writer, problem.task.data, lambda k: problem.predict(k, found.best))
     leave_exports(writer, rows, writer.data, fitted)
-    draw_joint(problem, found, writer)
+    draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
-    _warn_poor(found, writer)
+    warn_poor(found, writer)
     if law.has_fibres:
         leave_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
@@ -70,7 +70,7 @@ def leave_joint(
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
 
 
-def _warn_poor(found: Intervals, writer: StageWriter) -> None:
+def warn_poor(found: Intervals, writer: StageWriter) -> None:
     """Before all other warnings: that the fit misses the data by more than their stated noise explains."""
     chance = float(chi2.sf(found.chi_square, found.n_freedom))
     if chance >= _POOR:
@@ -84,9 +84,9 @@ def _warn_poor(found: Intervals, writer: StageWriter) -> None:
     )
 
 
-def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[str, Any]]:
-    """c in kPa and the shape: value, error, interval, flag and words."""
-    n = 1 + problem.n_shape
+def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:
+    """c in kPa and what is profiled after it: value, error, interval, flag and words."""
+    n = len(problem.profiled)
     logs = found.fit.jacobian * found.fit.theta
     covariance: Array = np.asarray(np.linalg.pinv(logs.T @ logs)[:n, :n] * found.scale)
     rho = correlation(np.asarray(covariance))
@@ -113,10 +113,12 @@ def parameter_table(problem: JointProblem, found: Intervals) -> dict[str, dict[s
     return table
 
 
-def _leave_levels(writer: StageWriter, problem: JointProblem, found: Intervals) -> None:
+def leave_levels(
+    writer: StageWriter, several: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction]
+) -> None:
     """levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
-    for k, data in enumerate(problem.task.data):
-        seen = problem.predict(k, found.best)
+    for k, data in enumerate(several):
+        seen = predict(k)
         quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
         quantity += [f"{LAYERS[j]}_mm" for j in data.layers.layer]
         write_table(

@@ -135,6 +135,17 @@ LAWS: Mapping[str, FitLaw] = {
 }  # fmt: skip
 
 
+def first_shapes(law: FitLaw) -> list[Array]:
+    """Where to start: the usual values, and each parameter moved by its step factor (f_kappa: a tenth)."""
+    base = np.array([each.start for each in law.shape])
+    shapes = [base]
+    for k, parameter in enumerate(law.shape):
+        moved = base.copy()
+        moved[k] = base[k] / 10.0 if parameter.name == "f_kappa" else min(base[k] * 2.0, parameter.high)
+        shapes.append(moved)
+    return shapes
+
+
 def law_named(name: str) -> FitLaw:
     """One law by its name.
 

@@ -11,6 +11,8 @@ from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
 from limbcli.stages.provenance.asked import asked_of_options
 
+OBJECTIVES = ("force", "joint", "states")
+
 
 @dataclass(frozen=True)
 class FitOptions:
@@ -54,7 +56,7 @@ def check_choice(
 ) -> None:
     """Whether these options go together.
 
-    joint_only : options given that speak to the joint fit alone
+    joint_only : options given that speak to the joint fit (or that of states) alone
 
     Raises
     ------
@@ -62,20 +64,21 @@ def check_choice(
         If the objective is unknown, FEBio is asked for what only the reference solver does, a
         stiffness map for what takes one c, or an option says nothing to what was asked for.
     """
-    if objective not in ("force", "joint"):
-        raise CaseError(f"there is no objective {objective!r}", where="--objective", fix="use force or joint")
-    joint = objective == "joint"
+    if objective not in OBJECTIVES:
+        fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
+        raise CaseError(f"there is no objective {objective!r}", where="--objective", fix=fix)
+    joint = objective != "force"
     if joint and compare_element:
         raise CaseError(
             "two different things are asked for",
-            where="--objective joint, --compare-element",
+            where=f"--objective {objective}, --compare-element",
             fix="ask for one at a time",
         )
     if joint_only and not joint:
         raise CaseError(
             f"{joint_only[0]} says nothing to the fit of the force alone",
             where=joint_only[0],
-            fix="add --objective joint, or leave it out",
+            fix="add --objective joint (or states), or leave it out",
         )
     if solver == "febio" and (joint or compare_element):
         raise CaseError(
@@ -87,7 +90,13 @@ def check_choice(
         raise CaseError(
             "a stiffness map goes with the fit of the force alone",
             where="--stiffness-map",
-            fix="leave --objective joint and --compare-element out, or the map",
+            fix=f"leave --objective {objective} and --compare-element out, or the map",
+        )
+    if objective == "states" and "--compare-laws" in joint_only:
+        raise CaseError(
+            "laws are compared by the joint fit alone",
+            where="--compare-laws, --objective states",
+            fix="give one law (--law), or use --objective joint",
         )
 
 

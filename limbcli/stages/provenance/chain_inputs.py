@@ -29,6 +29,8 @@ def input_path(case: Case, role: str) -> Path | None:
     if site is None:
         return None
     kind, *inside = rest
+    if kind == "state":
+        return next((each.levels for each in site.states if [each.name] == inside), None)
     instrument = site.instruments.get(kind)
     found: Path | None = instrument["path"] if instrument else getattr(site, kind, None)
     return found.joinpath(*inside) if found is not None else None
@@ -87,6 +89,9 @@ def _of_site(site: Site, key: str) -> Any:
         return vars(site.noise)
     if key == "fibres":
         return asdict(site.fibres)
+    if key == "states":
+        told = [{"name": each.name, **asdict(each.stretch)} for each in site.states]
+        return {"told": told, "unloaded": asdict(site.unloaded)}
     if key in site.instruments:
         return {name: value for name, value in site.instruments[key].items() if name != "path"}
     return getattr(site, key, None)

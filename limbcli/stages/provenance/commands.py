@@ -13,6 +13,7 @@ from limbcli.stages.provenance.asked import in_words
 
 _WORDS = {
     "fit-joint": ("fit", "--objective", "joint"),
+    "fit-states": ("fit", "--objective", "states"),
     "fit-elements": ("fit", "--compare-element"),
     "mesh-study": ("mesh", "--study"),
 }

@@ -15,6 +15,10 @@ from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult
 
+_MADE_ANEW = (
+    "levels", "trace", "swe_maps", "noise", "state", "unloaded_stretch_along", "unloaded_stretch_around",
+)  # fmt: skip
+
 
 def copy_imaging(case: Case, work: Path) -> None:
     """Images, labels and surfaces under the names that case.toml gives them."""
@@ -66,7 +70,7 @@ def noise_table(law: NoiseLaw, *, layers: bool) -> dict[str, float]:
 def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[str, Any]:
     """A [[site]] table with the measured files' names and the noise they were read with."""
     name = raw["name"]
-    kept = {key: value for key, value in raw.items() if key not in ("levels", "trace", "swe_maps", "noise")}
+    kept = {key: value for key, value in raw.items() if key not in _MADE_ANEW}
     files = {"levels": f"{name}/levels.csv", "trace": f"{name}/trace.csv", "swe_maps": f"{name}/swe"}
     return {**kept, **files, "noise": {**noise, "source": "spec"}}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.bodies import Drive
 from limbcli.errors import CaseError
@@ -90,6 +91,14 @@ def starting_depth(model: LimbModel, first_level: float) -> float:
     return float(round(beyond, 2)) if beyond <= first_level / 2 else allowed[-1]
 
 
+def touched_first(model: LimbModel) -> tuple[IntArray, Array]:
+    """The skin's highest contact point under the flat of the probe: its facet's corners and their weights."""
+    corners, points, under = _under_flat(model)
+    highest = int(np.argmax(np.where(under, points[:, 2], -np.inf)))
+    facet, point = divmod(highest, len(_CONTACT_POINTS))
+    return corners[facet], _CONTACT_POINTS[point]
+
+
 def facet_gap(model: LimbModel) -> float:
     """Depth (mm) at which the flat of the probe meets the first contact point of the skin; NaN if none.
 
@@ -113,12 +122,18 @@ def _flat(model: LimbModel) -> Array:
 
 def _heights_under_flat(model: LimbModel) -> Array:
     """Heights z (n,) of the skin's contact points within the outline of the flat."""
+    _, points, under = _under_flat(model)
+    return np.asarray(points[under, 2])
+
+
+def _under_flat(model: LimbModel) -> tuple[IntArray, Array, NDArray[np.bool_]]:
+    """Corners of the skin's facets (n, 3), their contact points (3 n, 3), and which lie under the flat."""
     flat = _flat(model)
     facets = model.mesh.surfaces[model.contacts[0].primary].facets.values()
-    corners = model.mesh.points[np.concatenate([each[:, :3] for each in facets])]
-    points = np.einsum("qi,nij->nqj", _CONTACT_POINTS, corners).reshape(-1, 3)
+    corners = np.concatenate([each[:, :3] for each in facets])
+    points = np.einsum("qi,nij->nqj", _CONTACT_POINTS, model.mesh.points[corners]).reshape(-1, 3)
     under = (points[:, :2] >= flat[:, :2].min(axis=0)) & (points[:, :2] <= flat[:, :2].max(axis=0))
-    return np.asarray(points[under.all(axis=1), 2])
+    return corners, points, under.all(axis=1)
 
 
 def _body_nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:

@@ -1,0 +1,102 @@
+"""States in case.toml: one place measured with the tissue stretched in several ways."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli import case_schema as schema
+from limbcli.case_files import CaseFiles
+from limbcli.case_parts import Stretch, StretchState
+from limbcli.problems import Problem
+
+_NOT_BESIDE = ("trace", "swe_maps", "load_cell", "b_mode", "swe_images", "layers")
+_UNLOADED = ("unloaded_stretch_along", "unloaded_stretch_around")
+
+
+def site_schema(table: object) -> Mapping[str, schema.Key]:
+    """The keys of a [[site]]: with states, its levels are theirs.
+
+    >>> site_schema({"state": []})["levels"].required, site_schema({})["levels"].required
+    (False, True)
+    """
+    if not (isinstance(table, dict) and "state" in table):
+        return schema.SITE
+    return {**schema.SITE, "levels": schema.Key("file", schema.text)}
+
+
+def read_states(
+    values: Mapping[str, Any], files: CaseFiles, label: str
+) -> tuple[tuple[StretchState, ...], Stretch, list[Problem]]:
+    """The states of a site, and the stretches at which its tissue is known to be unloaded.
+
+    values : of the site's table, defaults filled in
+    """
+    file = str(files.folder / "case.toml")
+    known = Stretch(*(None if values[key] is None else float(values[key]) for key in _UNLOADED))
+    tables = values["state"]
+    if tables is None:
+        told = [key for key in _UNLOADED if values[key] is not None]
+        fix = "add [[site.state]] tables, or leave it out"
+        return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in told]
+    problems = _beside(values, label, file)
+    states: list[StretchState] = []
+    for k, table in enumerate(tables, 1):
+        state, found = _read_state(table, files, f"{label} state {k}")
+        problems += found
+        if state is not None:
+            states.append(state)
+    return tuple(states), known, problems + _alone(tables, label, file) + _twice(states, label, file)
+
+
+def _read_state(table: object, files: CaseFiles, label: str) -> tuple[StretchState | None, list[Problem]]:
+    file = str(files.folder / "case.toml")
+    values, problems = schema.check_table(table, schema.STATE, name=label, file=file)
+    if not values:
+        return None, problems
+    label = f"{label} ({values['name']})" if values.get("name") else label
+    path, found = files.existing(values.get("levels"), f"{label}: levels", is_folder=False)
+    problems += found
+    if problems or path is None:
+        return None, problems
+    along, around = (values[f"stretch_{way}"] for way in ("along", "around"))
+    return StretchState(values["name"], Stretch(_number(along), _number(around)), path), problems
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _beside(values: Mapping[str, Any], label: str, file: str) -> list[Problem]:
+    problems = []
+    if values["levels"] is not None:
+        what = f"{label} has levels of its own beside [[site.state]]"
+        problems.append(Problem(what, file, "move that file into the state it was measured in"))
+    for key in _NOT_BESIDE:
+        if values[key] is not None:
+            what = f"{label} has {key} beside [[site.state]], which it does not go with"
+            fix = (
+                "layers are not stretched with the states: leave [site.layers] out"
+                if key == "layers"
+                else "make each state's levels.csv in a case of its own (limbcli measure), and name it here"
+            )
+            problems.append(Problem(what, file, fix))
+    return problems
+
+
+def _alone(tables: list[object], label: str, file: str) -> list[Problem]:
+    if len(tables) >= 2:
+        return []
+    fix = "add the states it is to be compared with, or give the site `levels` instead of a state"
+    return [Problem(f"{label} has one state; what is unloaded is found by comparing states", file, fix)]
+
+
+def _twice(states: list[StretchState], label: str, file: str) -> list[Problem]:
+    problems = []
+    names, paths = [each.name for each in states], [each.levels.resolve() for each in states]
+    for name in sorted({each for each in names if names.count(each) > 1}):
+        problems.append(Problem(f"{label} has two states named {name!r}", file, "give each its own name"))
+    for path in sorted({each for each in paths if paths.count(each) > 1}):
+        what = f"{label} has two states with the levels of {path.name}"
+        problems.append(Problem(what, file, "name each state's own file"))
+    return problems

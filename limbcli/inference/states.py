@@ -1,0 +1,235 @@
+"""One tissue in several states: a common law, and the stretches that the states had before they were loaded.
+
+The likelihood is that of the joint fit (depth at given force, and the logarithm of every speed, at rest and
+under load). All states share one simulated curve, a function of the law's shape and of the stretches; what a
+state adds is where on it the state lies: ln of its stretches is a constant plus some of the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import FitError, SolveError
+from limbcli.inference.adaptive import Intervals, adaptive_profiles
+from limbcli.inference.emulator import Emulator
+from limbcli.inference.joint import C_SPAN
+from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.inference.profile import best_of
+from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, predict_site
+from limbcli.model import Array
+from limbcli.progress import SILENT, Progress
+
+_LEAST = 1e-9  # of forces (N) and speeds (relative)
+_FOR_THE_BEST = 4  # rounds of simulations before any interval
+_NEAR = 0.05  # a best fit counts as simulated within this, in ln of the curve's parameters
+_SURE = 0.05  # error of the surrogate in a state, in standard deviations of its data
+EvenSpeed = Callable[[Array], tuple[float, Array]]
+"""theta of the curve -> ln of the speed in evenly stretched tissue at c0, and its derivatives by ln theta."""
+
+
+@dataclass(frozen=True, eq=False)
+class StateMeasurement:
+    """A state's data, and ln of its stretches: offset (n_ways,) plus factors (n_ways, n_stretches) times ln
+    of the stretch parameters. `data.knots` are depths of the probe on the common curve (mm)."""
+
+    data: SiteMeasurement
+    offset: Array
+    factors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StatesTask:
+    """What is fitted.
+
+    curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and
+        exp of the skin's rise (mm), for c0
+    even_speed : what those speeds are relative to
+    shape, stretches : the law's parameters, and those of the states
+    gain_deviation : numerical error of ln force, common to all states, as their mesh is
+    """
+
+    curve: SolvedPoints
+    even_speed: EvenSpeed
+    states: Sequence[StateMeasurement]
+    shape: Sequence[FitParameter]
+    stretches: Sequence[FitParameter]
+    c0: float
+    gain_deviation: float
+
+
+class StatesProblem:
+    """theta = (c, shape..., stretches..., the gain where it is uncertain), for `adaptive_profiles`."""
+
+    def __init__(self, task: StatesTask, starts: Sequence[Array]):
+        self.task = task
+        self.n_shape, self.n_stretches = len(task.shape), len(task.stretches)
+        self.gained = task.gain_deviation > 0.0
+        self.parameters = [
+            FitParameter("c", task.c0, task.c0 / C_SPAN, task.c0 * C_SPAN, "log"),
+            *(each.in_logs() for each in (*task.shape, *task.stretches)),
+            *([FitParameter("gain", 1.0, 0.2, 5.0, "log")] if self.gained else []),
+        ]
+        self.profiled = tuple(range(1 + self.n_shape + self.n_stretches))
+        self.emulator = Emulator(task.curve)
+        self._starts = list(starts)
+        n_data = sum(len(each.data.force) + len(each.data.log_speed) for each in task.states)
+        self.n_freedom = max(n_data - len(self.profiled), 1)
+        self._weights = [self._depth_deviation(k) for k in range(len(task.states))]
+
+    # ------------------------------------------------------------ where a state lies
+
+    def place(self, k: int, theta: Array) -> Array:
+        """The curve's parameters in state k: the law's shape, then its stretches."""
+        state = self.task.states[k]
+        stretches = np.exp(state.offset + state.factors @ np.log(self.stretch_values(theta)))
+        return np.r_[theta[1 : 1 + self.n_shape], stretches]
+
+    def stretch_values(self, theta: Array) -> Array:
+        """The parameters of the stretches."""
+        first = 1 + self.n_shape
+        return np.asarray(theta[first : first + self.n_stretches])
+
+    # ------------------------------------------------------------ residuals
+
+    def predict(self, k: int, theta: Array) -> SitePrediction:
+        """State k at theta, on the surrogate; slopes by ln c, ln gain, ln of the curve's parameters."""
+        x, data = self.place(k, theta), self.task.states[k].data
+        n, answer = len(data.knots), self.emulator(x)
+        assert answer.jacobian is not None
+        known = np.maximum(answer.values, _LEAST)  # far off the surrogate may say anything
+        by_log = answer.jacobian * x / known[:, None]
+        even, even_by = self.task.even_speed(x)
+        relative = slice(n, 2 * n)
+        speeds = known[relative] * np.exp(even)
+        values = np.r_[known[:n], speeds]
+        jacobian = np.vstack([answer.jacobian[:n], (by_log[relative] + even_by) * speeds[:, None] / x])
+        return predict_site(
+            lambda shape, wrt=(): Prediction(values, jacobian), data, x,
+            c_ratio=float(theta[0]) / self.task.c0, gain=self.gain(theta),
+            log_speed_0=lambda shape: (even + float(np.log(known[2 * n])), even_by + by_log[2 * n]),
+        )  # fmt: skip
+
+    def objective(self) -> Objective:
+        def residual(theta: Array, derivative: bool = True) -> Residual:
+            rows, slopes = [], []
+            for k, state in enumerate(self.task.states):
+                data, found, weights = state.data, self.predict(k, theta), self._weights[k]
+                rows += [(data.depth - found.depth) / weights]
+                slopes += [self._spread(-found.depth_slope / weights[:, None], k, theta)]
+                rows += [(data.log_speed - found.log_speed) / data.speed_deviation]
+                slopes += [self._spread(-found.log_speed_slope / data.speed_deviation[:, None], k, theta)]
+            if self.gained:
+                rows += [np.array([np.log(theta[-1]) / self.task.gain_deviation])]
+                last = np.zeros((1, len(theta)))
+                last[0, -1] = 1.0 / (theta[-1] * self.task.gain_deviation)
+                slopes += [last]
+            return Residual(np.concatenate(rows), np.vstack(slopes))
+
+        return residual
+
+    def _spread(self, slope: Array, k: int, theta: Array) -> Array:
+        """Columns (ln c, ln gain, ln of the curve's parameters) to columns of theta."""
+        by_log = np.zeros((len(slope), len(theta)))
+        first = 1 + self.n_shape
+        by_log[:, 0] = slope[:, 0]
+        by_log[:, 1:first] = slope[:, 2 : 2 + self.n_shape]
+        by_log[:, first : first + self.n_stretches] = (
+            slope[:, 2 + self.n_shape :] @ self.task.states[k].factors
+        )
+        if self.gained:
+            by_log[:, -1] = slope[:, 1]
+        return by_log / theta
+
+    def gain(self, theta: Array) -> float:
+        return float(theta[-1]) if self.gained else 1.0
+
+    def _depth_deviation(self, k: int) -> Array:
+        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
+        data = self.task.states[k].data
+        slope = self.predict(k, self.starts()[0]).stiffness
+        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+
+    # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def starts(self) -> list[Array]:
+        return [np.r_[each, np.ones(int(self.gained))] for each in self._starts]
+
+    def doubt(self, theta: Array) -> float:
+        return float(np.sqrt(sum(self._doubt_of(k, theta) ** 2 for k in range(len(self.task.states)))))
+
+    def _doubt_of(self, k: int, theta: Array) -> float:
+        """Error of the surrogate in state k, in standard deviations of its data."""
+        data, found = self.task.states[k].data, self.predict(k, theta)
+        deviation, n = self.emulator.deviation(self.place(k, theta)), len(data.knots)
+        force = np.interp(found.depth, data.knots, deviation[:n]) * data.force / found.stiffness
+        at = np.interp(data.speed_force, np.r_[0.0, data.force], np.r_[0.0, found.depth])
+        speed = np.interp(at, np.r_[0.0, data.knots], np.r_[deviation[2 * n], deviation[n : 2 * n]])
+        terms = np.r_[force / self._weights[k], speed / data.speed_deviation]
+        return float(np.sqrt(np.sum(terms**2)))
+
+    def distance(self, theta: Array) -> float:
+        return max(self._distance_of(k, theta) for k in range(len(self.task.states)))
+
+    def _distance_of(self, k: int, theta: Array) -> float:
+        return self.emulator.distance(self.place(k, theta))
+
+    def solve(self, theta: Array) -> None:
+        """Simulate the states about which the surrogate is not sure, or the one that lies furthest off."""
+        several = range(len(self.task.states))
+        asked = [k for k in several if self._doubt_of(k, theta) > _SURE]
+        asked = asked or [max(several, key=lambda each: self._distance_of(each, theta))]
+        for x in [self.place(k, theta) for k in asked]:
+            self.task.curve(x, tuple(range(len(x))))
+        self.emulator.refresh()
+
+    def within_reach(self, theta: Array) -> Array:
+        solved = np.array([each for each, _ in self.task.curve.solved])
+        near = theta.copy()
+        for k, parameter in enumerate(self.task.shape):
+            low, high = solved[:, k].min(), solved[:, k].max()
+            near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
+        return near
+
+    def solved_at(self, theta: Array) -> Array:
+        """The law's shape and the parameters of the stretches."""
+        return np.asarray(theta[1 : 1 + self.n_shape + self.n_stretches])
+
+
+def states_fit(
+    task: StatesTask, starts: Sequence[Array], *, max_rounds: int = 3, progress: Progress = SILENT
+) -> tuple[StatesProblem, Intervals]:
+    """Most likely c, shape and stretches, with their profiles.
+
+    starts : several (c, shape..., stretches...); the curve must hold some solved points
+    max_rounds : of simulations for the intervals, each of the states that need one; those for the best fit
+        come before
+
+    Raises
+    ------
+    FitError
+        If there is nothing to fit, or no start leads anywhere.
+    """
+    n_levels = sum(len(each.data.force) for each in task.states)
+    n_speeds = sum(len(each.data.log_speed) for each in task.states)
+    n_parameters = 1 + len(task.shape) + len(task.stretches)
+    if n_levels + n_speeds < n_parameters:
+        raise FitError(
+            f"{n_levels} loaded levels and {n_speeds} speeds for {n_parameters} parameters",
+            where=", ".join(each.data.name for each in task.states),
+            fix="measure more levels, or tell more of the states' stretches",
+        )
+    problem = StatesProblem(task, starts)
+    for _ in range(_FOR_THE_BEST):
+        best = best_of(problem.objective(), problem.parameters, problem.starts()).theta
+        if problem.distance(best) < _NEAR:
+            break
+        try:
+            problem.solve(problem.within_reach(best))
+        except SolveError:  # the profiles draw their bounds in
+            break
+    return problem, adaptive_profiles(problem, max_solves=max_rounds, progress=progress)

@@ -1,0 +1,80 @@
+"""Speed at rest over stretch: the states, the fitted law's curve, and where it is lowest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from limbcli.model import Array
+from limbcli.reporting.figures.style import BLUE, GREEN, INK, QUIET, VERMILION, new_figure, style
+
+
+@dataclass(frozen=True)
+class StateReading:
+    """A state: its stretch with 95 % ends (1), its speed at rest and one standard deviation (m/s)."""
+
+    name: str
+    stretch: float
+    low: float
+    high: float
+    speed: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class StatesPanel:
+    """One way of stretching.
+
+    counted : "case", as the case counts stretches, or "unloaded"
+    stretch, speed (n,) : the fitted law's curve; unloaded : the stretch at which its tissue is unloaded
+    lowest : the stretch of the least speed with its 95 % ends; None where the data do not tell it
+    """
+
+    way: str
+    counted: str
+    readings: Sequence[StateReading]
+    stretch: Array
+    speed: Array
+    unloaded: float
+    lowest: tuple[float, float, float] | None
+
+
+def states_figure(panels: Sequence[StatesPanel]) -> Figure:
+    """A panel a way; the interval of the lowest point is shaded, or its absence said."""
+    with style():
+        figure = new_figure(7.2 if len(panels) == 1 else 9.6, 3.9)
+        for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+            _draw(axes, panel)
+    return figure
+
+
+def _draw(axes: Axes, panel: StatesPanel) -> None:
+    axes.plot(panel.stretch, panel.speed, color=BLUE, label="fitted law, evenly stretched", zorder=3)
+    for k, each in enumerate(panel.readings):
+        axes.errorbar(
+            [each.stretch], [each.speed], xerr=[[each.stretch - each.low], [each.high - each.stretch]],
+            yerr=[each.deviation], fmt="o", ms=5, color=INK, ecolor=QUIET, capsize=3, zorder=4,
+            label="states at rest (±1 SD)" if k == 0 else None,
+        )  # fmt: skip
+        axes.annotate(
+            each.name, (each.stretch, each.speed), xytext=(7, -12), textcoords="offset points", color=INK,
+            fontsize=8.5,
+        )  # fmt: skip
+    axes.axvline(panel.unloaded, color=GREEN, lw=1.2, ls=":", label="unloaded")
+    if panel.lowest is not None:
+        at, low, high = panel.lowest
+        axes.axvspan(low, high, color=VERMILION, alpha=0.15, lw=0)
+        axes.axvline(at, color=VERMILION, lw=1.2, ls="--", label="least speed (95 % shaded)")
+    else:
+        axes.text(
+            0.02, 0.95, "the state of least stiffness\nis not told by these data", ha="left", va="top",
+            color=VERMILION, transform=axes.transAxes, fontsize=9,
+        )  # fmt: skip
+    counted = "as the case counts" if panel.counted == "case" else "of the unloaded length"
+    axes.set(
+        xlabel=f"stretch {panel.way} the limb, {counted} [–]", ylabel="shear-wave speed at rest [m/s]",
+    )  # fmt: skip
+    axes.legend(loc="lower right")

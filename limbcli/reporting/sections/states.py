@@ -1,0 +1,148 @@
+"""In which state is the tissue unloaded, and in which is it least stiff?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.fit_view import read_estimates
+from limbcli.reporting.numbers import DASH, cell, quantity, significant
+from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
+from limbcli.results import StageResult
+
+TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
+_WAYS = ("along", "around")
+
+
+def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+    """Speed at rest over stretch, the states' stretches and the common law; None where it was not fitted."""
+    outcome = page.outcomes.maybe("fit-states", site.name)
+    if outcome is None:
+        return None
+    key = f"fit-states-{site.name}"
+    result = outcome.usable
+    if result is None:
+        return placeholder(key, TITLE, outcome)
+    data = result.data
+    locks = "tet4" in str(data.get("element", ""))
+    told = not data.get("not_told")
+    return Reportlet(
+        key,
+        TITLE,
+        "fine" if told else "warning",
+        site.name,
+        pictures=tuple(_pictures(result, site.name)),
+        tables=(_parameters(data, locks=locks), _states(data)),
+        look_for="states on both sides of the lowest point, a curve through all of them, and one law "
+        "that meets force and speed in each: then the stretch at which the tissue is unloaded is a finding",
+        bad="states that lie on one slope of the curve: where it is lowest is then not told by these "
+        "data, and a lowest point beyond the measured states rests on the law alone",
+        notes=tuple(_notes(data)),
+        warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+    )
+
+
+def _pictures(result: StageResult, site: str) -> list[Picture]:
+    texts = {
+        "states": ("stretch", f"Shear-wave speed at rest over stretch: the states of site {site} and "
+        "the law."),
+        "picture": ("states", f"Force over depth and speed over force in each state of site {site}, "
+        "with the fit."),
+        "profiles": ("states-profiles", "Fall of the likelihood over the law's parameters and the "
+        "stretches."),
+    }  # fmt: skip
+    return [
+        Picture(f"{name}-{site}", alt, source=result.path(key), vector=False)
+        for key, (name, alt) in texts.items()
+        if key in result.files and result.path(key).is_file()
+    ]
+
+
+def _parameters(data: Mapping[str, Any], *, locks: bool) -> PageTable:
+    estimates = read_estimates(data.get("parameters", {}), locks=locks)
+    law = data.get("law_words") or data.get("law") or DASH
+    names = head("parameter", "value", "95 % interval", "verdict")
+    rows = tuple(tuple(estimate_cells(each)) for each in estimates)
+    return PageTable(f"One law for all states: {law}; c is free", (names,), rows, numeric=False)
+
+
+def _states(data: Mapping[str, Any]) -> PageTable:
+    rows = tuple(
+        (
+            Cell(str(name), lead=True),
+            *(_stretch(each.get(f"stretch_{way}") or {}) for way in _WAYS),
+            cell(each.get("swe_at_rest_m_per_s")),
+            cell(each.get("swe_at_rest_fitted_m_per_s")),
+            cell(each.get("depth_rms_mm")),
+        )
+        for name, each in (data.get("states") or {}).items()
+    )
+    names = head(
+        "state", "stretch along", "stretch around", "SWE at rest [m/s]", "fitted [m/s]", "depths missed [mm]"
+    )
+    return PageTable("States, with their stretches over the unloaded tissue (95 %)", (names,), rows)
+
+
+def _stretch(told: Mapping[str, Any]) -> Cell:
+    value, low, high = told.get("value"), told.get("low"), told.get("high")
+    if value is None:
+        return Cell(DASH, reason="not in the result")
+    if told.get("known"):
+        return Cell(f"{significant(value)} (told)")
+    if low is None and high is None:
+        return Cell(DASH, reason="not told by these data")
+    ends = (DASH if each is None else significant(each) for each in (low, high))
+    return Cell(f"{significant(value)} ({' to '.join(ends)})")
+
+
+def _notes(data: Mapping[str, Any]) -> list[str]:
+    notes = [_sentence(each.get("words")) for each in (data.get("least_stiffness") or {}).values()]
+    for way, each in (data.get("least_stiffness") or {}).items():
+        notes.append(_by_states(way, each.get("by_parabola_through_states") or {}))
+    for way in _WAYS:
+        found = (data.get("parameters") or {}).get(f"unloaded_stretch_{way}")
+        if found is not None:
+            notes.append(
+                f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, as the case "
+                "counts. That is not where its speed is least: waves also feel which way tissue is "
+                "stretched, "
+                "however soft it is."
+            )
+    for way, each in (data.get("taken_as_unloaded") or {}).items():
+        notes.append(
+            f"{way.capitalize()} the limb the states tell one and the same stretch "
+            f"({quantity(each, '')}); the "
+            "tissue is taken as unloaded there."
+        )
+    notes.append(
+        f"Depths at the measured force and the logarithm of every speed, at rest and under load: chi-square "
+        f"{quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} degrees of freedom."
+    )
+    return [each for each in notes if each]
+
+
+def _sentence(words: object) -> str:
+    """
+    >>> _sentence("along the limb, it is so")
+    'Along the limb, it is so.'
+    """
+    text = str(words or "")
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _by_states(way: str, found: Mapping[str, Any]) -> str:
+    if found.get("stretch") is None and not found.get("told"):
+        return f"The measured speeds alone do not curve upwards {way} the limb within their noise."
+    if not found.get("told"):
+        return (
+            f"By a parabola through the measured speeds alone the least would be at "
+            f"{found['stretch']:.2f} {way} the "
+            "limb, but they curve by no more than their noise."
+        )
+    return (
+        f"By a parabola through the measured speeds alone the least is at {found['stretch']:.2f} "
+        f"{way} the limb "
+        f"(95 %: {found['low']:.2f} to {found['high']:.2f})."
+    )

@@ -1,0 +1,208 @@
+"""fit --objective states: one tissue in several states, each stretched before the probe touched it.
+
+The likelihood is the joint fit's; c is free. A state adds to it where on a common curve of the simulation it
+lies: the tissue's stretch before the probe touched (`site_model.prestretch`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.site_depth import SiteMeasurement
+from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask, states_fit
+from limbcli.measurement.elastography import shear_modulus_from_wave_speed
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.fit import FitOptions, built_model, check_numbers
+from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
+from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
+from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.fitting.state_curve import StateCurve
+from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
+from limbcli.stages.fitting.states_result import leave_states
+from limbcli.stages.provenance.asked import asked_of_options
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_states import MeasuredState, states_of
+
+STAGE = "fit-states"
+_KNOTS = 6  # levels that are simulated
+_BEYOND, _BEND = 1.05, 1.25  # of the deepest reading; how much denser they are at first touch
+_LEAST_DEPTH = 0.5  # mm, of the first of them
+
+
+@dataclass(frozen=True)
+class StatesOptions:
+    """law : one of `fitting.laws.LAWS`; gain_deviation : as of `fit`
+
+    max_rounds : of simulations for the intervals
+    """
+
+    law: str = "ogden"
+    gain_deviation: float | None = None
+    max_rounds: int = 3
+
+
+def fit_states(
+    case: Case,
+    *,
+    out: Path,
+    sites: list[str] | None = None,
+    states: StatesOptions | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = SILENT,
+) -> list[StageResult]:
+    """A common law and a stretch for every state, of each site that has states.
+
+    Leaves fit-states.json, states.png (speed at rest over stretch), fit-states.png, profiles.png, a table of
+    levels a state, parameters.csv, fit.mat, material.feb, and <state>.feb: each fitted state for FEBio.
+
+    Raises
+    ------
+    CaseError
+        If no site has states, they do not differ, or `build-feb` has not been run since its inputs changed.
+    MeasurementError
+        If the levels of a state cannot be used, or lack a speed at rest.
+    SolveError, FitError
+        If the model cannot be solved at the start values, or the search does not settle.
+    """
+    states, options = states or StatesOptions(), options or FitOptions()
+    check_numbers(options, gain_deviation=states.gain_deviation)
+    law = law_named(states.law)
+    selected = [site for site in case.selected(sites) if site.states]
+    if not selected:
+        raise CaseError(
+            "no site that was asked for has states",
+            where="--objective states",
+            fix="add [[site.state]] tables to the site, or use --objective force",
+        )
+    results = []
+    for site in selected:
+        progress.event("stage", name=STAGE, site=site.name)
+        with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            clock = time.perf_counter()
+            _fit_site(case, site, out, writer, law, states, options, progress)
+            writer.data["asked"] = {**options.asked(), **asked_of_options(states)}
+            writer.data["seconds"] = time.perf_counter() - clock
+        assert writer.result is not None
+        results.append(writer.result)
+    return results
+
+
+def _fit_site(
+    case: Case, site: Site, out: Path, writer: StageWriter, law: FitLaw, states: StatesOptions,
+    options: FitOptions, progress: Progress,
+) -> None:  # fmt: skip
+    plan = stretch_plan(site)
+    measured = states_of(site)
+    check_noise(site, speeds=True)
+    model = built_model(case, site, out, writer)
+    note_case(writer, case, [], site=site, own=["states"])
+    for each in measured:
+        role = f"site/{site.name}/state/{each.state.name}"
+        writer.used(f"levels {each.state.name}", each.state.levels, role=role)
+    if case.imaging.assumed:
+        writer.warnings.append(
+            f"{case.imaging.assumed}. The intervals do not allow for it; those of `fit` do"
+        )
+    given = states.gain_deviation
+    studied = None if given is not None else studied_error(case, site, out, writer)
+    c0 = _start_c(site, measured, plan)
+    curve = StateCurve(
+        model, law, plan.ways, knots(measured), c=c0, density_kg_per_m3=site.density_kg_per_m3,
+        progress=progress,
+    )  # fmt: skip
+    try:
+        problem, found = identify(
+            curve, law, plan, [state_data(site, model, each, curve.depths) for each in measured],
+            c0=c0, gain=gain_deviation(model, given, studied=studied), max_rounds=states.max_rounds,
+            progress=progress,
+        )  # fmt: skip
+        leave_states(writer, site, model, law, plan, curve, problem, found)
+    finally:
+        curve.close()
+
+
+def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
+    """A state's loading with its stated noise; depths : of the simulated levels."""
+    taken = Measured(site, model, each.levels, 0.0)
+    return replace(site_data(taken, depths, JointOptions(), speeds=True), name=each.state.name)
+
+
+def identify(
+    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, c0: float,
+    gain: float, max_rounds: int, progress: Progress = SILENT,
+) -> tuple[StatesProblem, Intervals]:  # fmt: skip
+    """First simulations, then the fit with its profiles."""
+    memory = SolvedPoints(curve)
+    first_simulations(memory, law, plan, progress=progress)
+    states = [
+        StateMeasurement(each, offset, factors)
+        for each, offset, factors in zip(data, plan.offsets, plan.factors, strict=True)
+    ]
+    task = StatesTask(memory, curve.even_speed, states, law.shape, plan.parameters, c0, gain)
+    return states_fit(task, starts(c0, law, plan), max_rounds=max_rounds, progress=progress)
+
+
+def first_simulations(
+    memory: SolvedPoints, law: FitLaw, plan: StretchPlan, *, progress: Progress = SILENT
+) -> None:
+    """The law's start shapes amid the states' stretches, and the first of them at the ends of these."""
+    shapes = first_shapes(law)
+    middle, places = plan.first_places()
+    thetas = [*(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)]
+    for k, theta in enumerate(thetas):
+        progress.event("task", name="first simulations", done=k, total=len(thetas))
+        memory(theta, tuple(range(len(theta))))
+
+
+def knots(measured: Sequence[MeasuredState]) -> list[float]:
+    """Depths (mm) that are simulated: to a little beyond the deepest reading of all states."""
+    deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
+    if deepest < 2 * _LEAST_DEPTH:
+        raise MeasurementError(
+            f"the deepest reading of all states is {deepest:.2f} mm",
+            where=", ".join(str(each.state.levels) for each in measured),
+            fix="load deeper; check the column depth_mm: it grows from 0 with the load, in mm",
+        )
+    return knots_to(deepest)
+
+
+def knots_to(deepest: float) -> list[float]:
+    """Depths (mm) to a little beyond the deepest, denser at first touch.
+
+    >>> knots_to(4.0)
+    [0.5, 1.064, 1.766, 2.53, 3.344, 4.2]
+    """
+    depths = _BEYOND * deepest * (np.arange(1, _KNOTS + 1) / _KNOTS) ** _BEND
+    depths[0] = max(depths[0], _LEAST_DEPTH)
+    return [float(each) for each in np.unique(np.round(depths, 3))]
+
+
+def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -> float:
+    """c = 2 rho v^2 of the state that is nearest to unloaded at the start values."""
+    values = np.array([each.start for each in plan.parameters])
+    strain = [float(np.abs(np.log(plan.stretches(k, values))).max()) for k in range(len(measured))]
+    speed = measured[int(np.argmin(strain))].levels.swe_mean_m_per_s[:1]
+    return 2 * float(shear_modulus_from_wave_speed(speed, density_kg_per_m3=site.density_kg_per_m3)[0])
+
+
+def starts(c0: float, law: FitLaw, plan: StretchPlan) -> list[Array]:
+    """Every start shape with the stretches' start values, and the last with each of these moved."""
+    shapes, values = first_shapes(law), np.array([each.start for each in plan.parameters])
+    found = [np.r_[c0, shape, values] for shape in shapes]
+    for j, parameter in enumerate(plan.parameters):
+        for factor in (0.88, 1.14):
+            moved = values.copy()
+            moved[j] = np.clip(factor * values[j], parameter.low, parameter.high)
+            found.append(np.r_[c0, shapes[-1], moved])
+    return found

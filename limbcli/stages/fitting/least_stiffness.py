@@ -1,0 +1,156 @@
+"""At which stretch the speed at rest is least: by the fitted law, and by the measured states alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.derived import DerivedInterval, derived_interval
+from limbcli.inference.lowest import LowestPoint, lowest_of_points, lowest_on_grid
+from limbcli.inference.states import StatesProblem
+from limbcli.model import Array
+from limbcli.stages.fitting.state_curve import StateCurve
+from limbcli.stages.fitting.state_plan import StretchPlan
+
+_GRID = np.linspace(
+    np.log(0.35), np.log(1.8), 241
+)  # where the law's curve is lowest may lie beyond any state
+_PACE = 0.04  # of ln stretch, of the walk to an interval's end
+_AT_END = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class LeastStiffness:
+    """Of one way. by_law: of ln stretch, in the case's count where it tells stretches; of_states: of the
+    same, None where fewer than three states tell theirs. counted : "case" or "unloaded"; measured : ln of
+    the least and the greatest stretch of the states, at the best fit
+    """
+
+    way: str
+    counted: str
+    by_law: DerivedInterval
+    of_states: LowestPoint | None
+    measured: tuple[float, float]
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether it lies outside the states measured: then it rests on the law's curve alone."""
+        return not self.measured[0] <= self.by_law.value <= self.measured[1]
+
+    @property
+    def is_told(self) -> bool:
+        return not (self.by_law.open_low or self.by_law.open_high)
+
+    def words(self) -> str:
+        """One sentence, that says so where the data tell nothing."""
+        frame = (
+            "as the case counts stretches" if self.counted == "case" else "of the unloaded tissue's length"
+        )
+        if not self.is_told:
+            return (
+                f"{self.way} the limb, the state of least stiffness is not told by these data: "
+                f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
+                "measure states further "
+                "apart, shorter ones above all"
+            )
+        at, low, high = np.exp([self.by_law.value, self.by_law.low, self.by_law.high])
+        return (
+            f"{self.way} the limb, the speed at rest is least at a stretch of {at:.2f} (95 %: {low:.2f} to "
+            f"{high:.2f}), {frame}"
+            + (
+                "; no state was measured as far as that, so it rests on the law's curve"
+                if self.is_beyond
+                else ""
+            )
+        )
+
+    def _excluded(self) -> str:
+        low, high = np.exp([self.by_law.low, self.by_law.high])
+        if self.by_law.open_low and self.by_law.open_high:
+            return "no stretch that was searched is excluded"
+        if self.by_law.open_low:
+            return f"only stretches above {high:.2f} are excluded (95 %)"
+        return f"only stretches below {low:.2f} are excluded (95 %)"
+
+    def to_json(self) -> dict[str, Any]:
+        """stretch, low, high (1); null ends are open."""
+        law, states = self.by_law, self.of_states
+        of_states: dict[str, Any] = {"stretch": None, "low": None, "high": None, "told": False}
+        if states is not None:
+            values = (
+                None if each is None else float(np.exp(each)) for each in (states.at, states.low, states.high)
+            )
+            of_states = {
+                **dict(zip(("stretch", "low", "high"), values, strict=True)),
+                "told": states.has_curvature,
+            }
+        return {
+            "stretch": float(np.exp(law.value)),
+            "low": None if law.open_low else float(np.exp(law.low)),
+            "high": None if law.open_high else float(np.exp(law.high)),
+            "told": self.is_told, "beyond_measured_states": self.is_beyond, "counted_from": self.counted,
+            "words": self.words(), "by_parabola_through_states": of_states,
+        }  # fmt: skip
+
+
+def least_stiffness(
+    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
+    told: Callable[[str], Sequence[float | None]],
+) -> list[LeastStiffness]:  # fmt: skip
+    """For every way in which states are stretched.
+
+    told : way -> the stretches that the states tell
+    """
+    return [_of_way(problem, found, curve, plan, way, told(way)) for way in plan.ways]
+
+
+def _of_way(
+    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan, way: str,
+    told: Sequence[float | None],
+) -> LeastStiffness:  # fmt: skip
+    column, names = plan.ways.index(way), [each.name for each in problem.parameters]
+    searched = f"unloaded_stretch_{way}"
+    place = names.index(searched) if searched in names else None
+    zero = plan.unloaded.get(way, 1.0)
+    in_case = any(each is not None for each in told)
+    grid = np.ones((len(_GRID), len(plan.ways)))
+    grid[:, column] = np.exp(_GRID)
+
+    def counted(theta: Array) -> float:
+        """ln of the told stretch that is unloaded."""
+        return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
+
+    def quantity(theta: Array) -> float:
+        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(theta[1 : 1 + problem.n_shape], grid))
+
+    low, high = _GRID[0] + _AT_END, _GRID[-1] - _AT_END
+    if place is not None:
+        parameter = problem.parameters[place]
+        low, high = low + np.log(parameter.low), high + np.log(parameter.high)
+    elif in_case:
+        low, high = low + np.log(zero), high + np.log(zero)
+    by_law = derived_interval(
+        problem.objective(), problem.parameters, found.fit, quantity, low=low, high=high, pace=_PACE,
+        scale=found.scale,
+    )  # fmt: skip
+    values = problem.stretch_values(found.best)
+    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(told))]
+    measured = (float(min(logs)), float(max(logs)))
+    return LeastStiffness(way, "case" if in_case else "unloaded", by_law, _of_states(problem, told), measured)
+
+
+def _of_states(problem: StatesProblem, told: Sequence[float | None]) -> LowestPoint | None:
+    rows = [k for k, each in enumerate(told) if each is not None]
+    if len({told[k] for k in rows}) < 3:
+        return None
+    several = [problem.task.states[k].data for k in rows]
+    at_rest = [int(np.argmin(each.speed_force)) for each in several]
+    return lowest_of_points(
+        np.log([float(told[k] or 1.0) for k in rows]),
+        np.array([each.log_speed[j] for each, j in zip(several, at_rest, strict=True)]),
+        np.array([each.speed_deviation[j] for each, j in zip(several, at_rest, strict=True)]),
+    )

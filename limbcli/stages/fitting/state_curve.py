@@ -1,0 +1,217 @@
+"""Forces and wave speeds of a site's model in any state, by the law's shape and its stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from limbcli.effects.tissue import fibre_direction
+from limbcli.errors import SolveError
+from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.prediction import Prediction
+from limbcli.meshing.fibres import mean_axis
+from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.progress import SILENT, Progress
+from limbcli.shear_waves import ogden
+from limbcli.shear_waves.from_simulation import mean_speeds
+from limbcli.shear_waves.speed import material_speeds
+from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_parameters import Parameter
+from limbcli.stages.diagnosis.curves.cells import softer_jumps
+from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.prestretch import (
+    WAYS,
+    StretchAxes,
+    prestretched,
+    skin_rise,
+    through_depths,
+)
+from limbcli.units import mpa_from_pa
+
+_NODES = "nodes.csv"
+_STEP = 1e-4  # of ln of a stretch or a law's parameter
+_NO_WAVE = 1e-3  # m/s, where no wave can run
+_ALIGNED = 1e-6
+_BEYOND, _BEYOND_SHARE = 0.5, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
+_FURTHEST = 0.7  # of the last depth: simulated at least, else there is no answer
+_CLEAR = 0.05  # mm: levels that are hardly touched are left out
+
+
+class StateCurve:
+    """One model for all states: what they differ in are two stretches.
+
+    Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1.
+    Values are forces (n_levels,) N at depths from first touch, as it is in that state, then speeds
+    (n_levels,) and the speed at rest (1,) over those of tissue that is stretched evenly (`even_speed`).
+    Forces have exact derivatives, speeds none.
+
+    depths (n_levels,) mm, from first touch
+    """
+
+    def __init__(
+        self, model: LimbModel, law: FitLaw, ways: Sequence[str], depths: Sequence[float], *, c: float,
+        density_kg_per_m3: float, threads: int = 2, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
+        self._model = through_depths(model, [*depths, (1.0 + _BEYOND_SHARE) * depths[-1] + _BEYOND])
+        self._law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
+        self._even = law.along(_one_direction(model))
+        offsets = (
+            abs(self.axes.along[1]),
+            abs(self.axes.around[1]),
+        )  # of each way to the image's lateral axis
+        self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
+        self.n_shape, self.n_solves = len(law.shape), 0
+        start = self._material(np.r_[[each.start for each in law.shape], np.ones(len(self.ways))])
+        shape = np.array([each.start for each in law.shape])
+        stretched = np.full((1, len(self.ways)), 1.1)
+        self._felt = [
+            k for k in range(len(shape))
+            if self._even_speeds(_moved(shape, k, 0.1), stretched) != self._even_speeds(shape, stretched)
+        ]  # fmt: skip
+        first = self._model.with_material(TISSUE, start)
+        self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
+
+    def stretches(self, theta: Array) -> tuple[float, float]:
+        """Along and around."""
+        along, around = self._pairs(theta[None, self.n_shape :])[0]
+        return float(along), float(around)
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        self.n_solves += 1
+        theta = np.asarray(theta, dtype=float)
+        searched = self._law.searched(self._c, theta[: self.n_shape])
+        pulled = {(TISSUE, f"F0.{way}"): self._direction(theta, way) for way in self.ways}
+        model = self._model.with_material(TISSUE, self._material(theta))
+        try:
+            result = self._session.solve(
+                self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
+                records=True, field_gradients=(_NODES,),
+            )  # fmt: skip
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                where=f"reference solver, law {self._law.name}, states",
+                fix="check the depths and stretches of the states, or choose another law",
+            ) from error
+        points = result.must_points
+        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        nodes = result.simulation.nodes[_NODES]
+        moved = np.stack([nodes.column(name)[rows[0]] for name in ("ux", "uy", "uz")], axis=1)
+        rise, weights = skin_rise(model, nodes.items, moved)
+        lifted = {key: weights @ each[_NODES].column("uz")[0] for key, each in result.field_gradient.items()}
+        faces = result.simulation.probe_depth().copy()
+        faces[rows[0]] = -rise
+        speeds = mean_speeds(
+            model, result.simulation, rows, density_kg_per_m3=self._density, face_depths=faces
+        )
+        return self._from_touch(
+            points.depths[1:] + rise, points.forces[1:], self._slopes(result.force_gradient, searched)[1:],
+            self._slopes(lifted, searched)[0], speeds / np.exp(self.even_speed(theta)[0]),
+        )  # fmt: skip
+
+    def _from_touch(
+        self, depths: Array, forces: Array, force_slopes: Array, rise_slopes: Array, speeds: Array
+    ) -> Prediction:
+        """What was simulated at `depths` from first touch (n,), read at those of the curve.
+
+        A little beyond the last of them forces and speeds go on straight.
+
+        force_slopes (n, n_theta), rise_slopes (n_theta,) : by theta; speeds (1 + n,) : at rest first
+        """
+        if depths[-1] < _FURTHEST * self.depths[-1]:
+            raise SolveError(
+                f"the stretched skin sinks so far that the probe ends {depths[-1]:.2f} mm below it; "
+                f"{self.depths[-1]:.2f} mm are needed",
+                where="reference solver, states",
+                fix="check the stretches of the states; tissue as compressible as that is hardly tissue",
+            )
+        clear, at = depths > _CLEAR, np.minimum(self.depths, depths[-1])
+        knots, beyond = np.r_[0.0, depths[clear]], self.depths - at
+        force = pchip_sample(knots, np.r_[0.0, forces[clear]], at)
+        values = force.values + force.slopes * beyond
+        slopes = force.weights[:, 1:] @ force_slopes[clear] * (values / force.values)[:, None]
+        slopes -= np.outer(force.slopes, rise_slopes)
+        speed = pchip_sample(knots, np.r_[speeds[0], speeds[1:][clear]], at)
+        unknown = np.full((len(at) + 1, slopes.shape[1]), np.nan)
+        return Prediction(
+            np.r_[values, speed.values + speed.slopes * beyond, speeds[0]], np.vstack([slopes, unknown])
+        )
+
+    def even_speed(self, theta: Array) -> tuple[float, Array]:
+        """ln of the speed (m/s) at rest in tissue that is stretched evenly, and d / d ln theta (n,)."""
+        shape, stretches = theta[: self.n_shape], theta[self.n_shape :]
+        n, slopes = len(stretches), np.zeros(len(theta))
+        moved = np.exp(_STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
+        found = self._even_speeds(shape, stretches * moved)
+        slopes[self.n_shape :] = (found[1 : 1 + n] - found[1 + n :]) / (2 * _STEP)
+        for k in self._felt:
+            up, down = (
+                self._even_speeds(_moved(shape, k, step), stretches[None]) for step in (_STEP, -_STEP)
+            )
+            slopes[k] = (up[0] - down[0]) / (2 * _STEP)
+        return float(found[0]), slopes
+
+    def even_speeds(self, shape: Array, stretches: Array) -> Array:
+        """ln of the speed (n,) at c0 for stretches (n, n_ways) of `ways`."""
+        return self._even_speeds(np.asarray(shape), np.asarray(stretches))
+
+    def _even_speeds(self, shape: Array, stretches: Array) -> Array:
+        law, pairs = self._even.material(self._c, shape), self._pairs(stretches)
+        terms = ogden.terms_of(law)
+        if terms is None or self._aligned is None:
+            F = np.array([self.axes.gradient(*each) for each in pairs])
+            cells = np.zeros(len(F), dtype=np.int64)
+            found = material_speeds(law, F, cells, n_cells=1, density_kg_per_m3=self._density)
+            return np.asarray(np.log(np.nan_to_num(found, nan=_NO_WAVE)))
+        modulus = ogden.principal_modulus(terms, pairs[:, self._aligned], 1.0 / (pairs[:, 0] * pairs[:, 1]))
+        return np.asarray(0.5 * np.log(modulus / mpa_from_pa(self._density)))
+
+    def _pairs(self, stretches: Array) -> Array:
+        """(n, 2) along and around, of those of `ways` (n, n_ways)."""
+        pairs = np.ones((len(stretches), 2))
+        pairs[:, [WAYS.index(way) for way in self.ways]] = stretches
+        return pairs
+
+    def tissue(self, theta: Array, *, c: float) -> Material:
+        """The law with its prestretch at another c."""
+        law = self._law.material(c, theta[: self.n_shape])
+        return prestretched(law, self.axes.gradient(*self.stretches(theta)))
+
+    def close(self) -> None:
+        self._session.close()
+
+    def _material(self, theta: Array) -> Material:
+        return self.tissue(theta, c=self._c)
+
+    def _direction(self, theta: Array, way: str) -> Array:
+        """d F_pre / d stretch, nine numbers."""
+        along, around = self.stretches(theta)
+        stretch = along if way == "along" else around
+        return np.ravel(self.axes.slope(along, around, way)) / stretch
+
+    def _slopes(self, found: Mapping[Parameter, Any], searched: Mapping[str, Array]) -> Array:
+        """By theta (n, n_theta), of what was differentiated by material parameters and by the prestrain."""
+        by_shape = sum(np.outer(found[(TISSUE, name)], slope) for name, slope in searched.items())
+        by_stretch = [np.atleast_1d(found[(TISSUE, f"F0.{way}")]) for way in self.ways]
+        return np.column_stack([np.asarray(by_shape), *by_stretch])
+
+    def _eased(self, model: LimbModel) -> LimbModel:
+        return softer_jumps(model) if self._law.has_fibres else model
+
+
+def _moved(shape: Array, k: int, step: float) -> Array:
+    """One parameter moved by a step of its logarithm."""
+    out = np.array(shape, dtype=float)
+    out[k] *= np.exp(step)
+    return out
+
+
+def _one_direction(model: LimbModel) -> tuple[float, float, float]:
+    direction = fibre_direction(model)
+    axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
+    x, y, z = mean_axis(axes)[0]
+    return float(x), float(y), float(z)

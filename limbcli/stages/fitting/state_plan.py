@@ -1,0 +1,153 @@
+"""What of the states' stretches is known, what is searched for, and where each state lies by that.
+
+Told stretches count from lengths that the user chose. Of each way (along, around) the tissue is unloaded at
+one of them: it is given, or, where all states tell the same, that one; else it is searched for. A state's
+elastic stretch is what it tells over that. Stretches that nobody told are searched for as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.case import Site
+from limbcli.errors import CaseError
+from limbcli.inference.parameter import FitParameter
+from limbcli.model import Array
+from limbcli.stages.site_model.prestretch import WAYS
+
+LOW, HIGH = 0.6, 1.6  # elastic stretches that are searched
+_STEP_FACTOR = 1.2
+_REACH = 0.1  # of a stretch's logarithm, to either side, where the first simulations lie
+
+
+@dataclass(frozen=True, eq=False)
+class StretchPlan:
+    """ways : those in which any state is stretched; parameters : what is searched for
+    offsets (n_states, n_ways), factors (n_states, n_ways, n_parameters) : ln of the elastic stretches is
+    offset + factor . ln parameters
+    unloaded : by way, the told stretch that is unloaded where that is not searched for
+    taken : ways in which that was taken, because all states tell the same
+    """
+
+    ways: tuple[str, ...]
+    parameters: tuple[FitParameter, ...]
+    offsets: Array
+    factors: Array
+    unloaded: dict[str, float]
+    taken: tuple[str, ...]
+
+    def stretches(self, k: int, values: Array) -> Array:
+        """Elastic stretches (n_ways,) of state k."""
+        return np.exp(self.offsets[k] + self.factors[k] @ np.log(values))
+
+    def is_known(self, k: int, way: str) -> bool:
+        """Whether nothing of it is searched for."""
+        return way not in self.ways or not self.factors[k, self.ways.index(way)].any()
+
+    def elastic(self, k: int, way: str, values: Array) -> float:
+        """One elastic stretch of state k; 1 in a way in which no state is stretched."""
+        return float(self.stretches(k, values)[self.ways.index(way)]) if way in self.ways else 1.0
+
+    def first_places(self) -> tuple[Array, list[Array]]:
+        """Elastic stretches (n_ways,) amid the states', and some round it, for first simulations."""
+        values = np.array([each.start for each in self.parameters])
+        logs = np.log([self.stretches(k, values) for k in range(len(self.offsets))])
+        low, high = np.minimum(logs.min(axis=0), -_REACH), np.maximum(logs.max(axis=0), _REACH)
+        middle, places = 0.5 * (low + high), []
+        for j in range(len(self.ways)):
+            for end in (low, high):
+                place = middle.copy()
+                place[j] = end[j]
+                places.append(np.exp(place))
+        return np.exp(middle), places
+
+
+def stretch_plan(site: Site) -> StretchPlan:
+    """The plan of a site's states. Raises as `plan_of`."""
+    told = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
+    unloaded = {way: getattr(site.unloaded, way) for way in WAYS}
+    return plan_of(told, unloaded, [each.name for each in site.states], where=f"site {site.name}")
+
+
+def plan_of(
+    told: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
+    states: Sequence[str], *, where: str = "the case",
+) -> StretchPlan:  # fmt: skip
+    """What is searched for.
+
+    told : by way, the stretch of every state, None where it is unknown; ways that are left out are not
+    stretched
+    known_unloaded : by way, the told stretch at which the tissue is known to be unloaded
+
+    Raises
+    ------
+    CaseError
+        If the states do not differ, or tell stretches too far apart to be searched.
+    """
+    ways: list[str] = []
+    columns: list[Array] = []
+    parameters: list[FitParameter] = []
+    entries: list[tuple[int, int, int, float]] = []  # state, way, parameter, factor
+    unloaded: dict[str, float] = {}
+    taken: list[str] = []
+    for way, stretches in told.items():
+        known = [each for each in stretches if each is not None]
+        zero = known_unloaded.get(way)
+        if zero is None and len(set(known)) == 1:
+            zero = known[0]
+            taken.append(way)
+        if zero is not None:
+            unloaded[way] = zero
+            if all(each == zero for each in stretches):
+                continue
+        middle = zero or (float(np.sqrt(max(known) * min(known))) if known else 1.0)
+        _check_range(where, [each / middle for each in known], way)
+        searched, of_states = _searched(states, way, stretches, zero, middle)
+        count = zero or 1.0
+        columns.append(np.array([0.0 if each is None else np.log(each / count) for each in stretches]))
+        entries += [(k, len(ways), len(parameters) + j, factor) for k, j, factor in of_states]
+        parameters += searched
+        ways.append(way)
+    if not ways:
+        raise CaseError(
+            f"the states of {where} do not differ in their stretch",
+            where="case.toml, [[site.state]]",
+            fix="tell what was stretched (stretch_along, stretch_around), or leave it out where unknown",
+        )
+    factors = np.zeros((len(states), len(ways), len(parameters)))
+    for k, w, j, factor in entries:
+        factors[k, w, j] = factor
+    return StretchPlan(tuple(ways), tuple(parameters), np.array(columns).T, factors, unloaded, tuple(taken))
+
+
+def _searched(
+    states: Sequence[str], way: str, told: Sequence[float | None], zero: float | None, middle: float
+) -> tuple[list[FitParameter], list[tuple[int, int, float]]]:
+    """What is searched for in one way, and (state, number of the parameter, its power in the stretch)."""
+    parameters, entries = [], []
+    known = [each for each in told if each is not None]
+    if zero is None and known:
+        low, high = max(known) / HIGH, min(known) / LOW
+        name = f"unloaded_stretch_{way}"
+        parameters.append(FitParameter(name, middle, low, high, "log", step_factor=_STEP_FACTOR))
+        entries += [(k, 0, -1.0) for k, each in enumerate(told) if each is not None]
+    for k, each in enumerate(told):
+        if each is None:
+            entries.append((k, len(parameters), 1.0))
+            name = f"stretch_{way}_{states[k]}"
+            parameters.append(FitParameter(name, 1.0, LOW, HIGH, "log", step_factor=_STEP_FACTOR))
+    return parameters, entries
+
+
+def _check_range(where: str, stretches: Sequence[float], way: str) -> None:
+    wrong = [each for each in stretches if not LOW < each < HIGH]
+    if wrong:
+        raise CaseError(
+            f"{where}: a state's stretch {way} the limb is {wrong[0]:.3g} of the unloaded tissue; "
+            f"{LOW:g} to {HIGH:g} is possible",
+            where="case.toml, [[site.state]]",
+            fix=f"correct stretch_{way}, or unloaded_stretch_{way}",
+        )

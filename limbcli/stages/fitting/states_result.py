@@ -1,0 +1,152 @@
+"""What the fit of several states leaves: fit-states.json, tables, pictures, and each state for FEBio."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Site
+from limbcli.effects.tissue import fibre_direction
+from limbcli.feb.write import write_feb
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.states import StatesProblem
+from limbcli.model import LimbModel
+from limbcli.results import StageWriter
+from limbcli.stages.fitting.exports import leave_exports, parameter_rows
+from limbcli.stages.fitting.joint_picture import draw_joint
+from limbcli.stages.fitting.joint_result import leave_levels, parameter_table, warn_poor
+from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
+from limbcli.stages.fitting.least_stiffness import LeastStiffness, least_stiffness
+from limbcli.stages.fitting.state_curve import StateCurve
+from limbcli.stages.fitting.state_plan import StretchPlan
+from limbcli.stages.fitting.states_picture import draw_states, stretch_ends
+from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.prestretch import WAYS, through_depths
+
+_WIDE = 1.35  # upper over lower end of a stretch's interval, from which on it is weakly identified
+
+
+def leave_states(
+    writer: StageWriter, site: Site, model: LimbModel, law: FitLaw, plan: StretchPlan, curve: StateCurve,
+    problem: StatesProblem, found: Intervals,
+) -> None:  # fmt: skip
+    """fit-states.json, tables, exports, pictures and a model a state."""
+    parameters = _with_stretches_judged(parameter_table(problem, found), plan)
+    values = {name: each["value"] for name, each in parameters.items()}
+    c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
+    names = [each.name for each in site.states]
+    lowest = least_stiffness(problem, found, curve, plan, lambda way: _told(site, way))
+    writer.data.update(
+        objective="states", law=law.name, law_words=law.words, **values, **law.fixed, parameters=parameters,
+        flags={name: each["flag"] for name, each in parameters.items()},
+        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
+        states={name: _state(k, site, plan, curve, problem, found) for k, name in enumerate(names)},
+        least_stiffness={each.way: each.to_json() for each in lowest},
+        taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
+        not_told=_not_told(parameters, plan, lowest),
+        gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
+        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
+        element="+".join(sorted({block.kind for block in model.mesh.solid_blocks})),
+        n_solves=problem.task.curve.n_solves, solver="reference",
+    )  # fmt: skip
+    fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
+    several = [each.data for each in problem.task.states]
+    leave_levels(writer, several, lambda k: problem.predict(k, found.best))
+    leave_exports(writer, parameter_rows(site.name, law.name, parameters), writer.data, fitted)
+    draw_joint(
+        several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
+    )
+    draw_states(writer, site, plan, curve, problem, found, lowest)
+    _leave_models(writer, site, model, curve, problem, found)
+    _say(writer, parameters, lowest, law, found)
+
+
+def _told(site: Site, way: str) -> list[float | None]:
+    return [getattr(each.stretch, way) for each in site.states]
+
+
+def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
+    """A stretch is known to a few hundredths or not at all: a factor of three tells nothing of it."""
+    for parameter in plan.parameters:
+        each = table[parameter.name]
+        low, high = each["low"], each["high"]
+        if each["flag"] == "identified" and high / low > _WIDE:
+            each["flag"] = "weak"
+            each["words"] = f"{parameter.name} is only weakly identified: {low:.3g} to {high:.3g} (95 %)."
+    return table
+
+
+def _state(
+    k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
+) -> dict[str, Any]:
+    """One state: what it told, its elastic stretches with their intervals, its speed at rest."""
+    data, seen = problem.task.states[k].data, problem.predict(k, found.best)
+    values, out = problem.stretch_values(found.best), {}
+    for way in WAYS:
+        known = plan.is_known(k, way)
+        low, high = stretch_ends(k, way, plan, found)
+        out[f"stretch_{way}"] = {
+            "told": _told(site, way)[k], "value": plan.elastic(k, way, values), "low": low, "high": high,
+            "known": known,
+        }  # fmt: skip
+    rest = int(np.argmin(data.speed_force))
+    return {
+        **out,
+        "swe_at_rest_m_per_s": float(np.exp(data.log_speed[rest])),
+        "swe_at_rest_fitted_m_per_s": float(np.exp(seen.log_speed[rest])),
+        "n_levels": len(data.force),
+        "depth_rms_mm": float(np.sqrt(np.mean((data.depth - seen.depth) ** 2))),
+        "speed_rms_fraction": float(np.sqrt(np.mean((data.log_speed - seen.log_speed) ** 2))),
+    }
+
+
+def _not_told(
+    parameters: dict[str, dict[str, Any]], plan: StretchPlan, lowest: Sequence[LeastStiffness]
+) -> list[str]:
+    """A sentence for everything that these data leave open."""
+    stretches = [each.name for each in plan.parameters]
+    found = [
+        f"not told by these data: {each['words'].rstrip('.')}"
+        for name, each in parameters.items()
+        if each["low"] is None or each["high"] is None or (name in stretches and each["flag"] != "identified")
+    ]
+    return found + [each.words() for each in lowest if not each.is_told]
+
+
+def _leave_models(
+    writer: StageWriter, site: Site, model: LimbModel, curve: StateCurve, problem: StatesProblem,
+    found: Intervals,
+) -> None:  # fmt: skip
+    """<state>.feb: the fitted law, prestretched, driven through the depths that were simulated."""
+    depths = [float(each) for each in curve.depths]
+    base = through_depths(model, depths, clear=False)
+    for k, state in enumerate(site.states):
+        law = curve.tissue(problem.place(k, found.best), c=float(found.best[0]))
+        write_feb(base.with_material(TISSUE, law), writer.file(f"feb_{state.name}", f"{state.name}.feb"))
+
+
+def _say(
+    writer: StageWriter, parameters: dict[str, dict[str, Any]], lowest: Sequence[LeastStiffness], law: FitLaw,
+    found: Intervals,
+) -> None:  # fmt: skip
+    warn_poor(found, writer)
+    for name, each in parameters.items():
+        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    writer.summary += [each.words() for each in lowest]
+    for way, told in writer.data["taken_as_unloaded"].items():
+        writer.summary.append(
+            f"{way} the limb all states that tell it tell a stretch of {told:g}: taken as unloaded there"
+        )
+    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
+    writer.warnings += writer.data["not_told"]
+    if "tet4" in writer.data["element"]:
+        words = (
+            f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high"
+            if law.fixed
+            else "f_kappa is a property of this mesh as much as of the tissue"
+        )
+        writer.warnings.append(f"linear tetrahedra lock: {words}; tet10 elements do not")
+    for theta in found.unsolved:
+        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")

@@ -1,0 +1,91 @@
+"""The levels of a site's states, each judged as a site's own, and with a speed at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.case_parts import StretchState
+from limbcli.errors import LimbError, MeasurementError
+from limbcli.measurement.indentation import Levels
+from limbcli.problems import Problem, checked
+from limbcli.stages.site_model.site_levels import levels_of
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredState:
+    """A state and its last loading: depths (mm) from first touch in that state."""
+
+    state: StretchState
+    levels: Levels
+
+
+def states_of(site: Site) -> list[MeasuredState]:
+    """Every state of a site with its levels; none where the site has no states.
+
+    Raises
+    ------
+    MeasurementError
+        With every problem of the files, a state without a speed at rest among them.
+    """
+    found, problems = _read(site)
+    return checked(found, problems, MeasurementError)
+
+
+def one_state(site: Site) -> str:
+    """What a stage that knows no states says of a site that has some."""
+    return (
+        f"site {site.name} was measured in {len(site.states)} states; this is of the first "
+        f"({site.states[0].name}), and takes its tissue as unloaded. How far it is stretched is told by "
+        "`limbcli fit --objective states`"
+    )
+
+
+def state_problems(case: Case) -> list[Problem]:
+    """What is wrong with the states' rest rows; the rest is left to their files' readers."""
+    return [
+        problem
+        for site in case.sites
+        for each in site.states
+        if (problem := _at_rest(site, each)) is not None
+    ]
+
+
+def _read(site: Site) -> tuple[list[MeasuredState], list[Problem]]:
+    found: list[MeasuredState] = []
+    problems: list[Problem] = []
+    for state in site.states:
+        try:
+            found.append(MeasuredState(state, _levels(site, state)))
+        except LimbError as error:
+            problems.append(Problem(error.what, error.where, error.fix))
+            continue
+        wrong = _without_rest(site, state, found[-1].levels)
+        problems += [] if wrong is None else [wrong]
+    return found, problems
+
+
+def _levels(site: Site, state: StretchState) -> Levels:
+    return levels_of(replace(site, levels=state.levels))
+
+
+def _at_rest(site: Site, state: StretchState) -> Problem | None:
+    try:
+        return _without_rest(site, state, _levels(site, state))
+    except LimbError:
+        return None
+
+
+def _without_rest(site: Site, state: StretchState, levels: Levels) -> Problem | None:
+    if levels.begins_at_zero and np.isfinite(levels.swe_mean_m_per_s[0]):
+        return None
+    lacks = "shear-wave speed at rest" if levels.begins_at_zero else "level at rest (0 N)"
+    return Problem(
+        f"state {state.name} of site {site.name} has no {lacks}",
+        str(state.levels),
+        "make its first row the reading at first touch, 0 N and 0 mm, with swe_mean_m_per_s; the "
+        "stretch of a state is told by its speed at rest",
+        family="measurement",
+    )

@@ -1,0 +1,175 @@
+"""How often the 95 % intervals of a fit of three states hold the truth, made on one mesh and fitted on
+another.
+
+    python tests/benchmarks/states.py FIT.npz TRUTH.npz --seeds 20 --out states.jsonl
+    python tests/benchmarks/states.py FIT.npz TRUTH.npz --write cases/states
+
+Both are a site's mesh as `limbcli mesh` leaves it, the probe along the limb. The levels lie at fixed forces,
+so all seeds share the simulations; a seed costs its own fit on the surrogate and some simulations more. Seeds
+already in the file are skipped. `--write` leaves the levels of seed 7 as a case's files instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import LimbError
+from limbcli.feb.settings import schedule
+from limbcli.inference.derived import derived_interval
+from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.lowest import lowest_on_grid
+from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.site_depth import SiteMeasurement
+from limbcli.inference.states import StateMeasurement, StatesTask, states_fit
+from limbcli.model_io import load_model
+from limbcli.stages.fit_states import first_simulations, knots_to, starts
+from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.fitting.state_curve import StateCurve
+from limbcli.stages.fitting.state_plan import plan_of
+from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.units import mpa_from_kpa
+
+FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.05, 0.2, 0.03, 1000.0
+GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
+
+
+def state_curve(model, law, c, depths):
+    loaded = indentation_model(model, schedule([1.0, 2.0]), c=c, f_kappa=100.0, m=2.0)
+    return StateCurve(loaded, LAWS[law], ("along",), depths, c=c, density_kg_per_m3=DENSITY, threads=1)
+
+
+def true_levels(model, truth, told, forces, max_depth_mm):
+    """Depth (mm) and speed (m/s) of each state at the protocol's forces, by the truth's mesh."""
+    curve = state_curve(model, "ogden", truth["c"], np.linspace(0.5, max_depth_mm, 12))
+    found = []
+    for each in told:
+        theta = np.array([truth["f_kappa"], truth["m"], each / truth["unloaded_stretch_along"]])
+        values, n = curve(theta).values, len(curve.depths)
+        depths = np.r_[0.0, curve.depths]
+        at = pchip_inverse(depths, np.r_[0.0, values[:n]], forces)
+        logs = np.log(np.r_[values[2 * n], values[n : 2 * n]]) + curve.even_speed(theta)[0]
+        found.append((at, np.exp(pchip_sample(depths, logs, at).values)))
+    lowest = lowest_on_grid(GRID, curve.even_speeds(theta[:2], np.exp(GRID)[:, None]))
+    curve.close()
+    return found, float(np.exp(lowest)) * truth["unloaded_stretch_along"]
+
+
+def noisy(levels, forces, seed):
+    rng, found = np.random.default_rng(seed), []
+    for depth, speed in levels:
+        loaded = forces > 0
+        force = forces + FORCE_SD * rng.standard_normal(len(forces)) * loaded
+        read = np.maximum(depth + DEPTH_SD * rng.standard_normal(len(forces)) * loaded, 0.0)
+        found.append((force, read, speed * np.exp(SPEED_SD * rng.standard_normal(len(forces)))))
+    return found
+
+
+def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
+    states = []
+    for k, (force, depth, speed) in enumerate(noisy(levels, forces, seed)):
+        loaded = (depth > 0) & (force > 0)
+        data = SiteMeasurement(
+            str(k), curve.depths, force[loaded], depth[loaded], FORCE_SD, DEPTH_SD, np.maximum(force, 0.0),
+            np.log(speed), np.full(len(speed), SPEED_SD),
+        )  # fmt: skip
+        states.append(StateMeasurement(data, plan.offsets[k], plan.factors[k]))
+    law, clock, before = LAWS["ogden"], time.process_time(), memory.n_solves
+    task = StatesTask(memory, curve.even_speed, states, law.shape, plan.parameters, truth["c"], gain)
+    problem, found = states_fit(task, starts(truth["c"], law, plan))
+
+    def lowest(theta):
+        speeds = curve.even_speeds(theta[1:3], np.exp(GRID)[:, None])
+        return lowest_on_grid(GRID, speeds) + float(np.log(theta[3]))
+
+    least = derived_interval(
+        problem.objective(), problem.parameters, found.fit, lowest, low=-1.5, high=0.7, pace=0.04,
+        scale=found.scale,
+    )  # fmt: skip
+    row = {"seed": seed, "n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
+    row |= {"chi_square": found.chi_square, "n_freedom": found.n_freedom}
+    for k, (name, profile) in enumerate(found.profiles.items()):
+        row |= {name: float(found.best[k]), f"{name}_low": profile.low, f"{name}_high": profile.high}
+        above, below = profile.low <= truth[name], truth[name] <= profile.high
+        row[f"{name}_covered"] = bool((above or profile.open_low) and (below or profile.open_high))
+    low, high = np.exp([least.low, least.high])
+    row |= {"lowest": float(np.exp(least.value)), "lowest_low": low, "lowest_high": high}
+    above, below = low <= truth["lowest"], truth["lowest"] <= high
+    row["lowest_covered"] = bool((above or least.open_low) and (below or least.open_high))
+    row["lowest_told"] = not (least.open_low or least.open_high)
+    return row
+
+
+def write_case(folder, levels, forces, names):
+    for name, (force, depth, speed) in zip(names, noisy(levels, forces, 7), strict=True):
+        rows = ["force_n,depth_mm,swe_mean_m_per_s"]
+        table = zip(np.maximum(force, 0.0), depth, speed, strict=True)
+        rows += [f"{f:.2f},{d:.2f},{v:.3f}" for f, d, v in table]
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / name / "levels.csv").write_text("\n".join(rows) + "\n")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", type=Path)
+    parser.add_argument("truth_model", type=Path)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--out", type=Path, default=Path("states-coverage.jsonl"))
+    parser.add_argument("--write", type=Path, help="a case folder for the levels of seed 7")
+    parser.add_argument("--c-kpa", type=float, default=6.0)
+    parser.add_argument("--f-kappa", type=float, default=10.0)
+    parser.add_argument("--m", type=float, default=6.0)
+    parser.add_argument("--unloaded", type=float, default=0.95)
+    parser.add_argument("--told", type=float, nargs="+", default=[0.72, 0.9, 1.1])
+    parser.add_argument("--step-n", type=float, default=0.7)
+    parser.add_argument("--max-force-n", type=float, default=5.0)
+    parser.add_argument("--max-depth-mm", type=float, default=5.0)
+    given = parser.parse_args()
+    truth = {
+        "c": mpa_from_kpa(given.c_kpa), "f_kappa": given.f_kappa, "m": given.m,
+        "unloaded_stretch_along": given.unloaded,
+    }  # fmt: skip
+    forces = np.arange(0.0, given.max_force_n + 1e-9, given.step_n)
+    truth_model = load_model(given.truth_model)
+    levels, truth["lowest"] = true_levels(truth_model, truth, given.told, forces, given.max_depth_mm)
+    deepest = max(depth[-1] for depth, _ in levels)
+    print(f"to {deepest:.2f} mm; speed least at {truth['lowest']:.3f}", file=sys.stderr)
+    if given.write is not None:
+        write_case(given.write, levels, forces, ("bent", "middle", "straight")[: len(levels)])
+        return
+    model = load_model(given.model)
+    curve = state_curve(model, "ogden", truth["c"], knots_to(deepest))
+    plan = plan_of({"along": given.told}, {}, [str(k) for k in range(len(levels))])
+    memory = SolvedPoints(curve)
+    first_simulations(memory, LAWS["ogden"], plan)
+    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
+    done = {row["seed"] for row in rows}
+    for seed in range(given.seeds):
+        if seed in done:
+            continue
+        try:
+            gain = gain_deviation(model, None)
+            rows.append(one_seed(seed, memory, curve, plan, levels, forces, truth, gain))
+        except LimbError as error:
+            rows.append({"seed": seed, "error": error.what})
+        with given.out.open("a") as stream:
+            stream.write(json.dumps(rows[-1], default=float) + "\n")
+    good = [row for row in rows if "error" not in row]
+    print(f"{len(rows)} seeds, {len(rows) - len(good)} without a result; {memory.n_solves} simulations")
+    for name, value in truth.items():
+        held = sum(row[f"{name}_covered"] for row in good)
+        width = np.median([row[f"{name}_high"] / row[f"{name}_low"] for row in good])
+        print(
+            f"{name}: truth {value:.4g} inside {held} of {len(good)}; median "
+            f"{np.median([row[name] for row in good]):.4g}, upper over lower end {width:.3g}"
+        )
+
+
+if __name__ == "__main__":
+    main()

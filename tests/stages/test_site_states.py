@@ -1,0 +1,133 @@
+"""The states' levels, and what of their stretches is known and searched for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.case import Case
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.phantom.case_folder import NoiseLaw
+from limbcli.progress import SILENT
+from limbcli.stages.batching.outcome import BatchOptions
+from limbcli.stages.batching.steps import site_steps
+from limbcli.stages.check import check
+from limbcli.stages.fitting.state_plan import plan_of
+from limbcli.stages.simulated_subjects.synth_case import case_table
+from limbcli.stages.site_model.site_states import states_of
+from tests.stages import state_case
+
+READ = {name: (np.array([0.0, 2.0, 4.0]), np.array([0.0, 1.0, 1.8]), np.array([1.6, 1.8, 2.1]))
+        for name in state_case.TOLD}  # fmt: skip
+NAMES = ["middle", "bent", "straight"]
+
+
+def written(folder: Path) -> Path:
+    folder.mkdir()
+    (folder / "case.toml").write_text(state_case.case_text(state_case.TOLD))
+    for name in ("skin.stl", "bone.stl"):
+        (folder / name).write_text("solid empty\nendsolid empty\n")
+    for name, columns in READ.items():
+        rows = [
+            "force_n,depth_mm,swe_mean_m_per_s",
+            *(f"{f},{d},{v}" for f, d, v in zip(*columns, strict=True)),
+        ]
+        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def test_every_state_has_its_own_levels(tmp_path: Path):
+    found = states_of(Case.open(written(tmp_path / "case")).sites[0])
+    assert [each.state.name for each in found] == NAMES
+    assert all(len(each.levels) == 3 for each in found)
+
+
+@pytest.mark.parametrize(
+    ("first", "says"),
+    [("0,0,", "has no shear-wave speed at rest"), ("1.5,0.4,1.7", "has no level at rest (0 N)")],
+)
+def test_a_state_without_rest_is_an_error_for_fit_and_check(tmp_path: Path, first: str, says: str):
+    folder = written(tmp_path / "case")
+    path = folder / "bent.csv"
+    path.write_text(path.read_text().replace("0.0,0.0,1.6", first))
+    with pytest.raises(MeasurementError) as raised:
+        states_of(Case.open(folder).sites[0])
+    assert raised.value.what == f"state bent of site p1 {says}"
+    assert "make its first row the reading at first touch" in raised.value.fix
+    told = check(folder)
+    assert [each.what for each in told.problems if "state bent" in each.what] == [raised.value.what]
+    assert "bent.csv" in told.looked_at
+    assert told.exit_code
+
+
+def test_a_broken_file_is_reported_once_by_check(tmp_path: Path):
+    folder = written(tmp_path / "case")
+    (folder / "bent.csv").write_text("force_n\n0\n")
+    about = [each for each in check(folder).problems if "bent.csv" in each.where]
+    assert len(about) == len({each.what for each in about}) >= 1
+    with pytest.raises(MeasurementError):
+        states_of(Case.open(folder).sites[0])
+
+
+def test_told_stretches_share_one_unloaded_stretch_that_is_searched():
+    plan = plan_of({"along": [0.9, 0.72, 1.1], "around": [1.0, 1.0, 1.0]}, {}, NAMES)
+    assert plan.ways == ("along",)
+    assert [each.name for each in plan.parameters] == ["unloaded_stretch_along"]
+    np.testing.assert_allclose(plan.stretches(1, np.array([0.96])), [0.75])
+    assert plan.elastic(1, "around", np.array([0.96])) == 1.0
+    assert (plan.taken, plan.unloaded) == (("around",), {"around": 1.0})
+    assert plan.is_known(0, "around")
+    assert not plan.is_known(0, "along")
+
+
+def test_unknown_stretches_are_searched_one_by_one():
+    plan = plan_of({"along": [1.0, None, None]}, {}, NAMES)
+    assert [each.name for each in plan.parameters] == ["stretch_along_bent", "stretch_along_straight"]
+    values = np.array([0.8, 1.2])
+    assert [plan.elastic(k, "along", values) for k in range(3)] == pytest.approx([1.0, 0.8, 1.2])
+    assert [plan.is_known(k, "along") for k in range(3)] == [True, False, False]
+
+
+def test_a_known_unloaded_stretch_leaves_nothing_to_search():
+    plan = plan_of({"along": [0.9, 0.72, 1.1]}, {"along": 0.9}, NAMES)
+    assert plan.parameters == ()
+    np.testing.assert_allclose(np.exp(plan.offsets[:, 0]), [1.0, 0.8, 1.1 / 0.9])
+
+
+def test_told_and_unknown_stretches_and_both_ways_go_together():
+    plan = plan_of({"along": [0.9, 1.1, None], "around": [None, 1.0, 1.05]}, {"around": 1.0}, NAMES)
+    assert [each.name for each in plan.parameters] == [
+        "unloaded_stretch_along", "stretch_along_straight", "stretch_around_middle",
+    ]  # fmt: skip
+    found = np.array([plan.stretches(k, np.array([0.95, 1.2, 1.02])) for k in range(3)])
+    np.testing.assert_allclose(found, [[0.9 / 0.95, 1.02], [1.1 / 0.95, 1.0], [1.2, 1.05]])
+
+
+@pytest.mark.parametrize(
+    ("told", "known", "says"),
+    [
+        ({"along": [1.0, 1.0], "around": [1.0, 1.0]}, {}, "do not differ in their stretch"),
+        ({"along": [0.9, 1.9]}, {"along": 1.0}, "a state's stretch along the limb is 1.9"),
+        ({"along": [0.5, 2.0]}, {}, "0.6 to 1.6 is possible"),
+    ],
+)
+def test_states_that_tell_nothing_or_too_much_are_errors(told, known, says):
+    with pytest.raises(CaseError, match=says):
+        plan_of(told, known, NAMES[:2], where="site p1")
+
+
+def test_a_batch_fits_the_states_after_the_force_and_looks_at_every_file(tmp_path: Path):
+    case = Case.open(written(tmp_path / "case"))
+    asked = {stage: {} for stage in ("mesh", "build-feb", "run", "fit", "fit-states")}
+    steps = site_steps(case, "p1", BatchOptions(), asked, out=tmp_path / "out", progress=SILENT)
+    assert [each.stage for each in steps] == ["mesh", "build-feb", "run", "fit", "fit-states"]
+    assert {each.levels for each in case.sites[0].states} <= set(steps[-1].parts)
+
+
+def test_a_simulated_case_of_a_site_with_states_has_one_measurement(tmp_path: Path):
+    case = Case.open(written(tmp_path / "case"))
+    table = case_table(case, {"p1": NoiseLaw(0.1, 0.3, 0.05, 0.1)})["site"][0]
+    assert "state" not in table
+    assert table["levels"] == "p1/levels.csv"
