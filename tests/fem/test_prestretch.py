@@ -11,8 +11,8 @@ from small_models import block
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.record_fields import cell_fields
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.record_fields import cell_fields
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel, Material, NodeMap, Support
 from limbcli.solvers.session_parameters import law_parameter, parameter_values
