@@ -1,6 +1,6 @@
 """What `diagnose` says of fat on real indentations, with and without the layers as a channel; resumable.
 
-    python tests/benchmarks/fat_named.py --work DIR [--locations LL_A LL_P] [--per-band 4] [--seed 7]
+    python -m tests.benchmarks.fat_named --work DIR [--locations LL_A LL_P] [--per-band 4] [--seed 7]
 
 Reads ../shared/data/multis/indentations.csv (or LIMBCLI_SHARED). Rows are drawn by seed, the same number of
 each band of fat thickness. A row becomes a case as a user would write it: `[imaging] shape` with the row's
@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cohort import LEG, shared_table  # the file beside this one
 
 from limbcli.case import Case
 from limbcli.errors import LimbError, MeasurementError
@@ -31,6 +30,7 @@ from limbcli.problems import checked
 from limbcli.stages.cohorts.estimate import CohortNoise, noise_of
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.segment import segment
+from tests.benchmarks.cohort import LEG, shared_table
 
 BANDS = ((0.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0), (15.0, np.inf))  # mm of fat
 AROUND = {"LL": 360.0, "UL": 540.0, "LA": 250.0, "UA": 300.0}  # mm, usual circumferences of adults

@@ -55,6 +55,8 @@ def befalls(case: Path, label: str) -> None:
         (case / f"at-{name}.new").write_text(str(os.getpid()))
         (case / f"at-{name}.new").rename(case / f"at-{name}")
         time.sleep(WAIT_S)
+    if (case / f"pause-{name}").exists():
+        time.sleep(3.0)
     if (case / f"crash-{name}").exists():
         os.kill(os.getpid(), signal.SIGKILL)
     if (case / f"fail-{name}").exists():

@@ -261,6 +261,7 @@ def test_that_no_worker_is_left_is_said_and_the_batch_goes_on_with_new_ones(
     monkeypatch.setattr(batch_cluster, "_LOOK_S", 0.2)
     (case,) = cases(tmp_path, "a")
     (case / "wait-mesh-p1").touch()
+    (case / "pause-mesh-p1").touch()  # so that the new worker is seen before all is done
     with (
         dask.config.set(cluster._LOCAL),
         LocalCluster(

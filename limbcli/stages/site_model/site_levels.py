@@ -11,9 +11,9 @@ from limbcli.measurement.levels import LAST
 
 def layer_noise(site: Site) -> LayerNoise:
     """
-    >>> from limbcli.case import Noise
+    >>> from limbcli.case import StatedNoise
     >>> from types import SimpleNamespace
-    >>> layer_noise(SimpleNamespace(noise=Noise(layer=0.1)))
+    >>> layer_noise(SimpleNamespace(noise=StatedNoise(layer=0.1)))
     LayerNoise(thickness=0.1, depth=0.3)
     """
     return LayerNoise(site.noise.layer, site.noise.depth)
