@@ -48,6 +48,10 @@ BONES_DECISIVE: Final = 60.0
 """Such a gain by a limb that leaves nothing is believed before any effect is looked at; a smaller one has to
 exceed that of the best single effect on the limb as segmented. Chosen."""
 
+EFFECT_ODDS: Final = 6.0
+"""Of the gain asked for, what an effect has against it as well: prior odds of one in 20 for one of some 20
+effects. Chosen."""
+
 BONES_HOPELESS: Final = 3.0
 """Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
 that is more), above which its first force curves are enough to give it up. Chosen, for time."""

@@ -42,7 +42,8 @@ class Evidence:
 
     def beats(self, effect_gain: float) -> bool:
         """Whether it is believed against an effect on the limb as segmented that gains so much."""
-        return self.gain - effect_gain >= self.other.needed
+        margin = max(self.other.needed - thresholds.EFFECT_ODDS, thresholds.BONES_MISPLACED)
+        return self.gain - effect_gain >= margin
 
     @property
     def sentence(self) -> str:
