@@ -10,7 +10,7 @@ from limbcli.case import Case, Site
 from limbcli.diagnostics import thresholds
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
-from limbcli.results import read_result
+from limbcli.results import read_result, stage_folder
 from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
 from limbcli.stages.diagnosis.bones.limb_with import limb_with
 from limbcli.stages.diagnosis.bones.questions import OtherBones, questions
@@ -93,16 +93,23 @@ class PlaceMaker:
 
     def _in(self, folder: Path) -> Place:
         prepared = self.prepared_in(folder)
-        forward_model = SiteForwardModel([each.curves for each in prepared])
-        forward_model.settle_noise()
-        return Place(prepared, forward_model, folder)
+        place = Place(prepared, SiteForwardModel([each.curves for each in prepared]), folder)
+        try:
+            place.forward_model.settle_noise()
+        except BaseException:
+            place.close()
+            raise
+        return place
 
     def _questions(self, place: Place) -> list[OtherBones]:
         """Those worth a simulation: misplaced bones always, others where the fit without effects is bad."""
+        if not (stage_folder(self.out, "segment") / "segment.json").is_file():
+            return []  # no surfaces: the site's own mesh is the working mesh
         try:
             found = questions(self.case, self.sites, read_result(self.out, "segment"))
-        except LimbError:
-            return []  # no surfaces: the site's own mesh is the working mesh
+        except LimbError as error:
+            place.problems.append(f"whether bones lie elsewhere was not asked: {error.what}")
+            return []
         if any(not each.is_repair for each in found):
             model = place.forward_model
             bad = fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT)

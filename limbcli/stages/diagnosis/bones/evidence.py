@@ -42,8 +42,7 @@ class Evidence:
 
     def beats(self, effect_gain: float) -> bool:
         """Whether it is believed against an effect on the limb as segmented that gains so much."""
-        margin = max(self.other.needed - thresholds.EFFECT_ODDS, thresholds.BONES_MISPLACED)
-        return self.gain - effect_gain >= margin
+        return self.gain - effect_gain >= self.other.needed
 
     @property
     def sentence(self) -> str:

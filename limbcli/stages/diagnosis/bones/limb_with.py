@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from limbcli.case import Case, Site
-from limbcli.errors import LimbError
+from limbcli.errors import CaseError, LimbError
 from limbcli.imaging.surface import ClosedSurface, write_surface
 from limbcli.meshing.surfaces import read_surface
 from limbcli.progress import Progress
@@ -42,7 +42,8 @@ def limb_with(
 
 def _key(other: OtherBones, segmented: StageResult) -> str:
     known = segmented.provenance.get("files_sha256", {})
-    recipe = [other.left_out, other.moved, {name: known.get(name) for name in segmented.files}]
+    surfaces = {name: known.get(name) for name in segmented.files}
+    recipe = [other.left_out, other.moved, surfaces, segmented.data]
     return hashlib.sha256(json.dumps(plain(recipe), sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -67,12 +68,17 @@ def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress
         meshed = read_result(out, "mesh", site=site.name)
     except LimbError:
         return
-    model = stage_folder(folder, "mesh", site.name) / "model.npz"
     asked = meshed.data.get("asked", {})
+    if meshed.data.get("layers") or "place" in asked:
+        raise CaseError(
+            "the site's mesh has layers, or a place of its own", where=f"site {site.name}",
+            fix="mesh the site without them to have its bones questioned",
+        )  # fmt: skip
+    model = stage_folder(folder, "mesh", site.name) / "model.npz"
     segmented = read_result(folder, "segment")
     place = [site_position(site, segmented), site.long_axis, vars(case.probe), case.model.margin]
     made_of = plain({"asked": asked, "element": meshed.data.get("element"), "place": place})
-    if model.is_file() and read_result(folder, "mesh", site=site.name).data.get("as") == made_of:
+    if model.is_file() and read_result(folder, "mesh", site=site.name).data.get("made_of") == made_of:
         return
     options = mesh_options(
         case, element=meshed.data.get("element"), size=asked.get("size"), far_size=asked.get("far_size"),
@@ -80,5 +86,5 @@ def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress
     )  # fmt: skip
     mesh_site(
         MeshInputs(case, segmented, asked), site, read_limb(segmented), options, {}, folder, progress,
-        facts={"as": made_of},
+        facts={"made_of": made_of},
     )  # fmt: skip

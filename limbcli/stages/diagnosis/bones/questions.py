@@ -100,6 +100,6 @@ def _in_reach(
 
 
 def _from_face(points: Array, length: float, width: float) -> float:
-    """mm from a probe's face, half-lengths along x and y, to the nearest of these points."""
+    """mm from a probe's face of this length (along x) and width (along y) to the nearest of these points."""
     beside = np.maximum(np.abs(points[:, :2]) - np.array([length, width]) / 2, 0.0)
     return float(np.linalg.norm(np.column_stack([beside, points[:, 2]]), axis=1).min())
