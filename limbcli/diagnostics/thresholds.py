@@ -35,8 +35,8 @@ MANY_DATA: Final = 250
 N_DRAWS_OF_MANY: Final = 5000
 """Draws for that many data: at p = 0.05 a deviation of 0.003. Chosen, for time."""
 
-# ------------------------------------------------ before detection: are the bones where they are said to be?
-# These were chosen with the reference data's sites that FEBio made in view, which are therefore no test of them.
+# ---------------------------------------- before detection: are the bones where they are said to be?
+# These were chosen with the reference data's sites that FEBio made in view, which are no test of them.
 
 BONES_SEEN: Final = 12.0
 """Gain of deviance (-2 ln likelihood, readings that both limbs predict) from which on a limb without a small

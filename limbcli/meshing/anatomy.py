@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from limbcli.meshing.distance import Field, grid_over, signed_distance
+from limbcli.meshing.distance import Heights
 from limbcli.meshing.mending import Plane, mend
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
@@ -29,7 +28,6 @@ _MINOR = 0.25  # of all bones' volume: without such a one (a fibula, a patella) 
 _TWICE = 0.5  # of a bone's points inside another: the same bone twice
 _ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
 _POINTS = 500  # of a bone that are looked at
-_CELLS = 90  # of the grid along a body's longest side
 
 
 def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> list[Problem]:
@@ -47,10 +45,10 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
     mended = mend(skin, [], where=where)
     found = _sizes(mended.skin.volume, bones, where)
-    distance = _distance_of(mended.skin)
+    above_skin = Heights(mended.skin)
     whole = sum(abs(each.volume) for each in bones.values())
     for name, bone in bones.items():
-        outside = _outside(name, bone, mended.skin, distance, mended.ends, where)
+        outside = _outside(name, bone, above_skin, mended.ends, where)
         minor = abs(bone.volume) < _MINOR * whole
         found += [_left_out(each) if minor else each for each in outside]
     return found + _twice(bones, where) + _side(bones, limb, where)
@@ -67,15 +65,20 @@ def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[str
         If the skin is no body at all.
     """
     mended = mend(surfaces[SKIN], [], where=where)
-    distance = _distance_of(mended.skin)
+    above_skin = Heights(mended.skin)
     found = []
     for name, bone in surfaces.items():
         if name == SKIN:
             continue
-        depth = _heights(_some(bone.points), mended.skin, distance)
+        depth = above_skin.of(_some(bone.points))
         if float((depth > _OUT_MM).mean()) > _OUT_SHARE[1]:
             found.append(name)
     return tuple(found)
+
+
+def bone_named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
+    """The first bone whose name holds this one's, such as "tibia"; None where there is none."""
+    return next((each for known, each in bones.items() if name in known), None)
 
 
 def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
@@ -99,13 +102,6 @@ def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Pr
     return found
 
 
-def _distance_of(body: Triangles) -> Field:
-    """Signed distance round a body, on a coarse grid a little larger than it."""
-    low, high = body.points.min(0), body.points.max(0)
-    spacing = float(max((high - low).max() / _CELLS, 0.5))
-    return signed_distance(body, grid_over(low - 2.5 * spacing, high + 2.5 * spacing, spacing))
-
-
 def _left_out(problem: Problem) -> Problem:
     """What is wrong with a small bone: the others still make a limb, which is said."""
     if problem.severity == "warning":
@@ -115,11 +111,11 @@ def _left_out(problem: Problem) -> Problem:
 
 
 def _outside(
-    name: str, bone: Triangles, skin: Triangles, distance: Field, ends: tuple[Plane, ...], where: str
+    name: str, bone: Triangles, above_skin: Heights, ends: tuple[Plane, ...], where: str
 ) -> list[Problem]:
     """A bone outside the skin; what stands out beyond the limb's cut ends does not count."""
     points = _some(bone.points)
-    depth = _heights(points, skin, distance)
+    depth = above_skin.of(points)
     abreast = np.all([each.height(points) <= 0 for each in ends], axis=0) if ends else np.ones(len(points))
     counted = depth[abreast.astype(bool)]
     fix = "give skin and bones in one frame (mm, patient LPS), of the same limb and the same image"
@@ -134,23 +130,15 @@ def _outside(
     return [_problem(what, where, fix, error=share > _OUT_SHARE[1] or far > _OUT_FAR_MM)]
 
 
-def _heights(points: Array, skin: Triangles, distance: Field) -> Array:
-    """Height (mm) of points above a surface, negative inside; far from the grid by the nearest corner."""
-    low, high = distance.grid.box
-    near = ((points > low) & (points < high)).all(axis=1)
-    far, _ = cKDTree(skin.points).query(points)
-    return np.where(near, distance.at(points), far)
-
-
 def _twice(bones: Mapping[str, Triangles], where: str) -> list[Problem]:
     """Two bones at one place."""
     found = []
     names = sorted(bones, key=lambda each: -abs(bones[each].volume))
     for k, name in enumerate(names[:-1]):
-        distance = _distance_of(bones[name])
+        above = Heights(bones[name])
         for other in names[k + 1 :]:
             points = _some(bones[other].points)
-            share = float((_heights(points, bones[name], distance) < 0.5).mean())
+            share = float((above.of(points) < 0.5).mean())
             if share > _TWICE:
                 what = f"{other} lies within {name} ({share:.0%} of it): the same bone twice?"
                 fix = "name each bone once, each with a file of its own"
@@ -160,8 +148,7 @@ def _twice(bones: Mapping[str, Triangles], where: str) -> list[Problem]:
 
 def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem]:
     """The fibula lies lateral of the tibia: of a left leg towards +x (LPS), the patient's left."""
-    tibia = next((each for name, each in bones.items() if "tibia" in name), None)
-    fibula = next((each for name, each in bones.items() if "fibula" in name), None)
+    tibia, fibula = bone_named(bones, "tibia"), bone_named(bones, "fibula")
     if tibia is None or fibula is None:
         return []
     x, y, _ = fibula.centroids.mean(axis=0) - tibia.centroids.mean(axis=0)

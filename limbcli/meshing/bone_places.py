@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 
-from limbcli.meshing.distance import grid_over, signed_distance
+from limbcli.meshing.anatomy import bone_named
+from limbcli.meshing.distance import Heights
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-# mm: what lies between, and one standard deviation. Chosen with four limbs of OpenLimb in view, which have 1.6
-# to 3.6 mm between fibula and tibia, and the fibula's apex 18 to 24 mm below the top of the tibia; that between
-# patella and femur is a guess. No other limb has been tried.
+# mm: what lies between, and one standard deviation. Chosen with four limbs of OpenLimb in view, which have
+# 1.6 to 3.6 mm between fibula and tibia, and the fibula's apex 18 to 24 mm below the top of the tibia; that
+# between patella and femur is a guess. No other limb has been tried.
 _JOINT, _BELOW_TOP, _KNEECAP = (2.5, 1.0), (18.0, 5.0), (5.0, 2.0)
 _HEAD = 15.0  # mm of the fibula, from its apex
 _SKIN, _APART = 3.0, 1.5  # mm at least between a bone and the skin, and between two bones
@@ -28,7 +28,6 @@ _SOFT_SKIN, _SOFT_BONE = 2.0, 0.7  # mm, one deviation of that
 _TIBIA_TO_HEAD = 38.0  # mm between their middles, where the search begins (35 to 42 in those limbs)
 _BEHIND = np.radians([10.0, 35.0, 60.0])  # of lateral, towards the back: limbs lie turned in the scanner
 _POINTS = 300  # of a bone that are looked at
-_CELLS, _MARGIN = 70, 8.0  # of the grid along a body's longest side; mm round it
 _TOP = 0.995  # quantile that stands for a bone's end
 _MISFIT, _DOUBT = 3.0, 6.0  # deviations of what must hold, mm across the limb: beyond, no shift is proposed
 
@@ -43,25 +42,6 @@ class PutBack:
     doubt_mm: float
 
 
-class _Body:
-    """Heights above a closed surface, mm: on a grid in and round it, by its nearest point farther out."""
-
-    def __init__(self, surface: Triangles):
-        low, high = surface.points.min(axis=0), surface.points.max(axis=0)
-        spacing = float(max((high - low).max() / _CELLS, 0.5))
-        self._box = low - _MARGIN, high + _MARGIN
-        self._distance = signed_distance(surface, grid_over(*self._box, spacing))
-        self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
-
-    def height(self, points: Array) -> Array:
-        """(n,), positive outside."""
-        low, high = self._box
-        near = ((points > low) & (points < high)).all(axis=1)
-        found = self._distance.at(points)
-        found[~near] = self._tree.query(points[~near])[0]
-        return found
-
-
 def put_back(
     skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles], *, limb: str
 ) -> PutBack | None:
@@ -72,7 +52,7 @@ def put_back(
     Needs a tibia that lies right and a fibula that does not; with a patella moved as it was, and the femur,
     the place is known to some 5 mm, seldom without.
     """
-    tibia, fibula = _named(right, "tibia"), _named(wrong, "fibula")
+    tibia, fibula = bone_named(right, "tibia"), bone_named(wrong, "fibula")
     if tibia is None or fibula is None:
         return None
     search = _Search(skin, right, wrong, tibia, fibula)
@@ -89,10 +69,6 @@ def put_back(
     return PutBack(tuple(wrong), np.asarray(best.x, float), doubt)
 
 
-def _named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
-    return next((each for known, each in bones.items() if name in known), None)
-
-
 class _Search:
     """Residuals of a shift, in deviations: what must hold between skin and bones."""
 
@@ -100,16 +76,16 @@ class _Search:
         self, skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles],
         tibia: Triangles, fibula: Triangles,
     ):  # fmt: skip
-        self.skin = _Body(skin)
-        self.right = [_Body(each) for each in right.values()]
+        self.skin = Heights(skin)
+        self.right = [Heights(each) for each in right.values()]
         self.wrong = [each.points[:: max(1, len(each.points) // _POINTS)] for each in wrong.values()]
-        self.tibia, self.tibia_points = _Body(tibia), tibia.points
+        self.tibia, self.tibia_points = Heights(tibia), tibia.points
         self.axis = self._upward(right, tibia)
         self.tibia_top = self._top(tibia.points)
         self.fibula_top = self._top(fibula.points)
         self.head = fibula.points[fibula.points @ self.axis > self.fibula_top - _HEAD]
-        femur, patella = _named(right, "femur"), _named(wrong, "patella")
-        self.femur = None if femur is None or patella is None else _Body(femur)
+        femur, patella = bone_named(right, "femur"), bone_named(wrong, "patella")
+        self.femur = None if femur is None or patella is None else Heights(femur)
         self.patella = None if patella is None else patella.points
 
     @property
@@ -121,7 +97,7 @@ class _Search:
         """Unit vector along the tibia, towards the femur; without one, to the head (+z of LPS)."""
         centred = tibia.points - tibia.points.mean(axis=0)
         axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-        femur = _named(right, "femur")
+        femur = bone_named(right, "femur")
         up = np.array([0.0, 0.0, 1.0])
         if femur is not None:
             up = femur.points.mean(axis=0) - tibia.points.mean(axis=0)
@@ -150,11 +126,11 @@ class _Search:
         found = []
         for points in self.wrong:
             moved = points + move
-            found.append(np.minimum(-self.skin.height(moved) - _SKIN, 0.0) / _SOFT_SKIN)
-            found += [np.minimum(each.height(moved) - _APART, 0.0) / _SOFT_BONE for each in self.right]
-        joint = self.tibia.height(self.head + move).min()
+            found.append(np.minimum(-self.skin.of(moved) - _SKIN, 0.0) / _SOFT_SKIN)
+            found += [np.minimum(each.of(moved) - _APART, 0.0) / _SOFT_BONE for each in self.right]
+        joint = self.tibia.of(self.head + move).min()
         below = self.tibia_top - self.fibula_top - move @ self.axis
         known = [(joint - _JOINT[0]) / _JOINT[1], (below - _BELOW_TOP[0]) / _BELOW_TOP[1]]
         if self.femur is not None and self.patella is not None:
-            known.append((self.femur.height(self.patella + move).min() - _KNEECAP[0]) / _KNEECAP[1])
+            known.append((self.femur.of(self.patella + move).min() - _KNEECAP[0]) / _KNEECAP[1])
         return np.concatenate([*found, np.array(known)])

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 _BAND = 3.0  # voxels on either side of the surface in which distances are exact
 _FAR = 1e6
+_CELLS, _MARGIN_MM = 90, 8.0  # of `Heights`: along a body's longest side; round it
 _JITTER = 1.2345e-5  # of a voxel: rays must not run through edges of tidy meshes
 
 
@@ -93,6 +95,25 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
     distance = np.where(near < _BAND, near, _FAR)
     _sweep(distance, near < _BAND)
     return Field(grid, np.where(inside, -distance, distance) * grid.spacing)
+
+
+class Heights:
+    """Heights of points above a closed surface: by a grid in and round it, farther out by its nearest point."""
+
+    def __init__(self, surface: Triangles):
+        low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+        spacing = float(max((high - low).max() / _CELLS, 0.5))
+        self._box = low - _MARGIN_MM, high + _MARGIN_MM
+        self._distance = signed_distance(surface, grid_over(*self._box, spacing))
+        self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
+
+    def of(self, points: Array) -> Array:
+        """(n,) mm of points (n, 3), negative inside."""
+        low, high = self._box
+        near = ((points > low) & (points < high)).all(axis=1)
+        found = self._distance.at(points)
+        found[~near] = self._tree.query(points[~near])[0]
+        return found
 
 
 def winding(corners: Array, shape: tuple[int, int, int]) -> Array:

@@ -15,9 +15,9 @@ scale            of a scanned skin only: by what the case states (`skin_scale_fr
 All but the last are of sections 3 to 15 cm above the end, the mean and four virtual limbs of OpenLimb
 (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622): slope, side and taper are what 68 % of them stay
 below (beams along the skin's normal, up to 60 degrees round from where tibia and skin are nearest), the
-fibula's size and distance are medians. Perimeters of scanned residual limbs err by 1 % (De Waele et al.
-2026, Sensors 26:1251). Slope, side and taper are varied one way only: to a site whose tissue is alike on
-both sides the other way is the same.
+fibula's size and distance are medians. Limits of agreement (two deviations) of perimeters of scanned
+limb models are below 3.5 % (Cutti et al. 2024, Sensors 24:2350); 1 % is chosen. Slope, side and taper are
+varied one way only: to a site whose tissue is alike on both sides the other way is the same.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ mesh was made. F_pre is even and keeps the volume:
 with a along the limb, t around it, z outward at the site. It comes in with a load curve, while the probe
 stands clear; the tissue comes to rest between bone, cut planes and a free skin, and then the probe goes down.
 
-Source: Johnson and Hoger 1995, J Elasticity 41:177 (split); Maas et al. 2016, J Biomech 49:2015 ("prestrain
-elastic" of FEBio, which is what `feb` writes).
+Source: Johnson and Hoger 1995, J Elasticity 41:177 (split); Maas et al. 2016, J Mech Behav
+Biomed Mater 61:499 ("prestrain elastic" of FEBio, which is what `feb` writes).
 """
 
 from __future__ import annotations
