@@ -98,7 +98,7 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
 
 
 class Heights:
-    """Heights of points above a closed surface: by a grid in and round it, farther out by its nearest point."""
+    """Heights of points above a closed surface, by a grid in and round it; farther out by nearest points."""
 
     def __init__(self, surface: Triangles):
         low, high = surface.points.min(axis=0), surface.points.max(axis=0)
