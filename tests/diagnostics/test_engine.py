@@ -52,6 +52,25 @@ def test_two_effects_are_found_together(rng, pair):
         assert set(found.chosen) == set(pair)
 
 
+def test_an_effect_that_would_have_to_be_implausibly_large_is_no_explanation(rng):
+    """The readings hold an offset of a hundred deviations of the prior; the fit stops far short of it."""
+    case = toy.make(rng, {"offset": 30.0})
+    assert run(case).chosen == ("offset",)
+    case.roomy = 0.3
+    found = run(case)
+    assert ("offset",) not in found.confidence_set
+    assert found.verdict != "adequate"
+
+
+def test_a_prior_that_hardly_holds_changes_nothing(rng):
+    case = toy.make(rng, {"wave": 6.0})
+    free = run(case)
+    case.roomy = 12.0
+    held = run(case)
+    assert held.chosen == free.chosen == ("wave",)
+    assert held.shrink[-1].chi2_per_nu == pytest.approx(free.shrink[-1].chi2_per_nu, rel=0.02)
+
+
 def test_an_effect_outside_the_library_is_not_named(rng):
     found = run(toy.make(rng, outside=6.0))
     assert found.verdict in ("unexplained", "untestable")

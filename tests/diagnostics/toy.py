@@ -55,6 +55,7 @@ class Toy:
     source: str = "repeats"
     stated: float = 1.0
     failing: str = ""
+    roomy: float | None = None  # deviation of a prior that keeps every effect's size near 0
 
     @property
     def data(self) -> Data:
@@ -90,9 +91,11 @@ class Toy:
         for k in range(max((len(g) for g in grids), default=1)):
             points = [g[min(k, len(g) - 1)][0] for g in grids]
             J = np.hstack([BASE, *(self._columns(n, p) for n, p in zip(explanation, points, strict=True))])
-            theta = np.linalg.solve(J.T @ inverse @ J, J.T @ inverse @ self.y)
+            held = np.zeros(J.shape[1])
+            held[BASE.shape[1] :] = 0.0 if self.roomy is None else self.roomy**-2
+            theta = np.linalg.solve(J.T @ inverse @ J + np.diag(held), J.T @ inverse @ self.y)
             left = self.y - J @ theta
-            cost = left @ inverse @ left
+            cost = left @ inverse @ left + theta**2 @ held
             if best is None or cost < best[0]:
                 best = (cost, J, theta, points)
         _, J, theta, points = best

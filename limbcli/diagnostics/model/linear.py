@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky, null_space, solve_triangular
 
 from limbcli.errors import FitError
 from limbcli.model import Array
@@ -44,24 +44,44 @@ class Whitener:
         return np.asarray(self.factor @ whitened)
 
 
+def _span(jacobian: Array) -> Array:
+    """(n, rank) orthonormal, of the columns' span."""
+    if jacobian.shape[1] == 0:
+        return np.zeros((len(jacobian), 0))
+    scale = np.linalg.norm(jacobian, axis=0)
+    u, s, _ = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1.0), full_matrices=False)
+    return np.asarray(u[:, s > _RANK * max(float(s[0]), 1e-300)])
+
+
 @dataclass(frozen=True, eq=False)
 class LinearFit:
     """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the span J cannot reach.
 
     basis : (n, rank) orthonormal, spans J; P = I - basis basis'
+    is_held : one direction of that span is left out, which the fit did not follow
     """
 
     residual: Array
     jacobian: Array
     basis: Array
+    is_held: bool = False
 
     @staticmethod
-    def of(residual: Array, jacobian: Array) -> LinearFit:
-        if jacobian.shape[1] == 0:
-            return LinearFit(residual, jacobian, np.zeros((len(residual), 0)))
-        scale = np.linalg.norm(jacobian, axis=0)
-        u, s, _ = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1.0), full_matrices=False)
-        return LinearFit(residual, jacobian, u[:, s > _RANK * max(float(s[0]), 1e-300)])
+    def of(residual: Array, jacobian: Array, *, n_free: int | None = None) -> LinearFit:
+        """
+        n_free : how many of the columns, the first, belong to parameters that the data alone decide;
+            None: all. The others a bound or a prior may have held. The one direction in which they did not
+            follow the residual, if that is more than one deviation, counts as one that the model cannot
+            reach: the fit is judged where it stands, not where a size beyond all plausibility would bring it.
+        """
+        basis = _span(jacobian)
+        if n_free is None or n_free >= jacobian.shape[1]:
+            return LinearFit(residual, jacobian, basis)
+        free = _span(jacobian[:, :n_free])
+        against = basis.T @ (residual - free @ (free.T @ residual))
+        if float(against @ against) <= 1.0:
+            return LinearFit(residual, jacobian, basis)
+        return LinearFit(residual, jacobian, basis @ null_space(against[None, :]), is_held=True)
 
     @property
     def nu(self) -> int:

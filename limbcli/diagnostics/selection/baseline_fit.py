@@ -70,7 +70,8 @@ class BaselineFit:
         return np.random.default_rng([self.seed, stream])
 
     def linearised(self, fitted: Fitted) -> LinearFit:
-        return LinearFit.of(self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian))
+        off, jacobian = self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian)
+        return LinearFit.of(off, jacobian, n_free=len(fitted.base_names))
 
     def family(
         self, state: LinearFit, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0

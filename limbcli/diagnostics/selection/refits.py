@@ -143,7 +143,10 @@ class Refits:
         ]  # fmt: skip
         state = baseline.linearised(fitted)
         family = baseline.family(
-            LinearFit.of(whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian)),
+            LinearFit.of(
+                whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian),
+                n_free=len(fitted.base_names) if state.is_held else None,
+            ),
             [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
             relative=baseline.is_relative(state),
         )  # fmt: skip

@@ -1,0 +1,50 @@
+"""What a fit leaves, where data alone decide and where a prior or a bound held it: against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.model.linear import LinearFit
+
+
+def _held(rng, weight: float, *, n: int = 14, free: int = 2, held: int = 2):
+    """Residual and Jacobian of least squares whose last parameters a prior of this weight draws to 0."""
+    J = rng.standard_normal((n, free + held))
+    y = J @ np.r_[np.ones(free), np.full(held, 8.0)] + rng.standard_normal(n)
+    prior = np.diag([0.0] * free + [weight] * held)
+    theta = np.linalg.solve(J.T @ J + prior, J.T @ y)
+    return y - J @ theta, J
+
+
+def test_free_parameters_leave_what_least_squares_leave(rng):
+    residual, J = _held(rng, 0.0)
+    for n_free in (None, 2, 4):
+        state = LinearFit.of(residual, J, n_free=n_free)
+        assert state.chi2 == pytest.approx(residual @ residual, rel=1e-12)
+        assert (state.nu, state.is_held) == (10, False)
+
+
+@pytest.mark.parametrize("weight", [10.0, 1e4])
+def test_a_fit_that_a_prior_holds_is_judged_where_it_stands(rng, weight):
+    residual, J = _held(rng, weight)
+    state = LinearFit.of(residual, J, n_free=2)
+    assert LinearFit.of(residual, J).chi2 < 0.9 * state.chi2  # where no prior would be
+    assert state.chi2 == pytest.approx(residual @ residual, rel=1e-12)
+    assert (state.nu, state.is_held) == (11, True)
+    assert np.abs(state.project(J[:, :2])).max() < 1e-12  # what data decide alone is followed as before
+
+
+def test_on_average_a_direction_that_is_just_not_followed_costs_as_much_as_it_counts():
+    """One deviation of chi2 for one degree of freedom, at the threshold."""
+    J = np.eye(6)[:, :2]
+    below = LinearFit.of(np.array([0.0, 0.999, 2.0, 0, 0, 0]), J, n_free=1)
+    above = LinearFit.of(np.array([0.0, 1.001, 2.0, 0, 0, 0]), J, n_free=1)
+    assert above.chi2 - below.chi2 == pytest.approx(above.nu - below.nu, abs=0.01)
+
+
+def test_what_the_free_parameters_did_not_follow_is_not_held_against_the_others():
+    """m on its bound, say: the residual along its own column counts as reachable, as ever."""
+    J = np.eye(6)[:, :2]
+    state = LinearFit.of(np.array([3.0, 0.0, 1.0, 0, 0, 0]), J, n_free=1)
+    assert (state.chi2, state.is_held) == (pytest.approx(1.0), False)
