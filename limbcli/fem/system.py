@@ -73,11 +73,6 @@ class System(RigidLoads, ElementLoops):
         return any(each.jumps for each in self.operands)
 
     @property
-    def has_friction(self) -> bool:
-        """Whether a contact has friction."""
-        return any(pair.contact.friction for pair in self.pairs)
-
-    @property
     def least_force(self) -> float:
         """What counts as no force (N), where nothing loads the tissue: round-off of its stresses, amply."""
         stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)

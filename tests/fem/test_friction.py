@@ -88,6 +88,32 @@ def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.G
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
+def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
+    """By mu p / |y| in every direction of the face, so that no iteration overshoots."""
+    model = dragged(2.0)
+    system = System(model, threads=1)
+    pressed = system.prescribed(system.rest(), 1.0)
+    system.forces(pressed)
+    system.remember(replace(pressed, hints=system.hints()))
+    slipped = system.prescribed(pressed, 2.0)
+    drag = abs(float(system.forces(slipped).bodies[0, 0]))
+    assert drag > 0.0
+
+    def resistance(along: int, *, far: bool) -> float:
+        motions = np.zeros((1, 6))
+        motions[0, along] = 1.0
+        out, body = np.zeros((len(system.X), 3)), np.zeros(6)
+        pair = system.pairs[0]
+        with system.turning(not far):
+            v = np.zeros((len(system.X), 3))
+            pair.times(system.X + slipped.u, pair.rigid.center, v, motions[0], out, body)
+        return float(body[along])
+
+    assert resistance(0, far=False) == pytest.approx(0.0, abs=1e-9 * drag)
+    assert resistance(1, far=False) == pytest.approx(-drag / 2.0, rel=1e-9)
+    assert resistance(0, far=True) == pytest.approx(-drag / 2.0, rel=1e-9)
+
+
 def indented(mu: float, *, cycle: bool = False) -> LimbModel:
     """A narrow plate pressed into a soft block, in steps, and drawn back where asked for."""
     model = punch("tet4", (6, 5, 3), depth=0.9, width=6.0, material=ogden_type(c=0.005, f_kappa=5.0, m=2.0))

@@ -13,6 +13,11 @@ converged step of the point, of the rigid body's matter now opposite to it, and 
 has s = y/|y|, which jumps where a point that has just come into contact turns back; a slip shorter than
 that of a sticking point is taken here to be resisted by the same penalty.
 
+Along a slip the derivative has no resistance at all, and Newton's method overshoots: points turn back, stick
+and slip by turns. Far from equilibrium the tangent therefore has mu p/|y| in every tangential direction, that
+of the quadratic that has the same force and lies above mu p |y| everywhere (Weiszfeld 1937, Tohoku Math. J.
+43:355).
+
 Columns of `state` beyond those of `contact_points`: whether it sticks, T. Columns of `before`: the point,
 its tangents g1 and g2, the anchor, the anchor's facet (or -1), all of the last converged step. `move` (4, 3):
 the rotation of the body since then, in rows, and its translation: place now = move[:3] place + move[3].
@@ -144,10 +149,11 @@ def force(facets, N, weights, state, center, out, body):
 
 
 @njit(cache=True)
-def _change(row, before, move, eps, mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
+def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
     """Change of |n| T, and of the arm from the body's centre, for changes of the point and the body.
 
     y, c, m : of `_slip`, where the point slips
+    yields : 1 for the derivative; 0 where a slip is resisted along its direction as across it, by mu p/|y|
     """
     dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     size = normal_change(g1, g2, n, d1, d2, dn, dnu)
@@ -210,12 +216,12 @@ def _change(row, before, move, eps, mu, center, r, g1, g2, n, y, c, m, dr, d1, d
     for i in range(3):
         shear = eps * dy[i]
         if full:
-            shear = mu * (dp * y[i] + p * (dy[i] - along * y[i] / length)) / length
+            shear = mu * (dp * y[i] + p * (dy[i] - yields * along * y[i] / length)) / length
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
 
 
 @njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, motion, out, body):
+def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6); stick and slip held."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -229,8 +235,8 @@ def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, mo
             size = _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             _change(
-                row, before[f, k], move, eps[f], mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
-                darm,
+                row, before[f, k], move, eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2,
+                motion, df, darm,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
@@ -242,7 +248,7 @@ def times(x, facets, N, dN, weights, eps, mu, before, move, state, center, v, mo
 
 
 @njit(cache=True, nogil=True)
-def blocks(x, facets, N, dN, weights, eps, mu, before, move, state, center, out):
+def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, out):
     """Tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -267,8 +273,8 @@ def blocks(x, facets, N, dN, weights, eps, mu, before, move, state, center, out)
                     d2[:] = 0.0
                     dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
                     _change(
-                        row, before[f, k], move, eps[f], mu, center, r, g1, g2, n, y, c, m, dr, d1, d2, still,
-                        df, darm,
+                        row, before[f, k], move, eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
+                        d1, d2, still, df, darm,
                     )  # fmt: skip
                     for a in range(nodes):
                         for i in range(3):

@@ -33,6 +33,7 @@ class Pair:
     rim (n_facets2, 4) : where tractions fade, at the edges that end the rigid surface (see `rim_widths`)
     turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
         equilibrium they are many times what they will be, and that part of the tangent leads astray
+        (with friction it leaves out that a slip yields along its way, see `friction_kernels`)
     """
 
     contact: Contact

@@ -31,7 +31,6 @@ _MEMORY = 0.5  # of what older factors wasted: weight of the last
 _FORGETTING = 0.9  # of the same, where none was tried
 _ROUNDS = 8  # of contact in one step
 _NOWHERE = 0.999  # of the residual left by a factor of this very tangent: there is no step
-_EXACT = 1e-3  # to which it is solved where contact does not settle
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
 
@@ -172,8 +171,6 @@ class Linearised:
         """
         system, tangent = self.system, self.tangent
         assert tangent is not None
-        if system.has_friction:
-            return first if first is not None else self._once(base, tissue, goal)
         step = np.zeros_like(tissue) if first is None else first
         at, searched = base, first is not None
         if searched:
@@ -215,11 +212,6 @@ class Linearised:
         length = min(tried)[1]
         at = self.system.moved(base, step + length * change)
         return length, at, tissue + length * moved + self.system.contact_residual(at, search=True)
-
-    def _once(self, base: State, tissue: Array, goal: float) -> Array:
-        """One linear solve, contact as searched last: points that stick or slip by turns do not settle."""
-        residual = tissue + self.system.contact_residual(base)
-        return self.solve(base, -residual, min(goal / max(norm(residual), 1e-300), _EXACT))
 
     @property
     def n_unstable(self) -> int:

@@ -31,7 +31,7 @@ _EASY = 4  # iterations up to which the next increment may be longer
 
 
 def has_friction(model: LimbModel) -> bool:
-    """Whether there is friction: points that stick or slip by turns take their time to settle."""
+    """Whether there is friction, with which the answer depends on the steps it is reached by."""
     return any(contact.friction for contact in model.contacts)
 
 
@@ -117,7 +117,7 @@ class LoadStepping:
         self, way: LoadStepPath, increment: Increment
     ) -> tuple[IncrementOutcome, tuple[State, Forces] | None, SolveError | None]:
         """What becomes of an increment, with its equilibrium where there is one, or the error."""
-        patient = way.is_exhausted or self._has_friction or self._newton.system.jumps
+        patient = way.is_exhausted or self._newton.system.jumps
         try:
             found = self._solve(way, increment, patient=patient)
             if increment.is_last:

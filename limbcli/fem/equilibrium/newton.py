@@ -67,7 +67,7 @@ class Newton:
         tissue = forces.residual - contact
         tissue[: system.n_tissue] += change[system.free]
         rhs = tissue + contact + system.contact_change(state, motions=motions)
-        first = linearised.solve(state, -rhs, _ROUGH**2 if system.has_friction else _ROUGH)
+        first = linearised.solve(state, -rhs, _ROUGH)
         step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
         return self.with_volumes(system.moved(aim, step), state)
 
