@@ -84,7 +84,11 @@ def test_rivals_wait_until_the_effects_have_been_looked_at():
         return Place([SimpleNamespace(close=lambda: closed.append(name))], None, Path(name))
 
     weak = Evidence(SEEN, 20.0, 30, fits=True)
-    for effect_gain, chosen, stand, gone in ((5.0, "other", "taken", ["own"]), (15.0, "own", "open", [])):
+    ends = (
+        (5.0, "other", "taken", ["own"]), (15.0, "own", "open", []), (31.0, "own", "open", []),
+        (33.0, "own", "not taken", []),
+    )  # fmt: skip
+    for effect_gain, chosen, stand, gone in ends:
         closed.clear()
         own, other = place("own"), place("other")
         own.rivals, own.given_up = [(weak, other)], ["tried"]

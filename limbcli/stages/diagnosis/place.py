@@ -56,7 +56,7 @@ class Place:
         rivals = sorted(self.rivals, key=lambda each: -each[0].gain)
         if rivals and rivals[0][0].beats(effect_gain):
             return rivals[0][1].instead_of(self, rivals[0][0])
-        self.bones += [replace(found, stand="open") for found, _ in rivals]
+        self.bones += [found.against(effect_gain) for found, _ in rivals]
         return self
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -44,6 +44,11 @@ class Evidence:
         """Whether it is believed against an effect on the limb as segmented that gains so much."""
         return self.gain - effect_gain >= self.other.needed
 
+    def against(self, effect_gain: float) -> Evidence:
+        """What stays of it beside such an effect, where it does not beat it: open, unless the effect beats it."""
+        beaten = effect_gain - self.gain >= self.other.needed
+        return replace(self, stand="not taken" if beaten else "open")
+
     @property
     def sentence(self) -> str:
         """For the page: what was tried and what came of it."""
@@ -61,7 +66,7 @@ class Evidence:
                 "segmentation first."
             )
         if self.other.is_repair:
-            return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken without them."
+            return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken as segmented."
         return ""
 
     def to_json(self) -> dict[str, object]:
