@@ -123,6 +123,11 @@ class ReferenceCurve:
         self._session.close()
 
 
+# Points where fibres begin to be stretched come and go from iteration to iteration. Of the forces at play,
+# what a solve leaves, and what will do where iterations no longer lessen it.
+_WITH_FIBRES = {"tolerance": 1e-4, "stalled": 5e-4}
+
+
 class LawCurve:
     """Forces, mean wave speeds and layers at the levels for any law, as a function of its shape.
 
@@ -141,7 +146,8 @@ class LawCurve:
         self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
-        self._session = ReferenceSession(self._eased(start), progress=progress, threads=threads)
+        accuracy = _WITH_FIBRES if law.has_fibres else {}
+        self._session = ReferenceSession(self._eased(start), progress=progress, threads=threads, **accuracy)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
 

@@ -32,8 +32,13 @@ class Evidence:
     stand: Stand = "not taken"
 
     @property
+    def asked(self) -> float:
+        """Gain that is asked for, chance and another mesh of the same limb allowed for."""
+        return self.other.needed + thresholds.BONES_REMESHED * self.n
+
+    @property
     def speaks_for_it(self) -> bool:
-        return self.gain >= self.other.needed
+        return self.gain >= self.asked
 
     @property
     def is_decisive(self) -> bool:
@@ -42,11 +47,11 @@ class Evidence:
 
     def beats(self, effect_gain: float) -> bool:
         """Whether it is believed against an effect on the limb as segmented that gains so much."""
-        return self.gain - effect_gain >= self.other.needed
+        return self.gain - effect_gain >= self.asked
 
     def against(self, effect_gain: float) -> Evidence:
-        """What stays of it beside such an effect, where it does not beat it: open, unless the effect beats it."""
-        beaten = effect_gain - self.gain >= self.other.needed
+        """What stays of it beside such an effect that it does not beat: open, unless the effect beats it."""
+        beaten = effect_gain - self.gain >= self.asked
         return replace(self, stand="not taken" if beaten else "open")
 
     @property
@@ -56,7 +61,7 @@ class Evidence:
         if self.stand == "taken":
             return (
                 f"BONES: {words} the limb fits the readings better (deviance lower by {self.gain:.0f}, "
-                f"{self.other.needed:.0f} asked for): the surfaces are not believed there, and all that "
+                f"{self.asked:.0f} asked for): the surfaces are not believed there, and all that "
                 "follows is of the limb so changed. Correct the segmentation."
             )
         if self.stand == "open":
@@ -73,7 +78,7 @@ class Evidence:
         return {
             "words": self.other.words, "left_out": list(self.other.left_out),
             "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
-            "deviance_gain": self.gain, "gain_asked_for": self.other.needed, "n_readings": self.n,
+            "deviance_gain": self.gain, "gain_asked_for": self.asked, "n_readings": self.n,
             "taken": self.stand == "taken", "open": self.stand == "open",
         }  # fmt: skip
 
