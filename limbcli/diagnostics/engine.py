@@ -61,11 +61,6 @@ class _Run:
         self.facts: dict[str, Facts] = {each.name: each for each in baseline.forward_model.candidates}
         if baseline.state.nu < 1:
             return self._finish("untestable", "there are no more data than fitted parameters", None)
-        for name, each in self.facts.items():
-            if each.dear:
-                self.not_evaluated[name] = (
-                    f"it takes many times the usual work: `--effects {name}` looks at it"
-                )
         trials = whitened_trials(
             baseline.forward_model,
             baseline.base,

@@ -82,7 +82,6 @@ class Effect:
     febio_only : the reference solver refuses the model
     new_mesh : `apply` moves nodes or elements
     spreads : it spreads the load, so that much of what it does to the speeds goes through the deformation
-    dear : its simulation takes many times the usual: it is looked at only where it is asked for by name
     onset : the grid's value that is a share of the levels: on those before it the effect is not there yet
     each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
         measurements of one place share it
@@ -103,7 +102,6 @@ class Effect:
     febio_only: bool = False
     new_mesh: bool = False
     spreads: bool = False
-    dear: bool = False
     onset: str = ""
     each_time: bool = False
     tell_tale: str = ""

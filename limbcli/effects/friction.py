@@ -39,6 +39,5 @@ EFFECT = Effect(
     needs=("force", "map"),
     apply=apply,
     solves=True,
-    dear=True,
     tell_tale="next to none in force and mean speed",
 )

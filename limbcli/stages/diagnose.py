@@ -149,12 +149,7 @@ class _Diagnosed:
     ):  # fmt: skip
         self.case, self.sites, self.out = case, sites, out
         self.options, self.progress = options, progress
-        asked = bool(options.effects)  # by name: then none is too dear
-        self.effects = {
-            each.name: replace(each, dear=each.dear and not asked)
-            for each in effects
-            if each.kind != "numerical"
-        }
+        self.effects = {each.name: each for each in effects if each.kind != "numerical"}
 
     def all(self) -> list[StageResult]:
         place = PlaceMaker(

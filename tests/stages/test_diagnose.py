@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
-from limbcli.progress import SILENT
 from limbcli.results import open_stage
-from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
+from limbcli.stages.diagnose import DiagnoseOptions, chosen_effects, diagnose, load_effect
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from tests.stages import block_case as block
 
@@ -105,11 +103,3 @@ def test_without_segment_it_says_so_and_leaves_nothing(tmp_path):
     with pytest.raises(CaseError, match="there is no result of `segment`"):
         diagnose(case, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_dear_effect_is_looked_at_only_where_it_is_asked_for():
-    for names, dear in (((), True), (("friction", "tilt"), False)):
-        options = DiagnoseOptions(effects=names)
-        ready = _Diagnosed(None, [], Path(), chosen_effects(options), options, SILENT)
-        assert ready.effects["friction"].dear is dear
-        assert not ready.effects["tilt"].dear

@@ -100,14 +100,12 @@ class Facts:
     """A candidate as the diagnosis sees it.
 
     typical : by parameter, a plausible size away from its null value (for blind spots)
-    dear : it takes long to look at, and was not asked for by name
     """
 
     name: str
     sentence: str
     kind: str
     typical: Mapping[str, float] = field(default_factory=dict)
-    dear: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,10 @@ def whitened_trials(
     forward_model: ForwardModel, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
     not_evaluated: dict[str, str], progress: Progress,
 ) -> list[Trial]:  # fmt: skip
-    """A trial of each candidate that is not in the fit, and not dear; why not, in `not_evaluated`."""
+    """A trial of each candidate that is not in the fit; why not, in `not_evaluated`."""
     trials = []
     for k, name in enumerate(facts):
-        if name in fitted.explanation or facts[name].dear:
+        if name in fitted.explanation:
             continue
         try:
             raw = forward_model.directions(fitted, name)

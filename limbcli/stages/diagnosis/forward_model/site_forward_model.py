@@ -74,7 +74,6 @@ class SiteForwardModel(Fits):
                     s.name: s.parameter.typical - s.parameter.null
                     for s in self.slots((e.name,)) if not s.parameter.shape
                 },
-                e.dear,
             )
             for e in self.effects.values()
         ]  # fmt: skip
