@@ -42,7 +42,7 @@ BONES_SEEN: Final = 12.0
 """Gain of deviance (-2 ln likelihood, readings that both limbs predict) from which on a limb without a small
 bone is taken for the limb that was segmented: prior odds of one in 400 against it. Chosen."""
 
-BONES_MISPLACED: Final = 4.0
+BONES_MISPLACED: Final = 10.0
 """The same for bones that lie outside the skin, so that one of the two limbs is wrong in any case. Chosen."""
 
 BONES_REMESHED: Final = 0.065
@@ -53,12 +53,12 @@ BONES_DECISIVE: Final = 60.0
 """Such a gain by a limb that leaves nothing is believed before any effect is looked at; a smaller one has to
 exceed that of the best single effect on the limb as segmented. Chosen."""
 
-BONES_HOPELESS: Final = 3.0
+BONES_HOPELESS: Final = 1.5
 """Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
 that is more), above which its first force curves are enough to give it up. Chosen, for time."""
 
 BONES_LOOKED_AT: Final = 0.05
-"""p of the fit without effects, below which a limb without a small bone is looked at. Convention."""
+"""p of the fit without effects, below which a limb with other bones is looked at. Convention."""
 
 # ------------------------------------------------ identification: what is refitted
 

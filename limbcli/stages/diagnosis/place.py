@@ -102,7 +102,7 @@ class PlaceMaker:
         return place
 
     def _questions(self, place: Place) -> list[OtherBones]:
-        """Those worth a simulation: misplaced bones always, others where the fit without effects is bad."""
+        """Those worth a simulation: none where the fit without effects leaves nothing."""
         if not (stage_folder(self.out, "segment") / "segment.json").is_file():
             return []  # no surfaces: the site's own mesh is the working mesh
         try:
@@ -110,10 +110,9 @@ class PlaceMaker:
         except LimbError as error:
             place.problems.append(f"whether bones lie elsewhere was not asked: {error.what}")
             return []
-        if any(not each.is_repair for each in found):
-            model = place.forward_model
-            bad = fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT)
-            found = [each for each in found if each.is_repair or bad]
+        model = place.forward_model
+        if found and not fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT):
+            return []
         return found
 
     def _compared(self, place: Place, other: OtherBones) -> Place:
