@@ -81,6 +81,15 @@ class Intervals:
     unsolved: tuple[Array, ...] = ()
 
 
+def drawn_in(theta: Array, solved: Array, shape: Sequence[FitParameter]) -> Array:
+    """theta (c, shape..., ...), its shape at most a step beyond that of the solved points (n, >= n_shape)."""
+    near = theta.copy()
+    for k, parameter in enumerate(shape):
+        low, high = solved[:, k].min(), solved[:, k].max()
+        near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
+    return near
+
+
 def adaptive_profiles(
     problem: EstimationProblem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
 ) -> Intervals:

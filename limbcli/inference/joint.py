@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import FitError
-from limbcli.inference.adaptive import Intervals, adaptive_profiles
+from limbcli.inference.adaptive import Intervals, adaptive_profiles, drawn_in
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
@@ -168,11 +168,7 @@ class JointProblem:
 
     def within_reach(self, theta: Array) -> Array:
         solved = np.array([each for each, _ in self.task.curves[0].solved])
-        near = theta.copy()
-        for k, parameter in enumerate(self.task.shape):
-            low, high = solved[:, k].min(), solved[:, k].max()
-            near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
-        return near
+        return drawn_in(theta, solved, self.task.shape)
 
     def solved_at(self, theta: Array) -> Array:
         return np.asarray(theta[1 : 1 + self.n_shape])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.adaptive import Intervals, adaptive_profiles
+from limbcli.inference.adaptive import Intervals, adaptive_profiles, drawn_in
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.joint import C_SPAN
 from limbcli.inference.parameter import FitParameter
@@ -189,11 +189,7 @@ class StatesProblem:
 
     def within_reach(self, theta: Array) -> Array:
         solved = np.array([each for each, _ in self.task.curve.solved])
-        near = theta.copy()
-        for k, parameter in enumerate(self.task.shape):
-            low, high = solved[:, k].min(), solved[:, k].max()
-            near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
-        return near
+        return drawn_in(theta, solved, self.task.shape)
 
     def solved_at(self, theta: Array) -> Array:
         """The law's shape and the parameters of the stretches."""
