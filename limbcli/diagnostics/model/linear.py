@@ -48,9 +48,14 @@ def _span(jacobian: Array) -> Array:
     """(n, rank) orthonormal, of the columns' span."""
     if jacobian.shape[1] == 0:
         return np.zeros((len(jacobian), 0))
-    scale = np.linalg.norm(jacobian, axis=0)
-    u, s, _ = np.linalg.svd(jacobian / np.where(scale > 0, scale, 1.0), full_matrices=False)
+    u, s, _ = np.linalg.svd(_even(jacobian), full_matrices=False)
     return np.asarray(u[:, s > _RANK * max(float(s[0]), 1e-300)])
+
+
+def _even(columns: Array) -> Array:
+    """Each column by its length."""
+    length = np.linalg.norm(columns, axis=0)
+    return columns / np.where(length > 0, length, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +82,10 @@ class LinearFit:
         basis = _span(jacobian)
         if n_free is None or n_free >= jacobian.shape[1]:
             return LinearFit(residual, jacobian, basis)
-        free = _span(jacobian[:, :n_free])
-        against = basis.T @ (residual - free @ (free.T @ residual))
+        free, held = _span(jacobian[:, :n_free]), _even(jacobian[:, n_free:])
+        own = held - free @ (free.T @ held)
+        # what moving them would take away, by their own slopes: those of the free ones may stand on a bound
+        against = basis.T @ (np.linalg.pinv(own, rcond=_RANK).T @ (held.T @ residual))
         if float(against @ against) <= 1.0:
             return LinearFit(residual, jacobian, basis)
         return LinearFit(residual, jacobian, basis @ null_space(against[None, :]), is_held=True)
