@@ -9,6 +9,7 @@ import pytest
 
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
+from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
 
@@ -40,6 +41,22 @@ def test_twins_are_never_told_apart(rng):
     assert found.verdict == "ambiguous"
     assert {("toe",), ("twin-of-toe",)} <= set(found.confidence_set)
     assert found.angles["toe / twin-of-toe"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_c_and_m_of_several_that_fit_are_those_of_any(rng, monkeypatch):
+    ends = {("toe",): (2.0, 3.0), ("twin-of-toe",): (2.5, 4.0)}
+
+    def told(self, fitted, *, scale=1.0, besides=None):
+        low, high = ends.get(fitted.explanation, (1.0, 9.0))
+        return Reported({"m": 2.7}, {"m": 2.7}, {"m": (low, high), "toe": (0.0, 1.0)})
+
+    monkeypatch.setattr(toy.Toy, "reported", told)
+    found = run(toy.make(rng, {"toe": 12.0}))
+    assert set(found.confidence_set) == set(ends)
+    first, last = (stage.estimates for stage in found.shrink)
+    assert (first.intervals["m"], first.over) == ((1.0, 9.0), 1)
+    assert (last.intervals["m"], last.over) == ((2.0, 4.0), 2)
+    assert last.intervals["toe"] == (0.0, 1.0)  # a size is its own explanation's
 
 
 @pytest.mark.parametrize("pair", [{"offset": 6.0, "wave": 6.0}, {"offset": 14.0, "guided": 60.0}])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
 from limbcli.diagnostics.conclusions.verdict import Shrink
+from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
@@ -30,8 +31,10 @@ class Account:
 
     baseline: BaselineFit
 
-    def shrink(self, refit: Refit | None, refits: Refits | None) -> tuple[Shrink, ...]:
-        """The base, and the explanation's members added in turn."""
+    def shrink(
+        self, refit: Refit | None, refits: Refits | None, alike: Sequence[Refit] = ()
+    ) -> tuple[Shrink, ...]:
+        """The base, and the explanation's members added in turn; c and m of the last: of any `alike`."""
         baseline = self.baseline
         stages = [self._stage(baseline.base, baseline.state, None)]
         if refit is None or refits is None:
@@ -41,19 +44,28 @@ class Account:
             part = refits.of(refit.explanation[:size])
             if part is not None:
                 stages.append(self._stage(part.fitted, part.state, closing.percentile(part)))
-        stages.append(self._stage(refit.fitted, refit.state, closing.percentile(refit)))
-        return tuple(stages)
+        last = self._stage(refit.fitted, refit.state, closing.percentile(refit))
+        others = [
+            self._estimates(each.fitted, each.state)
+            for each in alike if each.explanation != refit.explanation
+        ]  # fmt: skip
+        if others:
+            last = replace(last, estimates=last.estimates.whichever(others))
+        return (*stages, last)
 
     def _stage(self, fitted: Fitted, state: LinearFit, percentile: float | None) -> Shrink:
         data = self.baseline.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
-        estimates = self.baseline.forward_model.reported(
-            fitted, scale=scale, besides=self.baseline.form_error(fitted)
-        )
+        estimates = self._estimates(fitted, state)
         return Shrink(
             fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), estimates, percentile
+        )
+
+    def _estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
+        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
+        return self.baseline.forward_model.reported(
+            fitted, scale=scale, besides=self.baseline.form_error(fitted)
         )
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:

@@ -15,8 +15,8 @@ Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m is hard to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from limbcli.model import Array
 
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %); values only, no test"
+TISSUE = ("c_kpa", "m")
 _PLACES, _REFINED = 10, 3
 _FAR = 20.0  # deviances above the best: the walk ends there
 
@@ -43,7 +44,7 @@ class Reported:
     """What is reported of an explanation's parameters.
 
     values : with the weak prior; best : without it; intervals : 95 %, by name; open : "m below", "m above"
-    where the interval runs to a bound
+    where the interval runs to a bound; over : explanations over which the intervals of c and m reach
     """
 
     values: Mapping[str, float]
@@ -51,6 +52,18 @@ class Reported:
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     open: tuple[str, ...] = ()
     prior: str = ""
+    over: int = 1
+
+    def whichever(self, others: Sequence[Reported]) -> Reported:
+        """With intervals of c and m that hold those of other explanations, too: any of them may be true."""
+        several = [self, *others]
+        ends = dict(self.intervals)
+        for name in TISSUE:
+            known = [each.intervals[name] for each in several if name in each.intervals]
+            if known:
+                ends[name] = min(low for low, _ in known), max(high for _, high in known)
+        is_open = tuple(dict.fromkeys(end for each in several for end in each.open))
+        return replace(self, intervals=ends, open=is_open, over=len(several))
 
     @property
     def is_pulled(self) -> bool:

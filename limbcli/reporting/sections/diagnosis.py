@@ -97,6 +97,8 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
     for stage in data["shrink"]:
         held = stage["held_out"].get("all")
         label = " + ".join(stage["explanation"]) or "base model"
+        if stage.get("c_and_m_over", 1) > 1:
+            label += f" (c, m: whichever of the {stage['c_and_m_over']} that fit)"
         texts = (
             label,
             f"{stage['chi2_per_nu']:.2f}",

@@ -85,8 +85,8 @@ def _stage(stage: Shrink) -> dict[str, Any]:
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
         "placebo_percentile": stage.placebo_percentile, "values": dict(estimates.values),
         "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
-        "not_told_by_the_data": list(estimates.open), "values_without_prior": dict(estimates.best),
-        "prior": estimates.prior,
+        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
+        "values_without_prior": dict(estimates.best), "prior": estimates.prior,
     }  # fmt: skip
 
 
