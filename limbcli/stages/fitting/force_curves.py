@@ -123,10 +123,9 @@ class ReferenceCurve:
         self._session.close()
 
 
-# Points where fibres begin to be stretched come and go from iteration to iteration. Of the forces at play,
-# what a solve leaves, and what will do where iterations no longer lessen it.
-_LEFT, _LEFT_STALLED = 1e-4, 5e-4
-_LEFT_USUALLY = 1e-6
+# Of the forces at play: what will do where iterations no longer lessen it. Points where fibres begin to be
+# stretched come and go from iteration to iteration.
+_STALLED_WITH_FIBRES = 5e-4
 
 
 class LawCurve:
@@ -147,9 +146,9 @@ class LawCurve:
         self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
-        left, stalled = (_LEFT, _LEFT_STALLED) if law.has_fibres else (_LEFT_USUALLY, 0.0)
+        stalled = _STALLED_WITH_FIBRES if law.has_fibres else 0.0
         self._session = ReferenceSession(
-            self._eased(start), progress=progress, threads=threads, tolerance=left, stalled=stalled
+            self._eased(start), progress=progress, threads=threads, stalled=stalled
         )
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
