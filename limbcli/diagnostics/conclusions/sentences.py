@@ -87,8 +87,22 @@ def _set(found: Diagnosis) -> str:
         more = f" Fits as well: {'; '.join(others)}." if others else ""
         return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
     if found.verdict == "ambiguous":
-        return f"It may be: {listed}."
+        return f"It may be: {listed}.{_whichever(found.estimates)}"
     return f"Fits, but is not believed: {listed}."
+
+
+def _whichever(estimates: Reported) -> str:
+    """c and m over all that fit.
+
+    >>> _whichever(Reported({}, {}, {"c_kpa": (5.5, 8.5), "m": (1.0, 5.0)}, over=2))
+    ' Whichever of the 2 it is: c 5.50 to 8.50 kPa, m 1.00 to 5.00.'
+    """
+    ends = estimates.intervals
+    if estimates.over < 2 or "c_kpa" not in ends or "m" not in ends:
+        return ""
+    (c_low, c_high), (low, high) = ends["c_kpa"], ends["m"]
+    c = f"c {c_low:.2f} to {c_high:.2f} kPa"
+    return f" Whichever of the {estimates.over} it is: {c}, m {low:.2f} to {high:.2f}."
 
 
 def _tissue(estimates: Reported) -> str:
