@@ -87,19 +87,8 @@ class FrictionPair(Pair):
             n = p.facets.shape[1]
             out = np.empty((len(p.facets), n, 3, n, 3))
             touched = friction_kernels.blocks(
-                x,
-                p.facets,
-                p.N,
-                p.dN,
-                p.weights,
-                p.eps,
-                self.mu,
-                self.turning,
-                before,
-                self.move,
-                p.state,
-                center,
-                out,
-            )
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.turning, before, self.move, p.state,
+                center, out,
+            )  # fmt: skip
             found.append((out, touched))
         return found
