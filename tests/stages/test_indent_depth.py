@@ -10,11 +10,13 @@ import pytest
 
 from limbcli.effects import effect
 from limbcli.feb.read import read_feb
+from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.model import Surface
 from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.progress import SILENT
 from limbcli.shear_waves.pixels import Window
 from limbcli.stages.simulated_subjects.hidden_effects import hide
-from limbcli.stages.simulated_subjects.indent import KnownTissue, _depth, indent
+from limbcli.stages.simulated_subjects.indent import KnownTissue, _depth, _Press, indent
 from tests.stages.block_case import block_model
 
 
@@ -50,3 +52,20 @@ def test_a_hidden_change_of_the_thickness_shows_in_the_skin_bone_distance() -> N
         for change in (None, hide("thickness=0.1").in_model)
     ]  # fmt: skip
     assert found == pytest.approx([16.0, 17.6])
+
+
+def test_friction_is_pressed_in_even_steps_and_resists() -> None:
+    """A short step before a level would lose what friction had taken up."""
+    protocol = LoadingProtocol(step=0.5, max_force=1.5)
+    window = Window(depth_from=2.0, depth_to=10.0)
+    free, rubbed = (
+        indent(block_model(), KnownTissue(), protocol=protocol, tolerance=1e-3, change=change, window=window)
+        for change in (None, hide("friction=0.5").in_model)
+    )
+    assert len(rubbed.depth) == len(free.depth) == 4
+    assert (rubbed.depth[1:] < free.depth[1:]).all()
+    press = _Press(block_model(), KnownTissue(), 1.0, 1e-3, SILENT, hide("friction=0.5").in_model)
+    step = press._loaded(3.3).steps[0]
+    times = np.diff([0.0, *step_times(step, every=True)])
+    assert np.ptp(times) < 1e-9
+    assert times.sum() == pytest.approx(step.n_steps * step.step_size)

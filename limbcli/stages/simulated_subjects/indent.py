@@ -8,13 +8,14 @@ lengthened piece by piece, each piece starting from the converged levels before.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
+from limbcli.fem.equilibrium.load_stepping import has_friction
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
@@ -34,6 +35,7 @@ from limbcli.units import mpa_from_kpa
 Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0
 _DEEPEST = 40.0
+_STALLED = 5.0  # times the tolerance
 _ENOUGH = 1.02  # a little more than the last level's force
 _LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
 
@@ -111,7 +113,9 @@ class _Press:
         """
         end = min(FIRST_PIECE, cap)
         model = self._loaded(end)
-        session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance)
+        # points that stick or slip by turns may leave a little more
+        stalled = _STALLED * self.tolerance if has_friction(model) else 0.0
+        session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, stalled=stalled)
         try:
             done = session.solve(model, records=True).simulation
             while done.probe_force(PROBE)[-1] < force and end < cap:
@@ -142,7 +146,20 @@ class _Press:
         plan = schedule(depths_to(end, self.spacing))
         c = mpa_from_kpa(self.tissue.c_kpa)
         model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
-        return model if self.change is None else self.change(model)
+        if self.change is not None:
+            model = self.change(model)
+        return _evenly(model, plan.times[0]) if has_friction(model) else model
+
+
+def _evenly(model: LimbModel, size: float) -> LimbModel:
+    """The same in steps of one size (s): friction begins anew with every step, so a short one loses force."""
+    steps = []
+    for each in model.steps:
+        length = each.n_steps * each.step_size
+        n = max(round(length / size), 1)
+        even = replace(each, n_steps=n, step_size=length / n, dt_max=None, must_points=(), dt_max_curve=None)
+        steps.append(even)
+    return replace(model, steps=tuple(steps))
 
 
 def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float) -> Speed:
