@@ -249,6 +249,11 @@ class LimbModel:
     info: Mapping[str, Any] = field(default_factory=dict)
     fibres: ElementMap | None = None
 
+    @property
+    def has_friction(self) -> bool:
+        """Whether a contact has friction, with which the answer depends on the steps it is reached by."""
+        return any(each.friction for each in self.contacts)
+
     def with_material(self, name: str, material: Material) -> LimbModel:
         """The same model with one material replaced."""
         if name not in self.materials:

@@ -15,7 +15,7 @@ from functools import partial
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.load_stepping import LoadStepping, has_friction, is_timed
+from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.fem.motion import load_curves
@@ -54,7 +54,7 @@ class Analysis:
     @property
     def remembers(self) -> bool:
         """Whether the response depends on the way the load went (viscoelastic materials, friction)."""
-        return is_timed(self.model) or has_friction(self.model)
+        return is_timed(self.model) or self.model.has_friction
 
     @property
     def newton(self) -> Newton:

@@ -170,15 +170,15 @@ class System(RigidLoads, ElementLoops):
     # ------------------------------------------------------------ tangent
 
     @contextmanager
-    def turning(self, on: bool) -> Iterator[None]:
-        """Contact tangents with or without the turning of the normals."""
+    def full_contact_tangent(self, on: bool) -> Iterator[None]:
+        """Contact tangents with or without what leads astray far from equilibrium (see `Pair`)."""
         for pair in self.pairs:
-            pair.turning = float(on)
+            pair.full_tangent = float(on)
         try:
             yield
         finally:
             for pair in self.pairs:
-                pair.turning = 1.0
+                pair.full_tangent = 1.0
 
     def touching(self) -> tuple[NDArray[np.bool_], ...]:
         """Which points (n_facets, n_gauss) of each patch touch, as searched last."""

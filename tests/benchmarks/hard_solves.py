@@ -169,7 +169,7 @@ def built(row: Row, mesh: str, folder: Path) -> tuple[LimbModel, float]:
     model = replace(with_penalty(model, row.penalty), records=model.records[:1])
     if row.extra:
         model = softer_jumps(EXTRAS[row.extra](model))
-    if any(each.friction for each in model.contacts):
+    if model.has_friction:
         model = fewer_steps(model, PATH_STEPS * N_LEVELS)
     return model, depth
 
@@ -223,8 +223,7 @@ def _levels(model: LimbModel) -> list[float]:
     from limbcli.fem.equilibrium.solve_times import step_times
 
     step = model.steps[0]
-    has_friction = any(each.friction for each in model.contacts)
-    return step_times(step, every=has_friction)
+    return step_times(step, every=model.has_friction)
 
 
 def read(path: Path) -> dict[str, dict[str, Any]]:

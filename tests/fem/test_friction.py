@@ -104,7 +104,7 @@ def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
         motions[0, along] = 1.0
         out, body = np.zeros((len(system.X), 3)), np.zeros(6)
         pair = system.pairs[0]
-        with system.turning(not far):
+        with system.full_contact_tangent(not far):
             v = np.zeros((len(system.X), 3))
             pair.times(system.X + slipped.u, pair.rigid.center, v, motions[0], out, body)
         return float(body[along])

@@ -97,7 +97,7 @@ def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
         deeper = system.prescribed(state, 0.8)
         system.forces(deeper)
         rhs = rng.standard_normal(system.n_unknowns)
-        with system.turning(False):
+        with system.full_contact_tangent(False):
             linearised.solve(deeper, rhs, 1e-4)
         used[linear] = linearised.rate
     assert used["multifrontal"] < 0.6 * used["superlu"]

@@ -76,8 +76,8 @@ class FrictionPair(Pair):
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p, before in zip(self.patches, self.before, strict=True):
             friction_kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.turning, before, self.move, p.state,
-                center, v, motion, out, body,
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move,
+                p.state, center, v, motion, out, body,
             )  # fmt: skip
 
     def blocks(self, x: Array) -> list[tuple[Array, Array]]:
@@ -87,8 +87,8 @@ class FrictionPair(Pair):
             n = p.facets.shape[1]
             out = np.empty((len(p.facets), n, 3, n, 3))
             touched = friction_kernels.blocks(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.turning, before, self.move, p.state,
-                center, out,
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move,
+                p.state, center, out,
             )  # fmt: skip
             found.append((out, touched))
         return found

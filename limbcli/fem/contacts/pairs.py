@@ -31,9 +31,9 @@ class Pair:
     """One contact of the model: soft patches against the facets of a body.
 
     rim (n_facets2, 4) : where tractions fade, at the edges that end the rigid surface (see `rim_widths`)
-    turning : 1, or 0 where the tangent leaves out what the tractions do as the normals turn: far from
-        equilibrium they are many times what they will be, and that part of the tangent leads astray
-        (with friction it leaves out that a slip yields along its way, see `friction_kernels`)
+    full_tangent : 1 for the derivative, 0 for one without what leads astray far from equilibrium: what the
+        tractions do as the normals turn (they are many times what they will be), and with friction that
+        a slip yields along its way
     """
 
     contact: Contact
@@ -41,7 +41,7 @@ class Pair:
     facets2: IntArray
     patches: list[Patch]
     rim: Array
-    turning: float = field(default=1.0, kw_only=True)
+    full_tangent: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
@@ -70,7 +70,8 @@ class Pair:
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
         for p in self.patches:
             kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, center, v, motion, out, body
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.full_tangent, center, v, motion,
+                out, body,
             )  # fmt: skip
 
     def blocks(self, x: Array) -> list[tuple[Array, Array]]:
@@ -79,7 +80,9 @@ class Pair:
         for p in self.patches:
             n = p.facets.shape[1]
             out = np.empty((len(p.facets), n, 3, n, 3))
-            touched = kernels.blocks(x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.turning, out)
+            touched = kernels.blocks(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.full_tangent, out
+            )
             found.append((out, touched))
         return found
 

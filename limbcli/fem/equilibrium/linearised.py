@@ -164,7 +164,7 @@ class Linearised:
         tissue : the tissue's part of the residual at `base`, which changes linearly
         goal : size of the residual that will do
         first : step to begin with
-        far : the tractions are not yet near those of equilibrium (see `Pair.turning`)
+        far : the tractions are not yet near those of equilibrium (see `Pair.full_tangent`)
 
         Contact is searched anew after each linear solve: a semismooth Newton iteration (Hintermueller,
         Ito and Kunisch 2002, SIAM J. Optim. 13, 865-888), which needs no loop over the cells.
@@ -183,7 +183,7 @@ class Linearised:
             if size <= goal:
                 return step
             relative = goal / size
-            with system.turning(not far):
+            with system.full_contact_tangent(not far):
                 change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
             moved = tangent.tissue_times(change)
             length, at, residual = self._shortened(base, tissue, step, change, moved, size)

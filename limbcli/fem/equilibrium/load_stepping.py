@@ -30,11 +30,6 @@ _WARY = 5  # increments after a cut before they may grow again
 _EASY = 4  # iterations up to which the next increment may be longer
 
 
-def has_friction(model: LimbModel) -> bool:
-    """Whether there is friction, with which the answer depends on the steps it is reached by."""
-    return any(contact.friction for contact in model.contacts)
-
-
 def is_timed(model: LimbModel) -> bool:
     """Whether the response depends on the length of every increment taken."""
     return any(material.law == "viscoelastic" for material in model.materials.values())
@@ -57,7 +52,7 @@ class LoadStepping:
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
         """Stand at the start of a step. histories : those that every increment is a step of, if any"""
         self._step, self._newton, self._histories = step, newton, histories
-        self._has_friction, self._timed = has_friction(model), is_timed(model)
+        self._has_friction, self._timed = model.has_friction, is_timed(model)
         # increments are short steps that serve as first guesses only
         self._incremental = bool(model.contacts) and not self._timed
         self._increment = _FIRST * step.step_size if self._incremental else np.inf

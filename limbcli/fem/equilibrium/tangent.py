@@ -166,9 +166,9 @@ class Inverse:
         """
         if not self.n_root:
             return
-        touching, turning = self._meeting()
+        touching, full = self._meeting()
         changed = int((touching != self.met[0]).sum())
-        if touching.any() and (changed > _FEW * touching.sum() or turning != self.met[1]):
+        if touching.any() and (changed > _FEW * touching.sum() or full != self.met[1]):
             self._take(self._contact(state))
             self._set_border(state)
 
@@ -182,7 +182,7 @@ class Inverse:
         """What the contact's tangent was made of: points that touch, and whether normals turn."""
         system = self.tangent.system
         touching = [each.ravel() for each in system.touching()]
-        return np.concatenate(touching), [pair.turning for pair in system.pairs]
+        return np.concatenate(touching), [pair.full_tangent for pair in system.pairs]
 
     def _contact(self, state: State) -> sparse.csr_array:
         """The contact tangent of the root."""

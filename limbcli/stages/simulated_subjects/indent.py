@@ -113,7 +113,7 @@ class _Press:
         end = min(FIRST_PIECE, cap)
         model = self._loaded(end)
         # points that stick or slip by turns may leave a little more
-        stalled = _STALLED * self.tolerance if _has_friction(model) else 0.0
+        stalled = _STALLED * self.tolerance if model.has_friction else 0.0
         session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, stalled=stalled)
         try:
             done = session.solve(model, records=True).simulation
@@ -147,11 +147,7 @@ class _Press:
         model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
         if self.change is not None:
             model = self.change(model)
-        return _evenly(model, plan.times[0]) if _has_friction(model) else model
-
-
-def _has_friction(model: LimbModel) -> bool:
-    return any(each.friction for each in model.contacts)
+        return _evenly(model, plan.times[0]) if model.has_friction else model
 
 
 def _evenly(model: LimbModel, size: float) -> LimbModel:

@@ -206,14 +206,15 @@ class CurveBook:
     def _solve(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
         model = softer_jumps(self.model_with(m, ingredients))
-        has_friction = any(contact.friction for contact in model.contacts)
-        if has_friction:
+        if model.has_friction:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         numerical = is_numerical(ingredients)
         hoped = self._required if numerical else self._hoped
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
-        self.work.begin(candidate=limited, has_friction=has_friction, fitted=has_fitted_size(ingredients))
+        self.work.begin(
+            candidate=limited, has_friction=model.has_friction, fitted=has_fitted_size(ingredients)
+        )
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             shared = self._shared()
