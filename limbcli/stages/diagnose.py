@@ -26,6 +26,8 @@ from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
+from limbcli.stages.diagnosis.bones.evidence import Stand, compared
+from limbcli.stages.diagnosis.bones.weighing import may_be_elsewhere, told_together, weighed
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
@@ -161,6 +163,7 @@ class _Diagnosed:
             if better is not place:
                 place = better
                 found = self._found(place)
+            place, found = self._against_rivals(place, found)
             return [self._leave(found, place, k) for k in range(len(place.prepared))]
         finally:
             place.close()
@@ -176,6 +179,35 @@ class _Diagnosed:
             seed=self.options.seed,
             progress=self.progress,
         )
+
+    def _against_rivals(self, place: Place, found: Diagnosis) -> tuple[Place, Diagnosis]:
+        """The limb that explains the readings, with effects on either; what cannot be told apart, together.
+
+        Rivals are limbs that fit better before any effect is looked at: the likeliest is diagnosed, too.
+        """
+        for evidence, rival in place.rivals[:1]:
+            if not may_be_elsewhere(found):
+                break
+            other = evidence.other
+            self.progress.event("note", text=f"effects on the limb {other.words}")
+            try:
+                theirs = self._found(rival)
+                here, there = place.forward_model, rival.forward_model
+                gain = compared(other, here, found.final, there, theirs.final).gain
+            except LimbError as error:
+                place.problems.append(f"effects on the limb {other.words} were not tried: {error.what}")
+                break
+            evidence = replace(evidence, with_effects=theirs)
+            outcome = weighed(found, theirs, gain=gain, asked=evidence.asked)
+            if outcome == "other bones":
+                return rival.instead_of(place, evidence), theirs
+            if outcome == "either":
+                found = told_together(found, theirs, other.words)
+            stand: Stand = "open" if outcome == "either" else "not taken"
+            place.settled(replace(evidence, stand=stand), rival)
+        for evidence, rival in list(place.rivals):
+            place.settled(evidence, rival)
+        return place, found
 
     def _prepared(self, folder: Path) -> list[Prepared]:
         """All sites on the limb of that folder."""

@@ -86,15 +86,19 @@ def test_rivals_wait_until_the_effects_have_been_looked_at():
     weak = Evidence(SEEN, 20.0, 30, fits=True)
     ends = (
         (5.0, "other", "taken", ["own"]), (15.0, "own", "open", []), (31.0, "own", "open", []),
-        (35.0, "own", "not taken", []),
+        (35.0, "own", "not taken", ["other"]),
     )  # fmt: skip
     for effect_gain, chosen, stand, gone in ends:
         closed.clear()
         own, other = place("own"), place("other")
         own.rivals, own.given_up = [(weak, other)], ["tried"]
         found = own.better_than(effect_gain)
-        assert (found.out.name, [each.stand for each in found.bones]) == (chosen, [stand])
+        waiting = [each.stand for each, _ in found.rivals]
+        assert (found.out.name, [each.stand for each in found.bones] + waiting) == (chosen, [stand])
         assert (closed, found.given_up) == (gone, ["tried"])
+        for evidence, rival in list(found.rivals):
+            found.settled(evidence, rival)
+            assert (found.rivals, found.bones) == ([], [evidence])
         found.close()
         assert sorted(closed) == ["other", "own"]
 

@@ -21,8 +21,8 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared
 @dataclass(eq=False)
 class Place:
     """prepared : the sites; forward_model : theirs together; out : the folder that holds `segment` and `mesh`
-    of the limb it is on; bones : what was tried of other bones; rivals : limbs with other bones that the
-    readings speak for, before any effect has been looked at; given_up : limbs that were not looked at whole,
+    of the limb it is on; bones : what was tried of other bones, and settled; rivals : limbs with other bones
+    that the readings speak for, the likeliest first; given_up : limbs that were not looked at whole,
     in words; problems : what kept one from being tried.
     """
 
@@ -51,13 +51,25 @@ class Place:
     def better_than(self, effect_gain: float) -> Place:
         """This place, or a rival that the readings speak for against the best effect, too.
 
-        effect_gain : of chi2, by the best single effect on this limb; what it leaves undecided is noted
+        effect_gain : of chi2, by the best single effect on this limb; rivals that it beats are settled
         """
         rivals = sorted(self.rivals, key=lambda each: -each[0].gain)
         if rivals and rivals[0][0].beats(effect_gain):
             return rivals[0][1].instead_of(self, rivals[0][0])
-        self.bones += [found.against(effect_gain) for found, _ in rivals]
+        self.rivals = []
+        for found, rival in rivals:
+            stays = found.against(effect_gain)
+            if stays.stand == "open":
+                self.rivals.append((stays, rival))
+            else:
+                self.settled(stays, rival)
         return self
+
+    def settled(self, found: Evidence, rival: Place) -> None:
+        """A rival is no longer needed, and what is said of it stands."""
+        self.bones.append(found)
+        self.rivals = [each for each in self.rivals if each[1] is not rival]
+        rival.close()
 
 
 @dataclass(eq=False)

@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2 as chi2_distribution
 
 from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.forward_model import Fitted
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.bones.questions import OtherBones
@@ -22,7 +23,7 @@ Stand = Literal["taken", "open", "not taken"]
 class Evidence:
     """gain : of deviance, -2 ln likelihood, by the other bones, over `n` readings that both limbs predict;
     fits : whether the limb with the other bones leaves nothing; stand : what came of it, "open" where an
-    effect on the limb as segmented explains as much.
+    effect on the limb as segmented explains as much; with_effects : the diagnosis on that limb, if any.
     """
 
     other: OtherBones
@@ -30,6 +31,7 @@ class Evidence:
     n: int
     fits: bool
     stand: Stand = "not taken"
+    with_effects: Diagnosis | None = None
 
     @property
     def asked(self) -> float:
@@ -67,12 +69,24 @@ class Evidence:
         if self.stand == "open":
             return (
                 f"BONES: {words} the limb fits the readings better, too (deviance lower by {self.gain:.0f}): "
-                "whether that, or an effect on the limb as segmented, these data do not say. Look at the "
-                "segmentation first."
+                "whether that, or an effect on the limb as segmented, these data do not say. "
+                f"{self._there}Look at the segmentation first."
             )
         if self.other.is_repair:
             return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken as segmented."
         return ""
+
+    @property
+    def _there(self) -> str:
+        """What fits on that limb."""
+        if self.with_effects is None:
+            return ""
+        effects = "; ".join(" + ".join(each) for each in self.with_effects.confidence_set)
+        if self.with_effects.verdict == "adequate":
+            return "On that limb nothing else is missing. "
+        return (
+            f"On that limb it may be: {effects}. " if effects else "On that limb nothing explains the rest. "
+        )
 
     def to_json(self) -> dict[str, object]:
         return {
@@ -80,7 +94,18 @@ class Evidence:
             "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
             "deviance_gain": self.gain, "gain_asked_for": self.asked, "n_readings": self.n,
             "taken": self.stand == "taken", "open": self.stand == "open",
+            "with_effects": None if self.with_effects is None else _summary(self.with_effects),
         }  # fmt: skip
+
+
+def _summary(found: Diagnosis) -> dict[str, object]:
+    """A diagnosis on another limb in short."""
+    told = found.estimates
+    return {
+        "verdict": found.verdict, "confidence_set": [list(each) for each in found.confidence_set],
+        "values": dict(told.values),
+        "intervals_95": {name: list(ends) for name, ends in told.intervals.items()},
+    }  # fmt: skip
 
 
 def fits_badly(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:

@@ -1,0 +1,75 @@
+"""The limb as segmented against one with other bones, each with the effects that explain the data on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Explanation
+
+Outcome = Literal["as segmented", "other bones", "either"]
+
+_OTHER_BONES = 1  # effects that a limb with other bones counts for
+
+
+def may_be_elsewhere(ours: Diagnosis) -> bool:
+    """Whether other bones could still change what is said: something is missing on the limb as segmented."""
+    return ours.verdict not in ("adequate", "untestable")
+
+
+def weighed(ours: Diagnosis, theirs: Diagnosis, *, gain: float, asked: float) -> Outcome:
+    """Which limb explains the data with less, and which fits them better; where these disagree, either.
+
+    theirs : the diagnosis on the limb with other bones; gain : of deviance, by its best explanation over
+    ours; asked : what it takes to count, either way
+    """
+    more, less = _size(ours), _size(theirs) + _OTHER_BONES
+    simpler = (more > less) - (more < less)
+    better = (gain >= asked) - (gain <= -asked)
+    for_them = simpler + better
+    return "either" if not for_them else "other bones" if for_them > 0 else "as segmented"
+
+
+def _size(found: Diagnosis) -> float:
+    """The number of effects that it takes; infinite where none suffice."""
+    return float(min((len(each) for each in fitting(found)), default=float("inf")))
+
+
+def fitting(found: Diagnosis) -> tuple[Explanation, ...]:
+    """What explains the data on that limb: the empty explanation where nothing is missing."""
+    if found.verdict in ("adequate", "untestable"):
+        return ((),)
+    return () if found.verdict == "unexplained" else found.confidence_set
+
+
+def told_together(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
+    """Ours, with what fits on the other limb as well: more explanations, and c and m of any of them.
+
+    words : of the other limb
+    """
+    if not fitting(theirs):
+        return ours
+    if not fitting(ours):
+        return replace(ours, reason=f"{ours.reason}; on the limb {words} something does (see `bones`)")
+    both = _union(ours.confidence_set, theirs.confidence_set)
+    reason = f"what fits on the limb as segmented, and what fits on the limb {words}, cannot be told apart"
+    told = _over(ours, theirs)
+    shrink = tuple(
+        replace(each, estimates=told) if each.explanation == ours.chosen else each for each in ours.shrink
+    )
+    return replace(ours, verdict="ambiguous", closed=False, reason=reason, confidence_set=both, shrink=shrink)
+
+
+def _union(ours: Sequence[Explanation], theirs: Sequence[Explanation]) -> tuple[Explanation, ...]:
+    """Each explanation once, whatever the order of its effects."""
+    known = {frozenset(each) for each in ours}
+    return (*ours, *(each for each in theirs if frozenset(each) not in known))
+
+
+def _over(ours: Diagnosis, theirs: Diagnosis) -> Reported:
+    """Our estimates, with intervals that hold theirs."""
+    told = ours.estimates.whichever([theirs.estimates])
+    return replace(told, over=len(ours.confidence_set) + len(fitting(theirs)))

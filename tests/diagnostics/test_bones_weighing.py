@@ -1,0 +1,81 @@
+"""Two limbs, each with the effects that it takes: which is believed, and what is told where neither is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
+from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.stages.diagnosis.bones.weighing import may_be_elsewhere, told_together, weighed
+
+BASE = Fitted((), np.zeros(1), np.zeros((1, 1)), ("m",), {"m": 1.5})
+
+
+def found(verdict: str, *fitting: Explanation, m: tuple[float, float] = (2.0, 3.0)) -> Diagnosis:
+    chosen = fitting[0] if fitting and verdict != "unexplained" else ()
+    base = Shrink((), 60.0, 30, {}, {}, Reported({"m": 1.5}, {}, {"m": (1.2, 1.8)}))
+    last = Shrink(chosen, 30.0, 29, {}, {}, Reported({"m": 2.5}, {}, {"m": m}))
+    blank = dict.fromkeys((each.name for each in dataclasses.fields(Diagnosis)), ())
+    given = blank | {
+        "verdict": verdict, "reason": "why", "base": BASE, "refits": (),
+        "family": Family((), None, 0.05), "confidence_set": fitting, "chosen": chosen,
+        "shrink": (base, last) if chosen else (dataclasses.replace(base, estimates=last.estimates),),
+    }  # fmt: skip
+    return Diagnosis(**given)
+
+
+TILT, PAIR = ("tilt",), ("preload", "fat")
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "gain", "expected"),
+    [
+        (found("named", TILT), found("adequate"), 0.0, "either"),  # one effect, or other bones alone
+        (found("named", TILT), found("adequate"), 20.0, "other bones"),
+        (found("named", TILT), found("adequate"), -20.0, "as segmented"),
+        (found("ambiguous", PAIR), found("adequate"), 0.0, "other bones"),
+        (found("ambiguous", PAIR), found("adequate"), -20.0, "either"),
+        (found("ambiguous", PAIR), found("named", TILT), 0.0, "either"),
+        (found("named", TILT), found("named", TILT), 0.0, "as segmented"),
+        (found("named", TILT), found("named", TILT), 20.0, "either"),
+        (found("unexplained"), found("ambiguous", PAIR), 0.0, "other bones"),
+        (found("unexplained", TILT), found("named", TILT), -20.0, "either"),
+        (found("named", TILT), found("unexplained", TILT), 0.0, "as segmented"),
+        (found("unexplained"), found("unexplained"), 0.0, "either"),
+    ],
+)  # fmt: skip
+def test_the_limb_that_takes_less_and_fits_better(ours, theirs, gain, expected):
+    assert weighed(ours, theirs, gain=gain, asked=12.0) == expected
+
+
+def test_nothing_missing_is_not_looked_for_on_another_limb():
+    assert not may_be_elsewhere(found("adequate"))
+    assert not may_be_elsewhere(found("untestable"))
+    assert may_be_elsewhere(found("unexplained"))
+
+
+def test_either_limb_gives_all_that_fits_and_c_and_m_of_any():
+    ours = found("named", TILT, m=(2.0, 3.0))
+    told = told_together(ours, found("ambiguous", ("fat", "preload"), TILT, m=(2.5, 4.0)), "without bone_2")
+    assert told.verdict == "ambiguous"
+    assert "without bone_2" in told.reason
+    assert told.confidence_set == (TILT, ("fat", "preload"))
+    assert told.estimates.intervals["m"] == (2.0, 4.0)
+    assert told.estimates.values["m"] == 2.5
+    assert told.estimates.over == 3
+    assert told.shrink[0].estimates.intervals["m"] == (1.2, 1.8)
+    same_pair = told_together(found("ambiguous", PAIR), found("ambiguous", ("fat", "preload")), "x")
+    assert same_pair.confidence_set == (PAIR,)
+
+
+def test_what_explains_nothing_adds_nothing():
+    ours = found("named", TILT)
+    assert told_together(ours, found("unexplained", PAIR), "x") is ours
+    told = told_together(found("unexplained"), found("named", TILT), "x")
+    assert (told.verdict, told.confidence_set) == ("unexplained", ())
+    assert "see `bones`" in told.reason
