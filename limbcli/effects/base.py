@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -24,6 +25,8 @@ class Parameter:
     shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
         (`null` is `start`), and is fitted from the points of the effect's grid
     natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
+    saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
+        None: it changes things in proportion
     """
 
     name: str
@@ -35,6 +38,7 @@ class Parameter:
     prior: str = ""
     shape: bool = False
     natural_bounds: bool = False
+    saturates: float | None = None
 
     @staticmethod
     def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:
@@ -46,6 +50,25 @@ class Parameter:
         if self.shape:
             return 0.1 * (self.high - self.low)
         return max(abs(self.start - self.null), 1e-6)
+
+    def proportional(self, value: float) -> float:
+        """What grows in proportion to the change that this value makes; near null its distance from it.
+
+        >>> Parameter("mu", 0.0, 0.2, 0.0, 1.0, 0.15, saturates=0.2).proportional(0.2)  # 0.2 (1 - 1 / e)
+        0.126...
+        """
+        distance = value - self.null
+        return (
+            distance if self.saturates is None else -self.saturates * math.expm1(-distance / self.saturates)
+        )
+
+    def from_proportional(self, x: float) -> float:
+        """The value that changes things by as much; infinite where none does."""
+        if self.saturates is None:
+            return self.null + x
+        if x >= self.saturates:
+            return math.inf
+        return self.null - self.saturates * math.log1p(-x / self.saturates)
 
     @property
     def sign(self) -> int:

@@ -55,3 +55,16 @@ def test_what_the_data_leave_open_has_no_end():
     assert estimates["tilt"]["about_long_axis_deg"] == (None, None)
     assert estimates["friction"]["coefficient"] == (0.0, None)
     assert estimates["swe-guided-wave"]["f_c_hz"][1] is None
+
+
+def test_where_an_effect_levels_off_its_interval_grows():
+    """Friction of 0.5 changes hardly more than 0.3; to first order both look like 0.15."""
+    mu = next(p for p in KNOWN["friction"].parameters)
+    for value in (0.02, 0.2, 0.9):
+        assert mu.from_proportional(mu.proportional(value)) == pytest.approx(value)
+    ends = tuple(mu.proportional(each) for each in (0.1, 0.5))
+    estimates = reported_sizes(KNOWN, {"friction": {"friction_coefficient": ends}}, 8.0)
+    assert estimates["friction"]["coefficient"] == pytest.approx((0.1, 0.5))
+    assert ends[1] < 0.2
+    open_above = {"friction": {"friction_coefficient": (-0.05, 0.3)}}
+    assert reported_sizes(KNOWN, open_above, 8.0)["friction"]["coefficient"] == (0.0, None)

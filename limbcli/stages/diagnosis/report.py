@@ -14,7 +14,7 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
-from limbcli.effects.base import Effect
+from limbcli.effects.base import Effect, Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -23,10 +23,8 @@ from limbcli.stages.diagnosis.sizes import reported_sizes
 
 def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
     """Everything, with plain values; units in the keys."""
-    null = {
-        slot.name: slot.parameter.null
-        for name in forward_model.effects
-        for slot in forward_model.slots((name,))
+    known = {
+        slot.name: slot.parameter for name in forward_model.effects for slot in forward_model.slots((name,))
     }
     family = found.family
     where = [
@@ -37,7 +35,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
     candidates = [
         {"name": t.name, "sentence": found.facts[t.name].sentence, "kind": found.facts[t.name].kind,
          "score": t.score.statistic, "p": t.p, "p_adjusted": t.p_adjusted,
-         "estimate": _estimate(t.score.direction, t.score.eta, null),
+         "estimate": _estimate(t.score.direction, t.score.eta, known),
          "at": t.score.direction.point}
         for t in family.tests if t.name in found.facts
     ]  # fmt: skip
@@ -90,9 +88,13 @@ def _stage(stage: Shrink) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _estimate(direction: Direction, eta: np.ndarray, null: dict[str, float]) -> dict[str, float]:
-    """First-order estimates as parameter values (null + eta)."""
-    return {n: float(null.get(n, 0.0) + x) for n, x in zip(direction.names, eta, strict=True)}
+def _estimate(direction: Direction, eta: np.ndarray, known: Mapping[str, Parameter]) -> dict[str, float]:
+    """First-order estimates as parameter values; the largest where no size would do as much."""
+    found = {}
+    for name, x in zip(direction.names, eta, strict=True):
+        value = known[name].from_proportional(float(x))
+        found[name] = value if np.isfinite(value) else known[name].high
+    return found
 
 
 def _refit(refit: Any) -> dict[str, Any]:
@@ -166,7 +168,7 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -> None:
     """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it."""
     rows = [
-        (f"{name}: {p.name}", [x / (p.typical - p.null) for x in found.sizes[name][p.name]])
+        (f"{name}: {p.name}", [x / p.proportional(p.typical) for x in found.sizes[name][p.name]])
         for name, effect in effects.items() if name in found.sizes
         for p in effect.sizes if p.name in found.sizes[name]
     ]  # fmt: skip

@@ -73,14 +73,15 @@ def reported_sizes(
 ) -> Sizes:
     """Intervals with the names and units in which they are reported; None: open on that side.
 
-    found : by effect and parameter, the distance from its null value; effects that are not there are open
+    found : by effect and parameter, the distance from its null value, to first order (where the effect levels
+        off, `Parameter.saturates`, a larger one); effects that are not there are open
     """
     sizes: Sizes = {}
     for name, effect in effects.items():
         row: dict[str, Interval] = {}
         for p in effect.sizes:
             low, high = found.get(name, {}).get(p.name, (-np.inf, np.inf))
-            ends = [p.null + low, p.null + high]
+            ends = [p.from_proportional(low), p.from_proportional(high)]
             open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
             inside = [float(np.clip(each, p.low, p.high)) for each in ends]
             label, turn = _REPORTED.get(p.name, (p.name, _same))

@@ -45,15 +45,18 @@ class Book(Typed):
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an effect at one point of its grid does to ln force and ln speed, a spline a parameter."""
+    """What an effect at one point of its grid does to ln force and ln speed, parameter by parameter: a spline
+    over the distance from null in units of its start's, or what its start changes, in proportion."""
 
-    splines: Mapping[str, tuple[CubicSpline | None, Array, Array]]
+    parts: Mapping[Parameter, CubicSpline | Array]
 
     def at(self, theta: Theta) -> Array:
         total: Array | float = 0.0
-        for name, (spline, null_and_step, linear) in self.splines.items():
-            x = (theta[name] - null_and_step[0]) / null_and_step[1]
-            total = total + (x * linear if spline is None else _within(spline, x))
+        for p, part in self.parts.items():
+            if isinstance(part, CubicSpline):
+                total = total + _within(part, (theta[p.name] - p.null) / (p.start - p.null))
+            else:
+                total = total + p.proportional(theta[p.name]) / p.proportional(p.start) * part
         return np.asarray(total)
 
 
@@ -131,27 +134,21 @@ class Changes:
             if effect.spreads or self.book.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
-        splines = {}
-        for p in effect.parameters:
-            if effect.new_mesh or touches_loads(effect):
-                splines[p.name] = self._by_solving(effect, point, p.name)
-            else:
-                splines[p.name] = self._by_shifting(effect, point, p.name)
-        return Change(splines)
+        of_solves = effect.new_mesh or touches_loads(effect)
+        made = self._by_solving if of_solves else self._by_shifting
+        return Change({p: made(effect, point, p) for p in effect.parameters})
 
-    def _by_solving(self, effect: Effect, point: Theta, name: str) -> tuple[None, Array, Array]:
-        p = next(each for each in effect.parameters if each.name == name)
-        theta = {**effect.null, **point, name: p.start}
+    def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Array:
+        theta = {**effect.null, **point, p.name: p.start}
         # a change hardly depends on m, and at one of these it serves other measurements too
         m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
         moved = logs(self.book.curves(m, ((effect, theta),)))
         change = np.nan_to_num(moved - logs(self.book.curves(m)))
         if effect.new_mesh:
             change = without_spikes(self.book, change)
-        return None, np.array([p.null, p.start - p.null]), change
+        return change
 
-    def _by_shifting(self, effect: Effect, point: Theta, name: str) -> tuple[CubicSpline, Array, Array]:
-        p = next(each for each in effect.parameters if each.name == name)
+    def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> CubicSpline:
         step = p.start - p.null
         known = np.isfinite(logs(self.book.curves(self.m)))
         places, values, problem = [0.0], [np.zeros(known.shape)], None
@@ -159,7 +156,7 @@ class Changes:
             value = p.null + times * step
             if not p.low - 1e-12 <= value <= p.high + 1e-12:
                 continue
-            theta = {**effect.null, **point, name: value}
+            theta = {**effect.null, **point, p.name: value}
             try:
                 moved = shifted(self.book, self.m, ((effect, theta),))
             except SolveError as error:  # too large a step; smaller ones tell the change
@@ -173,14 +170,14 @@ class Changes:
             raise problem
         if len(places) < 2:
             raise SolveError(
-                f"no wave can run, or the law has no answer, with {name} near {p.start:g}",
+                f"no wave can run, or the law has no answer, with {p.name} near {p.start:g}",
                 where=f"effect {effect.name}", fix="look at the deepest level",
             )  # fmt: skip
         order = np.argsort(places)
         table = np.array(values)[order]
         if effect.spreads:
             table += np.multiply.outer(np.array(places)[order], self._missed(effect, point, p))
-        return CubicSpline(np.array(places)[order], table), np.array([p.null, step]), table[0]
+        return CubicSpline(np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
         """What the kept deformation does not tell of a change: from one solve at the start value."""

@@ -71,7 +71,7 @@ class SiteForwardModel(Fits):
             Facts(
                 e.name, e.sentence, e.kind,
                 {
-                    s.name: s.parameter.typical - s.parameter.null
+                    s.name: s.parameter.proportional(s.parameter.typical)
                     for s in self.slots((e.name,)) if not s.parameter.shape
                 },
             )
