@@ -198,7 +198,7 @@ class _Diagnosed:
                 place.problems.append(f"effects on the limb {other.words} were not tried: {error.what}")
                 break
             evidence = replace(evidence, with_effects=theirs)
-            outcome = weighed(found, theirs, gain=gain, asked=evidence.asked)
+            outcome = weighed(found, theirs, gain=gain, asked=evidence.asked, is_repair=other.is_repair)
             if outcome == "other bones":
                 return rival.instead_of(place, evidence), theirs
             if outcome == "either":

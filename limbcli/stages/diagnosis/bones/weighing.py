@@ -12,22 +12,23 @@ from limbcli.diagnostics.model.forward_model import Explanation
 
 Outcome = Literal["as segmented", "other bones", "either"]
 
-_OTHER_BONES = 1  # effects that a limb with other bones counts for
-
 
 def may_be_elsewhere(ours: Diagnosis) -> bool:
     """Whether other bones could still change what is said: something is missing on the limb as segmented."""
     return ours.verdict not in ("adequate", "untestable")
 
 
-def weighed(ours: Diagnosis, theirs: Diagnosis, *, gain: float, asked: float) -> Outcome:
+def weighed(
+    ours: Diagnosis, theirs: Diagnosis, *, gain: float, asked: float, is_repair: bool = False
+) -> Outcome:
     """Which limb explains the data with less, and which fits them better; where these disagree, either.
 
     theirs : the diagnosis on the limb with other bones; gain : of deviance, by its best explanation over
-    ours; asked : what it takes to count, either way
+    ours; asked : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
+    other ones are no further assumption; otherwise they count for an effect
     """
-    more, less = _size(ours), _size(theirs) + _OTHER_BONES
-    simpler = (more > less) - (more < less)
+    here, there = _size(ours), _size(theirs) + (not is_repair)
+    simpler = (here > there) - (here < there)
     better = (gain >= asked) - (gain <= -asked)
     for_them = simpler + better
     return "either" if not for_them else "other bones" if for_them > 0 else "as segmented"
