@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.model.estimates import LN_M_DEVIATION, USUAL_M, Conditional, reported
+from limbcli.diagnostics.model.estimates import LN_M_DEVIATION, USUAL_M, Conditional, Reported, reported
 
 BOUNDS = (1.0, 20.0)
 
@@ -59,3 +59,12 @@ def test_noise_of_unknown_level_widens_the_interval():
     narrow, wide = estimates(parabola, start=4.0), estimates(parabola, start=4.0, scale=4.0)
     assert wide.intervals["m"][1] > 1.1 * narrow.intervals["m"][1]
     assert wide.intervals["c_kpa"][1] > narrow.intervals["c_kpa"][1]
+
+
+def test_an_interval_that_ends_where_the_search_ends_is_open():
+    """Fibres and c can trade places for ever: the interval of c then had 59 digits."""
+    told = Reported({}, {}, {"c_kpa": (1e-40, 1e59), "m": (1.0, 4.0)}, ("m below",))
+    found = told.within({"c_kpa": (0.4, 160.0)})
+    assert found.intervals == {"c_kpa": (0.4, 160.0), "m": (1.0, 4.0)}
+    assert found.open == ("m below", "c below", "c above")
+    assert told.within({"c_kpa": (0.0, 1e60)}).open == ("m below",)

@@ -100,9 +100,8 @@ def _whichever(estimates: Reported) -> str:
     ends = estimates.intervals
     if estimates.over < 2 or "c_kpa" not in ends or "m" not in ends:
         return ""
-    (c_low, c_high), (low, high) = ends["c_kpa"], ends["m"]
-    c = f"c {c_low:.2f} to {c_high:.2f} kPa"
-    return f" Whichever of the {estimates.over} it is: {c}, m {low:.2f} to {high:.2f}."
+    c, m = _reach(estimates, "c", "c_kpa", " kPa"), _reach(estimates, "m", "m")
+    return f" Whichever of the {estimates.over} it is: c {c}, m {m}."
 
 
 def _tissue(estimates: Reported) -> str:
@@ -113,16 +112,26 @@ def _tissue(estimates: Reported) -> str:
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    (c_low, c_high), (low, high) = estimates.intervals["c_kpa"], estimates.intervals["m"]
-    reach = f"{low:.2f} to {high:.2f}"
-    if len(estimates.open) == 2:
-        reach = "the data do not tell it"
-    elif "m below" in estimates.open:
-        reach = f"up to {high:.2f}: the data do not tell it from below"
-    elif "m above" in estimates.open:
-        reach = f"from {low:.2f}: the data do not tell it from above"
+    c, m = _reach(estimates, "c", "c_kpa"), _reach(estimates, "m", "m")
     values = estimates.values
-    return f"; then c {values['c_kpa']:.2f} kPa ({c_low:.2f} to {c_high:.2f}), m {values['m']:.2f} ({reach})"
+    return f"; then c {values['c_kpa']:.2f} kPa ({c}), m {values['m']:.2f} ({m})"
+
+
+def _reach(estimates: Reported, symbol: str, name: str, unit: str = "") -> str:
+    """An interval in words, with the ends that the data leave open.
+
+    >>> _reach(Reported({}, {}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
+    'the data do not tell it'
+    """
+    low, high = estimates.intervals[name]
+    below, above = f"{symbol} below" in estimates.open, f"{symbol} above" in estimates.open
+    if below and above:
+        return "the data do not tell it"
+    if below:
+        return f"up to {high:.2f}{unit}: the data do not tell it from below"
+    if above:
+        return f"from {low:.2f}{unit}: the data do not tell it from above"
+    return f"{low:.2f} to {high:.2f}{unit}"
 
 
 def _shrunk(found: Diagnosis) -> str:

@@ -43,8 +43,9 @@ class Conditional:
 class Reported:
     """What is reported of an explanation's parameters.
 
-    values : with the weak prior; best : without it; intervals : 95 %, by name; open : "m below", "m above"
-    where the interval runs to a bound; over : explanations over which the intervals of c and m reach
+    values : with the weak prior; best : without it; intervals : 95 %, by name; open : "m below", "m above",
+    "c below", "c above" where the interval runs to a bound; over : explanations over which the intervals
+    of c and m reach
     """
 
     values: Mapping[str, float]
@@ -64,6 +65,17 @@ class Reported:
                 ends[name] = min(low for low, _ in known), max(high for _, high in known)
         is_open = tuple(dict.fromkeys(end for each in several for end in each.open))
         return replace(self, intervals=ends, open=is_open, over=len(several))
+
+    def within(self, limits: Mapping[str, tuple[float, float]]) -> Reported:
+        """Intervals that end at the limits of what was looked at; an end of c there is open."""
+        ends = dict(self.intervals)
+        for name in ends.keys() & limits.keys():
+            ends[name] = max(ends[name][0], limits[name][0]), min(ends[name][1], limits[name][1])
+        is_open = list(self.open)
+        for side, k in (("c below", 0), ("c above", 1)):
+            if "c_kpa" in ends and "c_kpa" in limits and ends["c_kpa"][k] == limits["c_kpa"][k]:
+                is_open.append(side)
+        return replace(self, intervals=ends, open=tuple(is_open))
 
     @property
     def is_pulled(self) -> bool:

@@ -199,7 +199,8 @@ class Fits(Predictions):
         slots = self.slots(explanation)
         low, high = self.bounds(explanation)
         free = np.ones(len(x), dtype=bool)
-        free[1] = low[1] + 1e-4 < x[1] < high[1] - 1e-4
+        near = thresholds.ON_BOUND * (high[1] - low[1])
+        free[1] = low[1] + near < x[1] < high[1] - near
         notes = () if free[1] else (f"m ended on its bound {np.exp(x[1]):g} and is held there",)
         jacobian = self._jacobian(x, explanation, points)
         jacobian[:, 2:][:, stuck(x, slots)] = 0.0

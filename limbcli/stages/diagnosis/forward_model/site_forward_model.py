@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
 from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_points
 from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.units import kpa_from_mpa
 
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
@@ -103,12 +103,10 @@ class SiteForwardModel(Fits):
             return self.at(fitted, m, start, whiten)
 
         found = reported(walk, fitted.values, M_BOUNDS, scale=scale)
+        ln_low, ln_high = (float(each[0]) for each in self.bounds(()))
         limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
-        inside = {
-            name: (max(low, limits[name][0]), min(high, limits[name][1])) if name in limits else (low, high)
-            for name, (low, high) in found.intervals.items()
-        }
-        return replace(found, intervals=inside)
+        limits["c_kpa"] = kpa_from_mpa(np.exp(ln_low)), kpa_from_mpa(np.exp(ln_high))
+        return found.within(limits)
 
     def verified(self, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most
