@@ -30,6 +30,7 @@ from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.diagnosis.curves.cells import softer_jumps
+from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
 
@@ -146,6 +147,7 @@ class LawCurve:
         self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
+        self._threads, self._progress = threads, progress
         stalled = _STALLED_WITH_FIBRES if law.has_fibres else 0.0
         self._session = ReferenceSession(
             self._eased(start), progress=progress, threads=threads, stalled=stalled
@@ -160,6 +162,16 @@ class LawCurve:
         feel them whole: their speeds are those of the law as it is.
         """
         return softer_jumps(model) if self._law.has_fibres else model
+
+    def with_penalty(self, theta: Array, penalty: float) -> Array:
+        """Forces (n_reached,) N with another penalty of the contact, from levels of these and with their law.
+
+        Raises SolveError where not even the first level is reached.
+        """
+        model = self._eased(self._model.with_material(TISSUE, self._law.material(self._c, theta)))
+        return forces_with_penalty(
+            model, penalty, like=self._session, threads=self._threads, progress=self._progress
+        )
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
