@@ -9,7 +9,7 @@ each of them, its tissue stretched before the probe touches it.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,6 @@ from limbcli.stages.simulated_subjects.hidden_effects import Hidden
 from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
 from limbcli.stages.simulated_subjects.known_stretches import (
     KnownStretches,
-    TrueState,
     check_stretches,
     true_states,
 )
@@ -43,11 +42,10 @@ from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
     copy_imaging,
-    noise_table,
 )
+from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI
-from limbcli.version import __version__
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
@@ -83,23 +81,6 @@ class SynthOptions:
     hidden: tuple[Hidden, ...] = ()
     layers: bool = False
     stretches: KnownStretches = field(default_factory=KnownStretches)
-
-
-@dataclass(frozen=True, eq=False)
-class SyntheticSite:
-    """One site's truth and readings; of one of its states, where it has any."""
-
-    site: str
-    true: TrueLevels
-    readings: Readings
-    law: NoiseLaw
-    facts: Mapping[str, Any]
-    state: TrueState | None = None
-
-    @property
-    def label(self) -> str:
-        """Where its files lie."""
-        return self.site if self.state is None else f"{self.site}/{self.state.name}"
 
 
 def synth(
@@ -276,77 +257,6 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
 def noise_law(noise: StatedNoise) -> NoiseLaw:
     """The case's noise as the law to measure with."""
     return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
-
-
-# ---------------------------------------------------------------- what is written
-
-
-def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
-    """What is true of the measurements."""
-    return {
-        "made_by": f"limbcli {__version__}",
-        "measurement_seed": options.seed,
-        "tissue": vars(options.tissue),
-        **({} if options.contact_penalty is None else {"contact_penalty": options.contact_penalty}),
-        "hidden": [each.facts() for each in options.hidden],
-        "site": [
-            _true_site([each for each in measured if each.site == name], options)
-            for name in dict.fromkeys(each.site for each in measured)
-        ],
-    }
-
-
-def _true_site(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
-    """What is true of a site: of its one measurement, or of each state's."""
-    first = measured[0]
-    noise = {"noise": noise_table(first.law, layers=first.true.borders is not None)}
-    if first.state is None:
-        return {"name": first.site, **first.facts, **_true_readings(first), **noise}
-    given = vars(options.stretches.unloaded).items()
-    unloaded = {f"unloaded_stretch_{way}": value for way, value in given if value is not None}
-    states = [
-        {
-            "name": each.state.name,
-            "stretch_along": each.state.along,
-            "stretch_around": each.state.around,
-            **_true_readings(each),
-        }
-        for each in measured
-        if each.state is not None
-    ]
-    return {"name": first.site, **first.facts, **unloaded, **noise, "state": states}
-
-
-def _true_readings(each: SyntheticSite) -> dict[str, Any]:
-    return {
-        "skin_bone_mm": float("nan") if each.true.skin_bone is None else each.true.skin_bone,
-        "force_n": _rounded(each.true.force),
-        "depth_mm": _rounded(each.true.depth),
-        "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
-        **_true_layers(each),
-    }
-
-
-def _true_layers(each: SyntheticSite) -> dict[str, list[float]]:
-    """Thickness of skin and fat (mm) at every level, where they were followed."""
-    if each.true.borders is None:
-        return {}
-    upper = np.diff(each.true.borders, axis=1, prepend=0.0)
-    return {"skin_mm": _rounded(upper[:, 0]), "fat_mm": _rounded(upper[:, 1])}
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(each), 6) for each in values]
-
-
-def summary_of(each: SyntheticSite) -> str:
-    """One line for people."""
-    true = each.true
-    speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
-    return (
-        f"{each.label}: {len(true.force)} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
-        f"SWE {speeds[0]:.2f} to {speeds[-1]:.2f} m/s; {each.facts['n_elements']} {each.facts['element']}"
-    )
 
 
 def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
