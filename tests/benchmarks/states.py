@@ -59,6 +59,11 @@ def true_levels(model, truth, told, forces, max_depth_mm):
         theta = np.array([truth["f_kappa"], truth["m"], each / truth["unloaded_stretch_along"]])
         values, n = curve(theta).values, len(curve.depths)
         depths = np.r_[0.0, curve.depths]
+        if values[n - 1] < forces[-1]:
+            sys.exit(
+                f"the truth reaches {values[n - 1]:.2f} N at {max_depth_mm:g} mm in the state {each:g}, not "
+                f"{forces[-1]:.2f} N: give a larger --max-depth-mm, or a smaller --max-force-n"
+            )
         at = pchip_inverse(depths, np.r_[0.0, values[:n]], forces)
         logs = np.log(np.r_[values[2 * n], values[n : 2 * n]]) + curve.even_speed(theta)[0]
         found.append((at, np.exp(pchip_sample(depths, logs, at).values)))

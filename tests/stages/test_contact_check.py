@@ -13,7 +13,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.cells import softer_jumps
 from limbcli.stages.fitting.contact_check import leave_contact_check
-from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.force_curves import FIBRE_BAND, LawCurve
 from limbcli.stages.fitting.laws import LAWS
 from limbcli.stages.site_model.indentation_model import TISSUE, indentation_model, with_penalty
 from tests.stages import block_case as block
@@ -49,7 +49,7 @@ def test_a_harder_contact_is_compared_with_the_law_that_was_fitted():
     found = curve.with_penalty(SHAPE, 80.0)
     curve.close()
     forces = []
-    for each in (softer_jumps(model), model):
+    for each in (softer_jumps(model, FIBRE_BAND), model):
         with ReferenceSession(with_penalty(each, 80.0), threads=1) as session:
             forces.append(session.solve().must_points.forces)
     np.testing.assert_allclose(found, forces[0], rtol=1e-3)
