@@ -253,7 +253,7 @@ def test_the_law_speaks_to_the_joint_fit_alone_and_is_known_by_name():
 
 @pytest.mark.slow
 def test_forces_of_a_fit_are_those_of_fibres_that_jump():
-    """Sheared fibres jump in where they begin to be stretched (over 1e-3 of I4); a fit's come in over a band."""
+    """Sheared fibres jump in where they begin to be stretched; those of a fit come in over a band."""
     model = built((0.3, 0.9, 0.3))
     shape = np.array([3.0, 0.9, 1.0])
     curve = LawCurve(
