@@ -126,7 +126,7 @@ class ReferenceCurve:
 
 
 # Of I4, over which fibres that begin to be stretched come in. On a limb with mu along twice that across, 0.05
-# lowers the force by 5 to 6 %, 0.01 by 1 to 3 %, whose solves hardly take longer where others lead them.
+# lowers the force by about 5 %, 0.01 by 1 to 3 %, whose solves hardly take longer where others lead them.
 FIBRE_BAND = 0.01
 # Of the forces at play: what will do where iterations no longer lessen it. Points where fibres begin to be
 # stretched come and go from iteration to iteration.
