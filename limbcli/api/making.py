@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -34,6 +34,8 @@ ELEMENTS = ("tet10", "tet4")
 class MadeCase(Result):
     """A case with simulated measurements. `table()` has a row a level of each site: what is true of it.
 
+    Of a site with states a row a level of each state, which the column `state` names.
+
     Attributes
     ----------
     case : the new case, open
@@ -51,10 +53,15 @@ class MadeCase(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         names = ("force_n", "depth_mm", "swe_mean_m_per_s")
-        return [
-            self._named({"site": site["name"], **dict(zip(names, level, strict=True))})
+        measured = [
+            ({"site": site["name"], **({"state": one["name"]} if "state" in site else {})}, one)
             for site in self.truth.get("site", ())
-            for level in zip(*(site[name] for name in names), strict=True)
+            for one in site.get("state", [site])
+        ]
+        return [
+            self._named({**place, **dict(zip(names, level, strict=True))})
+            for place, one in measured
+            for level in zip(*(one[name] for name in names), strict=True)
         ]
 
 
@@ -82,6 +89,10 @@ def synth(
     same_mesh: bool = False,
     contact_penalty: float | None = None,
     with_layers: bool = False,
+    stretch_along: Mapping[str, float] | None = None,
+    stretch_around: Mapping[str, float] | None = None,
+    unloaded_stretch_along: float | None = None,
+    unloaded_stretch_around: float | None = None,
     wait: bool = True,
     progress: Heard = None,
 ) -> MadeCase:
@@ -101,6 +112,8 @@ def synth(
     same_mesh : simulate on the very mesh that is fitted
     contact_penalty : times the skin's stiffness at rest; None: 20
     with_layers : read skin, fat and muscle too, as thick at first touch as the geometry tells them
+    stretch_along, stretch_around : true stretches over unloaded tissue, by state, where the case knows none
+    unloaded_stretch_along, unloaded_stretch_around : stretch, as the case counts, of unloaded tissue
 
     Raises
     ------
@@ -109,16 +122,24 @@ def synth(
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
-    within("synth", contact_penalty=contact_penalty)
+    within(
+        "synth", contact_penalty=contact_penalty, unloaded_stretch_along=unloaded_stretch_along,
+        unloaded_stretch_around=unloaded_stretch_around,
+    )  # fmt: skip
+    from limbcli.case_parts import Stretch
     from limbcli.stages import synth as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.known_stretches import known_stretches
 
     hidden = tuple(hide(each) for each in names_of(effects) or ())
+    stretches = known_stretches(
+        stretch_along or {}, stretch_around or {}, Stretch(unloaded_stretch_along, unloaded_stretch_around)
+    )
     plan = _plan(
         "synth", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
-        contact_penalty=contact_penalty, layers=with_layers,
+        contact_penalty=contact_penalty, layers=with_layers, stretches=stretches,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress) as work:
         found = stage.synth(

@@ -21,6 +21,35 @@ LayersOpt = Annotated[
     bool,
     typer.Option("--with-layers", help="Read skin, fat and muscle too, as thick as the geometry tells them."),
 ]
+_STATES = "True stretch of the states"
+StretchAlongOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--stretch-along", metavar="STATE=STRETCH", show_default=False, rich_help_panel=_STATES,
+        help="Of a state whose stretch the case does not know, over unloaded tissue (may be repeated).",
+    ),
+]  # fmt: skip
+StretchAroundOpt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--stretch-around", metavar="STATE=STRETCH", show_default=False, rich_help_panel=_STATES,
+        help="The same around the limb.",
+    ),
+]  # fmt: skip
+UnloadedAlongOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--unloaded-stretch-along", min=0.5, max=2.0, show_default=False, rich_help_panel=_STATES,
+        help="Stretch, as the case counts, at which the tissue is unloaded.",
+    ),
+]  # fmt: skip
+UnloadedAroundOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--unloaded-stretch-around", min=0.5, max=2.0, show_default=False, rich_help_panel=_STATES,
+        help="The same around the limb.",
+    ),
+]  # fmt: skip
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if synth made it.")]
 
 
@@ -35,6 +64,10 @@ def command(
     plan: Any = None,
     with_layers: LayersOpt = False,
     contact_penalty: ContactPenaltyOpt = None,
+    stretch_along: StretchAlongOpt = None,
+    stretch_around: StretchAroundOpt = None,
+    unloaded_stretch_along: UnloadedAlongOpt = None,
+    unloaded_stretch_around: UnloadedAroundOpt = None,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -42,10 +75,19 @@ def command(
 ) -> None:
     """Measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
+    from limbcli.case_parts import Stretch
     from limbcli.config import default_out
+    from limbcli.stages.simulated_subjects.known_stretches import known_stretches, parse_stretches
     from limbcli.stages.synth import synth
 
-    options = replace(plan, seed=seed, contact_penalty=contact_penalty, layers=with_layers)
+    stretches = known_stretches(
+        parse_stretches(stretch_along or [], option="--stretch-along"),
+        parse_stretches(stretch_around or [], option="--stretch-around"),
+        Stretch(unloaded_stretch_along, unloaded_stretch_around),
+    )
+    options = replace(
+        plan, seed=seed, contact_penalty=contact_penalty, layers=with_layers, stretches=stretches
+    )
     opened, target = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):

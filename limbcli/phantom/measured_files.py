@@ -12,13 +12,18 @@ TRACE_HEADER = "time_s,force_n,depth_mm,accel_x_g,accel_y_g,accel_z_g"
 
 def write_readings(folder: Path, readings: Readings) -> None:
     """Write a site's folder as the case format has it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    header, rows = levels_rows(readings)
-    _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])
+    write_levels(folder, readings)
     trace = (f"{t:.4f},{f:.3f},{d:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, d, x, y, z in readings.trace)
     _write(folder / "trace.csv", [TRACE_HEADER, *trace])
     for level, swe in enumerate(readings.maps):
         write_map(map_file(folder / "swe", level), swe)
+
+
+def write_levels(folder: Path, readings: Readings) -> None:
+    """Write levels.csv alone, which is all that a state has."""
+    folder.mkdir(parents=True, exist_ok=True)
+    header, rows = levels_rows(readings)
+    _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])
 
 
 def _write(path: Path, lines: list[str]) -> None:

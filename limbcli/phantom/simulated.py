@@ -50,7 +50,7 @@ class Indentation:
 
 def true_levels(
     simulated: Indentation,
-    terms: OgdenTerms,
+    terms: OgdenTerms | None,
     *,
     protocol: LoadingProtocol,
     skin_bone: float | None,
@@ -60,7 +60,7 @@ def true_levels(
 ) -> TrueLevels:
     """Depth and speed map at every force step that the simulation reaches.
 
-    speed : of a law that `terms` cannot hold
+    speed : of a law that `terms` cannot hold; they are not needed then
 
     Raises
     ------
@@ -90,7 +90,7 @@ def true_levels(
 def _map(
     positions: Array,
     F: Array,
-    terms: OgdenTerms,
+    terms: OgdenTerms | None,
     speed_of: Speed | None,
     *,
     face_height: float,
@@ -104,6 +104,7 @@ def _map(
     )
     near &= positions[:, 2] >= face_height - window.depth_to - 2 * window.smoothing
     if speed_of is None:
+        assert terms is not None
         speed = wave_speed_m_per_s(F[near], terms, density_kg_per_m3=density)
     else:
         speed = speed_of(F[near], near)

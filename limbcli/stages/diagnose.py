@@ -39,6 +39,7 @@ from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
 from limbcli.stages.site_model.cycle_words import cycle_facts
+from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
@@ -253,6 +254,7 @@ class _Diagnosed:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
             note_earlier(self.case, self.out, mine.site, writer)
+            note_fibres(writer, self.case, mine.site)
             writer.warnings.extend(mine.notes.warnings)
             if mine.book.in_part:
                 writer.warnings.append(_in_part(mine.book.in_part))

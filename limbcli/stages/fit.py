@@ -10,6 +10,7 @@ import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.contact_check import forces_with_penalty, leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import geometry_doubt
@@ -153,7 +154,9 @@ def _fit_site(
         if doubt is not None:
             leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:
-            leave_contact_check(fitted, curve(theta).values, knots, writer, progress=progress)
+            harder = partial(forces_with_penalty, fitted, progress=progress)
+            penalty = fitted.contacts[0].penalty
+            leave_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
         leave_speeds(fitted, simulation, levels, site, writer)
         leave_layers(fitted, simulation, levels, site, writer)
 

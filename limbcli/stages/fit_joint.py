@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -114,20 +116,23 @@ def fit_joint(
         table = []
         for name in names:
             progress.event("note", text=f"law {name}")
-            try:
-                problem, found, n_solves = _identify(measured, LAWS[name], joint, options, progress)
-            except (SolveError, FitError) as error:
+            with ExitStack() as curves_open:
+                try:
+                    curves = _curves(measured, LAWS[name], curves_open, progress)
+                    problem, found = _identify(measured, LAWS[name], curves, joint, options, progress)
+                except (SolveError, FitError) as error:
+                    if name == law.name:
+                        raise
+                    writer.warnings.append(f"the law {name} was not evaluated: {error.what}")
+                    continue
+                n_solves = sum(each.n_solves for each in curves)
+                table.append(law_row(LAWS[name], problem, found, n_solves))
                 if name == law.name:
-                    raise
-                writer.warnings.append(f"the law {name} was not evaluated: {error.what}")
-                continue
-            table.append(law_row(LAWS[name], problem, found, n_solves))
-            if name == law.name:
-                leave_joint(writer, models, law, problem, found, n_solves)
-                if law.has_fibres:
-                    _check_directions(writer, measured, law, problem, found, out, progress)
-                if options.contact_check:
-                    _check_contacts(writer, measured, law, problem, found, progress)
+                    leave_joint(writer, models, law, problem, found, n_solves)
+                    if law.has_fibres:
+                        _check_directions(writer, measured, law, problem, found, out, progress)
+                    if options.contact_check:
+                        _check_contacts(writer, measured, curves, problem.solved_at(found.best), progress)
         if joint.compare_laws:
             leave_comparison(writer, table)
         writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
@@ -159,39 +164,48 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
 # ---------------------------------------------------------------- identification
 
 
-def _identify(
-    measured: Sequence[Measured], law: FitLaw, joint: JointOptions, options: FitOptions, progress: Progress
-) -> tuple[JointProblem, Intervals, int]:
-    c0 = float(np.exp(np.mean([np.log(each.c) for each in measured])))
-    curves, exact, data = [], [], []
-    log_speed_0: list[RestSpeed] = []
+def _start_c(measured: Sequence[Measured]) -> float:
+    return float(np.exp(np.mean([np.log(each.c) for each in measured])))
+
+
+def _curves(
+    measured: Sequence[Measured], law: FitLaw, curves_open: ExitStack, progress: Progress
+) -> list[LawCurve]:
+    """A site's forces and speeds by the law, at a common c to begin with."""
+    c0, curves = _start_c(measured), []
     for each in measured:
+        curve = LawCurve(
+            each.model, law.along(fibre_direction(each.model)), c=c0, speeds=each.levels.has_swe,
+            density_kg_per_m3=each.site.density_kg_per_m3, lines=each.lines, progress=progress,
+        )  # fmt: skip
+        curves.append(curve)
+        curves_open.callback(curve.close)
+    return curves
+
+
+def _identify(
+    measured: Sequence[Measured], law: FitLaw, exact: Sequence[LawCurve], joint: JointOptions,
+    options: FitOptions, progress: Progress,
+) -> tuple[JointProblem, Intervals]:  # fmt: skip
+    c0 = _start_c(measured)
+    curves, data = [], []
+    log_speed_0: list[RestSpeed] = []
+    for each, curve in zip(measured, exact, strict=True):
         speeds, density = each.levels.has_swe, each.site.density_kg_per_m3
-        own = law.along(fibre_direction(each.model))
         log_speed_0.append(
-            rest_speed(each.model, own, c=c0, density_kg_per_m3=density)
+            rest_speed(each.model, law.along(fibre_direction(each.model)), c=c0, density_kg_per_m3=density)
             if law.has_fibres and speeds
             else 0.5 * float(np.log(c0 * 1e6 / (2 * density)))
         )
-        curve = LawCurve(
-            each.model, own, c=c0, density_kg_per_m3=each.site.density_kg_per_m3, speeds=speeds,
-            lines=each.lines, progress=progress,
-        )  # fmt: skip
         memory = SolvedPoints(curve)
         for shape in first_shapes(law):
             memory(shape, tuple(range(len(shape))))
         curves.append(memory)
-        exact.append(curve)
         data.append(site_data(each, curve.depths, joint, speeds=speeds))
-    try:
-        prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
-        task = JointTask(curves, data, law.shape, c0, log_speed_0, prior)
-        starts = [np.r_[c0, shape] for shape in first_shapes(law)]
-        problem, found = joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
-    finally:
-        for each_curve in exact:
-            each_curve.close()
-    return problem, found, sum(each.n_solves for each in curves)
+    prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
+    task = JointTask(curves, data, law.shape, c0, log_speed_0, prior)
+    starts = [np.r_[c0, shape] for shape in first_shapes(law)]
+    return joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
 
 
 def _check_directions(
@@ -207,26 +221,20 @@ def _check_directions(
 
 
 def _check_contacts(
-    writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
+    writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], shape: Array,
     progress: Progress,
 ) -> None:  # fmt: skip
-    """What a harder contact would change at every site."""
-    c, shape = float(found.best[0]), problem.solved_at(found.best)
-    for each in measured:
-        own = law.along(fibre_direction(each.model))
-        curve = LawCurve(
-            each.model, own, c=c, density_kg_per_m3=each.site.density_kg_per_m3, speeds=False,
-            progress=progress,
-        )  # fmt: skip
+    """What a harder contact would change at every site, as a share: c scales tissue and contact alike."""
+    for each, curve in zip(measured, curves, strict=True):
         try:
-            forces = curve(shape).values
+            forces = curve(shape).values[: len(curve.depths)]
         except SolveError as error:
             writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
             continue
-        finally:
-            curve.close()
-        fitted = each.model.with_material("tissue", own.material(c, shape))
-        leave_contact_check(fitted, forces, curve.depths, writer, site=each.site.name, progress=progress)
+        leave_contact_check(
+            each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, shape), writer,
+            site=each.site.name, progress=progress,
+        )  # fmt: skip
 
 
 def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:

@@ -33,13 +33,8 @@ from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.machine.kernels import compile_ahead
-from limbcli.stages.synth import (
-    SyntheticSite,
-    SynthOptions,
-    measure_sites,
-    summary_of,
-    truth_table,
-)
+from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
+from limbcli.stages.synth import SynthOptions, measure_sites
 
 TRUTH = "truth"
 LABELS = "labels.nii.gz"

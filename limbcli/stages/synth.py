@@ -2,13 +2,14 @@
 
 A new case folder is written that holds the old one's images and the simulated
 measurements; what is true of them lies beside it, in a file that no stage reads.
-The simulation runs on a mesh of its own unless `same_mesh` is asked for.
+The simulation runs on a mesh of its own unless `same_mesh` is asked for. A site with states is measured in
+each of them, its tissue stretched before the probe touches it.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from limbcli.files import atomic_file, atomic_folder
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
-from limbcli.phantom.measured_files import write_readings
+from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.progress import SILENT, Progress
@@ -32,15 +33,19 @@ from limbcli.shear_waves.pixels import Window
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import Hidden
 from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
+from limbcli.stages.simulated_subjects.known_stretches import (
+    KnownStretches,
+    check_stretches,
+    true_states,
+)
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
     copy_imaging,
-    noise_table,
 )
+from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI
-from limbcli.version import __version__
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
@@ -57,7 +62,8 @@ class SynthOptions:
     contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
     one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
     layers : read skin, fat and muscle too, as thick at first touch as `segment` tells them;
-    alter : a change of the meshed model; hidden : effects in tissue and readings.
+    alter : a change of the meshed model; hidden : effects in tissue and readings;
+    stretches : true ones of the states that the case's sites have.
     """
 
     tissue: KnownTissue = field(default_factory=KnownTissue)
@@ -74,17 +80,7 @@ class SynthOptions:
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()
     layers: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class SyntheticSite:
-    """One site's truth and readings."""
-
-    site: str
-    true: TrueLevels
-    readings: Readings
-    law: NoiseLaw
-    facts: Mapping[str, Any]
+    stretches: KnownStretches = field(default_factory=KnownStretches)
 
 
 def synth(
@@ -103,17 +99,19 @@ def synth(
     ------
     CaseError
         If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
-        read and `segment` tells none.
+        read and `segment` tells none; if a state's true stretch is not told.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
     _check_target(case, out_case, force=force)
     chosen = case.selected(sites)
+    check_stretches(case, chosen, options.stretches)
     measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
     with atomic_folder(out_case) as work:
         copy_imaging(case, work)
         for each in measured:
-            write_readings(work / each.site, each.readings)
+            write = write_readings if each.state is None else write_levels
+            write(work / each.label, each.readings)
         table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
         (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
     with atomic_file(truth_file(out_case)) as path:
@@ -157,7 +155,11 @@ def measure_sites(
         folder = out if options.same_mesh else scratch
         if not options.same_mesh:
             shutil.copytree(stage_folder(out, "segment"), stage_folder(folder, "segment"))
-        return [_measure_site(case, site, folder, options, numbers[site.name], progress) for site in sites]
+        return [
+            each
+            for site in sites
+            for each in _measure_site(case, site, folder, options, numbers[site.name], progress)
+        ]
 
 
 def _segmented(case: Case, out: Path, progress: Progress) -> None:
@@ -182,35 +184,55 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
 
 def _measure_site(
     case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
-) -> SyntheticSite:
+) -> list[SyntheticSite]:
+    """One measurement; of a site with states one in each."""
     progress.event("stage", name="synth", site=site.name)
+    if site.states and options.layers:
+        raise CaseError(
+            f"layers are not stretched with the states of site {site.name}",
+            where="--with-layers",
+            fix="leave it out, or take a case without [[site.state]]",
+        )
     borders = borders_at_rest(read_result(folder, "segment"), site) if options.layers else None
     model = _meshed(case, site, folder, options, progress)
     if options.alter is not None:
         model = options.alter(model)
     penalty = options.contact_penalty
     contact = None if penalty is None else partial(with_penalty, penalty=penalty)
-    true = indent(
-        model,
-        options.tissue,
-        protocol=options.protocol,
-        window=options.window,
-        density_kg_per_m3=site.density_kg_per_m3,
-        tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
-        progress=progress,
-        change=_change([contact, *(each.in_model for each in options.hidden)]),
-        change_for_waves=_change([contact, *(each.for_waves or each.in_model for each in options.hidden)]),
-        borders=borders,
-    )
+    for_waves = [contact, *(each.for_waves or each.in_model for each in options.hidden)]
     law = noise_law(site.noise).times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
-    return SyntheticSite(site.name, true, read_off(true, law, options, number), law, facts)
+    found = []
+    for k, state in enumerate(true_states(site, options.stretches) or [None]):
+        if state is not None:
+            progress.event("note", text=f"state {state.name}")
+        true = indent(
+            model,
+            options.tissue,
+            protocol=options.protocol,
+            window=options.window,
+            density_kg_per_m3=site.density_kg_per_m3,
+            tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
+            progress=progress,
+            change=_change([contact, *(each.in_model for each in options.hidden)]),
+            change_for_waves=_change(for_waves),
+            borders=borders,
+            stretch=None if state is None else (state.along, state.around),
+        )
+        readings = read_off(true, law, options, number, state=None if state is None else k)
+        found.append(SyntheticSite(site.name, true, readings, law, facts, state))
+    return found
 
 
-def read_off(true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int) -> Readings:
-    """One measurement of what is true at the case's site of this number, with the noise of `options.seed`."""
-    rng = np.random.default_rng([options.seed, 3, number])
+def read_off(
+    true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int, *, state: int | None = None
+) -> Readings:
+    """One measurement of what is true at the case's site of this number, with the noise of `options.seed`.
+
+    state : the number of the state it is measured in, each with noise of its own
+    """
+    rng = np.random.default_rng([options.seed, 3, number, *([] if state is None else [state])])
     readings = measure(true, law, protocol=options.protocol, rng=rng)
     for each in options.hidden:
         if each.in_readings is not None:
@@ -237,55 +259,6 @@ def noise_law(noise: StatedNoise) -> NoiseLaw:
     return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
 
 
-# ---------------------------------------------------------------- what is written
-
-
-def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
-    """What is true of the measurements."""
-    return {
-        "made_by": f"limbcli {__version__}",
-        "measurement_seed": options.seed,
-        "tissue": vars(options.tissue),
-        **({} if options.contact_penalty is None else {"contact_penalty": options.contact_penalty}),
-        "hidden": [each.facts() for each in options.hidden],
-        "site": [
-            {
-                "name": each.site,
-                **each.facts,
-                "skin_bone_mm": float("nan") if each.true.skin_bone is None else each.true.skin_bone,
-                "force_n": _rounded(each.true.force),
-                "depth_mm": _rounded(each.true.depth),
-                "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
-                **_true_layers(each),
-                "noise": noise_table(each.law, layers=each.true.borders is not None),
-            }
-            for each in measured
-        ],
-    }
-
-
-def _true_layers(each: SyntheticSite) -> dict[str, list[float]]:
-    """Thickness of skin and fat (mm) at every level, where they were followed."""
-    if each.true.borders is None:
-        return {}
-    upper = np.diff(each.true.borders, axis=1, prepend=0.0)
-    return {"skin_mm": _rounded(upper[:, 0]), "fat_mm": _rounded(upper[:, 1])}
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(each), 6) for each in values]
-
-
-def summary_of(each: SyntheticSite) -> str:
-    """One line for people."""
-    true = each.true
-    speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
-    return (
-        f"{each.site}: {len(true.force)} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
-        f"SWE {speeds[0]:.2f} to {speeds[-1]:.2f} m/s; {each.facts['n_elements']} {each.facts['element']}"
-    )
-
-
 def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
     return StageResult(
         stage="synth",
@@ -294,8 +267,8 @@ def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageR
         files={"case": CASE_FILE},
         data={
             "truth": str(truth_file(out_case)),
-            "sites": [each.site for each in measured],
-            "n_levels": {each.site: len(each.true.force) for each in measured},
+            "sites": list(dict.fromkeys(each.site for each in measured)),
+            "n_levels": {each.label: len(each.true.force) for each in measured},
         },
         summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
         provenance=provenance(),

@@ -2,11 +2,13 @@
 another.
 
     python tests/benchmarks/states.py FIT.npz TRUTH.npz --seeds 20 --out states.jsonl
+    python tests/benchmarks/states.py --case cases/states --element tet10 --size-mm 5 3 --out states10.jsonl
     python tests/benchmarks/states.py FIT.npz TRUTH.npz --write cases/states
 
-Both are a site's mesh as `limbcli mesh` leaves it, the probe along the limb. The levels lie at fixed forces,
-so all seeds share the simulations; a seed costs its own fit on the surrogate and some simulations more. Seeds
-already in the file are skipped. `--write` leaves the levels of seed 7 as a case's files instead.
+Both are a site's mesh as `limbcli mesh` leaves it, the probe along the limb; or `--case` names a case whose
+first site is meshed twice (edges under the probe: of the fit's mesh, of the truth's). The levels lie at fixed
+forces, so all seeds share the simulations; a seed costs its own fit on the surrogate and some simulations
+more. Seeds already in the file are skipped. `--write` leaves the levels of seed 7 as a case's files instead.
 """
 
 from __future__ import annotations
@@ -14,11 +16,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.inference.derived import derived_interval
@@ -33,6 +37,8 @@ from limbcli.stages.fitting.laws import LAWS
 from limbcli.stages.fitting.numerical_error import gain_deviation
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import plan_of
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
 from limbcli.stages.site_model.indentation_model import indentation_model
 from limbcli.units import mpa_from_kpa
 
@@ -53,6 +59,11 @@ def true_levels(model, truth, told, forces, max_depth_mm):
         theta = np.array([truth["f_kappa"], truth["m"], each / truth["unloaded_stretch_along"]])
         values, n = curve(theta).values, len(curve.depths)
         depths = np.r_[0.0, curve.depths]
+        if values[n - 1] < forces[-1]:
+            sys.exit(
+                f"the truth reaches {values[n - 1]:.2f} N at {max_depth_mm:g} mm in the state {each:g}, not "
+                f"{forces[-1]:.2f} N: give a larger --max-depth-mm, or a smaller --max-force-n"
+            )
         at = pchip_inverse(depths, np.r_[0.0, values[:n]], forces)
         logs = np.log(np.r_[values[2 * n], values[n : 2 * n]]) + curve.even_speed(theta)[0]
         found.append((at, np.exp(pchip_sample(depths, logs, at).values)))
@@ -115,10 +126,25 @@ def write_case(folder, levels, forces, names):
         (folder / name / "levels.csv").write_text("\n".join(rows) + "\n")
 
 
+def meshed(case_folder, element, sizes):
+    """Models of a case's first site, one for each edge length under the probe (mm)."""
+    case, models = Case.open(case_folder), []
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        segment(case, out=out)
+        for size in sizes:
+            place = mesh(case, out=out, sites=[case.sites[0].name], element=element, size=size)[0].folder
+            models.append(load_model(place / "model.npz"))
+    return models
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("truth_model", type=Path)
+    parser.add_argument("models", type=Path, nargs="*", help="FIT.npz TRUTH.npz; none with --case")
+    parser.add_argument("--case", type=Path, help="is meshed for both, instead")
+    parser.add_argument("--element", choices=("tet4", "tet10"), help="with --case; default: the case's")
+    parser.add_argument("--size-mm", type=float, nargs=2, default=[5.0, 3.0], help="with --case: fit, truth")
+    parser.add_argument("--max-minutes", type=float, default=np.inf, help="no seed is begun after it")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("states-coverage.jsonl"))
     parser.add_argument("--write", type=Path, help="a case folder for the levels of seed 7")
@@ -136,14 +162,19 @@ def main():
         "unloaded_stretch_along": given.unloaded,
     }  # fmt: skip
     forces = np.arange(0.0, given.max_force_n + 1e-9, given.step_n)
-    truth_model = load_model(given.truth_model)
+    if (given.case is None) == (len(given.models) != 2):
+        parser.error("give FIT.npz and TRUTH.npz, or --case")
+    ends = time.monotonic() + 60 * given.max_minutes
+    pair = [load_model(path) for path in given.models] or meshed(given.case, given.element, given.size_mm)
+    model, truth_model = pair
+    blocks = [each.mesh.solid_blocks[0] for each in pair]
+    print("fit, truth:", *(f"{len(each.cells)} {each.kind}" for each in blocks), file=sys.stderr)
     levels, truth["lowest"] = true_levels(truth_model, truth, given.told, forces, given.max_depth_mm)
     deepest = max(depth[-1] for depth, _ in levels)
     print(f"to {deepest:.2f} mm; speed least at {truth['lowest']:.3f}", file=sys.stderr)
     if given.write is not None:
         write_case(given.write, levels, forces, ("bent", "middle", "straight")[: len(levels)])
         return
-    model = load_model(given.model)
     curve = state_curve(model, "ogden", truth["c"], knots_to(deepest))
     plan = plan_of({"along": given.told}, {}, [str(k) for k in range(len(levels))])
     memory = SolvedPoints(curve)
@@ -151,7 +182,7 @@ def main():
     rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
     done = {row["seed"] for row in rows}
     for seed in range(given.seeds):
-        if seed in done:
+        if seed in done or time.monotonic() > ends:
             continue
         try:
             gain = gain_deviation(model, None)

@@ -107,6 +107,7 @@ def test_unknown_option_is_a_usage_error():
         (("diagnose", "x", "--size-mm", "-1"), "--size-mm"),
         (("diagnose", "x", "--far-size-mm", "1000"), "--far-size-mm"),
         (("synth", "x", "--far-size-mm", "0"), "--far-size-mm"),
+        (("synth", "x", "--unloaded-stretch-along", "3"), "--unloaded-stretch-along"),
         (("fit", "x", "--c-kpa", "-inf"), "--c-kpa"),
     ],
 )

@@ -63,6 +63,7 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     for name in ("skin.stl", "bone.stl"):
         (folder / name).write_text("solid\nendsolid\n")
     toml = block.CASE_TOML.replace('"assumed"', '"spec"')
+    toml = toml.replace('levels = "levels.csv"', 'levels = "levels.csv"\nfibre_direction = [0.0, 1.0, 0.0]')
     (folder / "case.toml").write_text(toml)
     depths = np.linspace(0, 4.0, 11)
     book = CurveBook(model, [0.7, 1.4, 2.1, 2.8, 3.5, 4.2], c=0.006)
@@ -87,6 +88,7 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
     assert read_feb(found.path("feb")).materials["tissue"].law == "ogden"
     assert found.data["n_solves"] > 0
+    assert found.provenance["made_from"]["case"]["site/p1/fibres"]["direction"] == [0.0, 1.0, 0.0]
     (again,) = diagnose(case, out=out, options=options)
     assert again.data["n_solves"] == 0
     assert again.data["verdict"] == found.data["verdict"]

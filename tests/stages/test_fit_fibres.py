@@ -19,7 +19,9 @@ from limbcli.model_io import save_model
 from limbcli.results import StageResult, open_stage
 from limbcli.shear_waves.any_law import acoustic_tensor
 from limbcli.shear_waves.from_simulation import AT_REST, level_maps
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
+from limbcli.stages.diagnosis.curves.cells import softer_jumps
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.fibre_orientations import not_told, share_along
@@ -27,7 +29,7 @@ from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.stages.report import report
-from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.stages.site_model.indentation_model import TISSUE, indentation_model
 from tests.stages import block_case as block
 
 C, SHAPE = 0.006, np.array([3.0, 1.0, 0.5])  # MPa; m, fibre_shear, fibre_tension
@@ -247,3 +249,25 @@ def test_the_law_speaks_to_the_joint_fit_alone_and_is_known_by_name():
         check_choice("force", compare_element=False, solver="auto", joint_only=["--law"])
     assert law_named("fibres") is LAW
     assert LAWS["ogden"].along((1.0, 0.0, 0.0)) is LAWS["ogden"]
+
+
+@pytest.mark.slow
+def test_forces_of_a_fit_are_those_of_fibres_that_jump():
+    """Sheared fibres jump in where they begin to be stretched; those of a fit come in over a band."""
+    model = built((0.3, 0.9, 0.3))
+    shape = np.array([3.0, 0.9, 1.0])
+    curve = LawCurve(
+        model, LAW.along((0.3, 0.9, 0.3)), c=C, density_kg_per_m3=1000.0, speeds=False, threads=1
+    )
+    found = curve(shape).values
+    curve.close()
+    law = model.with_material(TISSUE, LAW.along((0.3, 0.9, 0.3)).material(C, shape))
+    jump, wide = (_forces(each) for each in (law, softer_jumps(law)))
+    missed = np.abs(wide / jump - 1.0).max()
+    assert missed > 5e-3
+    assert np.abs(found / jump - 1.0).max() < 0.5 * missed
+
+
+def _forces(model: LimbModel) -> np.ndarray:
+    with ReferenceSession(model, threads=1, stalled=1e-3) as session:
+        return session.solve().must_points.forces

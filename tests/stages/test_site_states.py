@@ -126,8 +126,10 @@ def test_a_batch_fits_the_states_after_the_force_and_looks_at_every_file(tmp_pat
     assert {each.levels for each in case.sites[0].states} <= set(steps[-1].parts)
 
 
-def test_a_simulated_case_of_a_site_with_states_has_one_measurement(tmp_path: Path):
+def test_a_simulated_case_of_a_site_with_states_has_the_levels_of_each(tmp_path: Path):
     case = Case.open(written(tmp_path / "case"))
     table = case_table(case, {"p1": NoiseLaw(0.1, 0.3, 0.05, 0.1)})["site"][0]
-    assert "state" not in table
-    assert table["levels"] == "p1/levels.csv"
+    assert {"levels", "trace", "swe_maps"}.isdisjoint(table)
+    before = case.raw["site"][0]["state"]
+    assert [{**each, "levels": ""} for each in table["state"]] == [{**each, "levels": ""} for each in before]
+    assert [each["levels"] for each in table["state"]] == [f"p1/{each['name']}/levels.csv" for each in before]

@@ -8,12 +8,12 @@ lengthened piece by piece, each piece starting from the converged levels before.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.errors import SolveError
+from limbcli.errors import CaseError, SolveError
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, LimbModel
@@ -24,11 +24,12 @@ from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import ElementStates
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
-from limbcli.shear_waves.speed import block_speeds
+from limbcli.shear_waves.speed import block_speeds, element_speeds
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import displacements, material_lines
-from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session import ReferenceSession, path_dependent
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
+from limbcli.stages.site_model.prestretch import in_state, skin_rise, with_nodes_moved
 from limbcli.units import mpa_from_kpa
 
 Change = Callable[[LimbModel], LimbModel]
@@ -37,6 +38,7 @@ _DEEPEST = 40.0
 _STALLED = 5.0  # times the tolerance
 _ENOUGH = 1.02  # a little more than the last level's force
 _LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
+_TOUCHED = 0.05  # mm below the skin, from which on a level of a state counts
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ def indent(
     change: Change | None = None,
     change_for_waves: Change | None = None,
     borders: Array | None = None,
+    stretch: tuple[float, float] | None = None,
 ) -> TrueLevels:
     """What is true at every level of the protocol on a meshed site.
 
@@ -69,6 +72,8 @@ def indent(
     change : of the loaded model, its tissue included; speeds then follow from the changed law,
         or from that of `change_for_waves`; the skin-bone distance is that of the changed model
     borders : mm (2,) below the skin of skin's and fat's lower borders at rest, to be followed
+    stretch : of the tissue along and around the limb over unloaded tissue, before the probe touches it;
+        depths and skin-bone distance are then from first touch in that state. None: not stretched
 
     Raises
     ------
@@ -79,9 +84,13 @@ def indent(
     """
     expected = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
-    press = _Press(model, tissue, spacing, tolerance, progress, change)
+    press = _Press(model, tissue, spacing, tolerance, progress, change, stretch)
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
+    if stretch is not None:
+        return _levels_in_state(
+            model, seen, simulation, protocol=protocol, window=window, density_kg_per_m3=density_kg_per_m3
+        )
     known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
     return true_levels(
         _indentation(model, simulation, borders),
@@ -104,6 +113,7 @@ class _Press:
     tolerance: float
     progress: Progress
     change: Change | None = None
+    stretch: tuple[float, float] | None = None
 
     def until(self, force: float, cap: float) -> tuple[LimbModel, Simulation]:
         """Lengthen the simulation until the force or the depth `cap` is reached.
@@ -133,7 +143,7 @@ class _Press:
 
     def bare(self, change: Change, simulation: Simulation) -> LimbModel:
         """The model under its load with another change than that simulated."""
-        press = _Press(self.meshed, self.tissue, self.spacing, self.tolerance, self.progress, change)
+        press = replace(self, change=change)
         there = self._loaded(FIRST_PIECE)  # for what its change did to the probe's place
         return press._loaded(float(_depth(there, simulation)[-1]))
 
@@ -145,9 +155,31 @@ class _Press:
         plan = schedule(depths_to(end, self.spacing))
         c = mpa_from_kpa(self.tissue.c_kpa)
         model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
+        if self.stretch is not None:
+            return self._stretched(model, list(plan.depths))
         if self.change is not None:
             model = self.change(model)
         return _evenly(model, plan.times[0]) if model.has_friction else model
+
+    def _stretched(self, model: LimbModel, depths: list[float]) -> LimbModel:
+        """The model in its state: what is changed of its law, then stretched."""
+        assert self.stretch is not None
+        changed = model if self.change is None else self.change(model)
+        if path_dependent(changed) or not _differ_in_laws_alone(model, changed):
+            raise CaseError(
+                "at a site with states only effects in the elastic law of its tissue can be hidden",
+                where="--effect",
+                fix="leave the effect out, or simulate a site without [[site.state]]",
+            )
+        return in_state(changed, depths, along=self.stretch[0], around=self.stretch[1])
+
+
+def _differ_in_laws_alone(model: LimbModel, changed: LimbModel) -> bool:
+    """Apart from laws, and from how hard the contact is."""
+    others = [each.name for each in fields(LimbModel) if each.name not in ("materials", "contacts")]
+    same = all(getattr(model, name) is getattr(changed, name) for name in others)
+    contacts = zip(model.contacts, changed.contacts, strict=True)
+    return same and all(replace(a, penalty=b.penalty) == b for a, b in contacts)
 
 
 def _evenly(model: LimbModel, size: float) -> LimbModel:
@@ -159,6 +191,37 @@ def _evenly(model: LimbModel, size: float) -> LimbModel:
         even = replace(each, n_steps=n, step_size=length / n, dt_max=None, must_points=(), dt_max_curve=None)
         steps.append(even)
     return replace(model, steps=tuple(steps))
+
+
+def _levels_in_state(
+    model: LimbModel, seen: LimbModel, simulation: Simulation, *, protocol: LoadingProtocol, window: Window,
+    density_kg_per_m3: float,
+) -> TrueLevels:  # fmt: skip
+    """What is true in a state: first the stretched tissue at rest, with the probe clear of it."""
+    nodes = next(iter(simulation.nodes.values()))
+    displacement = np.stack([nodes.column(name)[0] for name in ("ux", "uy", "uz")], axis=1)
+    rise, _ = skin_rise(model, nodes.items, displacement)
+    depth = simulation.probe_depth(PROBE) + rise
+    rows = np.r_[0, np.flatnonzero(depth > _TOUCHED)]
+    states = ElementStates.of(model, simulation)
+
+    def speed(F: Array, near: NDArray[np.bool_]) -> Array:
+        return element_speeds(seen, F, states.items[near], density_kg_per_m3=density_kg_per_m3)
+
+    # heights count from first touch, as those of a face
+    positions = np.stack([states.positions(row) for row in rows]) - [0.0, 0.0, rise]
+    return true_levels(
+        Indentation(
+            np.r_[0.0, depth[rows[1:]]], np.r_[0.0, simulation.probe_force(PROBE)[rows[1:]]], positions,
+            states.gradient[rows],
+        ),
+        None,
+        protocol=protocol,
+        skin_bone=skin_bone_distance(with_nodes_moved(model, nodes.items, displacement)),
+        window=window,
+        density_kg_per_m3=density_kg_per_m3,
+        speed=speed,
+    )  # fmt: skip
 
 
 def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float) -> Speed:

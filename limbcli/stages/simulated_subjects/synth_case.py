@@ -15,15 +15,14 @@ from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult
 
-_MADE_ANEW = (
-    "levels", "trace", "swe_maps", "noise", "state", "unloaded_stretch_along", "unloaded_stretch_around",
-)  # fmt: skip
+_MADE_ANEW = ("levels", "trace", "swe_maps", "noise")
+_FILES = ("mri", "labels", "skin", "fibres")  # of [imaging]
 
 
 def copy_imaging(case: Case, work: Path) -> None:
     """Images, labels and surfaces under the names that case.toml gives them."""
     table = case.raw["imaging"]
-    for name in [*(table[key] for key in ("mri", "labels", "skin") if key in table), *table.get("bones", [])]:
+    for name in [*(table[key] for key in _FILES if key in table), *table.get("bones", [])]:
         source, target = case.folder / name, work / _inside(name)
         target.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
@@ -49,7 +48,7 @@ def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False
     """
     table = {key: value for key, value in case.raw.items() if key not in ("site", "files")}
     imaging = dict(table["imaging"])
-    for key in ("mri", "labels", "skin"):
+    for key in _FILES:
         if key in imaging:
             imaging[key] = _inside(imaging[key]).as_posix()
     if "bones" in imaging:
@@ -71,8 +70,12 @@ def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[s
     """A [[site]] table with the measured files' names and the noise they were read with."""
     name = raw["name"]
     kept = {key: value for key, value in raw.items() if key not in _MADE_ANEW}
+    stated = {**noise, "source": "spec"}
+    if "state" in raw:
+        states = [{**each, "levels": f"{name}/{each['name']}/levels.csv"} for each in raw["state"]]
+        return {**kept, "state": states, "noise": stated}
     files = {"levels": f"{name}/levels.csv", "trace": f"{name}/trace.csv", "swe_maps": f"{name}/swe"}
-    return {**kept, **files, "noise": {**noise, "source": "spec"}}
+    return {**kept, **files, "noise": stated}
 
 
 def borders_at_rest(segmented: StageResult, site: Site) -> Array:

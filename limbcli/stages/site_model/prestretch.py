@@ -21,7 +21,13 @@ import numpy as np
 from limbcli.effects.tissue import limb_axis
 from limbcli.feb.settings import FIRST_STEP_S, SECONDS_PER_MM, schedule, whole_steps
 from limbcli.model import Array, Curve, Curved, IntArray, LimbModel, Material
-from limbcli.stages.site_model.indentation_model import TRAVEL, start_at, starting_depth, touched_first
+from limbcli.stages.site_model.indentation_model import (
+    TISSUE,
+    TRAVEL,
+    start_at,
+    starting_depth,
+    touched_first,
+)
 
 RAMP = "prestretch"  # the name of its load curve
 CLEAR_MM = 5.0  # the probe above first touch, while the tissue comes to rest
@@ -90,14 +96,27 @@ def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True)
     return replace(start_at(model, start), curves=curves, steps=(step,))
 
 
+def in_state(model: LimbModel, depths: list[float], *, along: float, around: float) -> LimbModel:
+    """The built model with its tissue stretched, then pressed to these depths (mm); first it is at rest."""
+    gradient = StretchAxes.of(model).gradient(along, around)
+    law = prestretched(model.materials[TISSUE], gradient)
+    return through_depths(model.with_material(TISSUE, law), depths)
+
+
+def with_nodes_moved(model: LimbModel, nodes: IntArray, displacement: Array) -> LimbModel:
+    """The model with nodes (n,) where (n, 3) mm have taken them."""
+    points = model.mesh.points.copy()
+    points[nodes] += displacement
+    return replace(model, mesh=replace(model.mesh, points=points))
+
+
 def skin_rise(model: LimbModel, nodes: IntArray, displacement: Array) -> tuple[float, Array]:
     """How much higher (mm) the probe meets the skin after nodes (n,) have moved by (n, 3) mm.
 
     Also what each node's movement along z adds to it (n,): the place that is touched first is that of three.
     """
-    points = model.mesh.points.copy()
-    points[nodes] += displacement
-    moved = replace(model, mesh=replace(model.mesh, points=points))
+    moved = with_nodes_moved(model, nodes, displacement)
+    points = moved.mesh.points
     (corners, share), (before, before_share) = touched_first(moved), touched_first(model)
     weights = np.zeros(len(model.mesh.points))
     weights[corners] = share

@@ -41,13 +41,13 @@ def centers(model: LimbModel, cells: IntArray) -> Array:
     return np.asarray(model.mesh.points[block.cells].mean(axis=1)[cells - first_cell(model)])
 
 
-def softer_jumps(model: LimbModel) -> LimbModel:
-    """Sheared fibres come in over a wider band of their stretch: a diagnosis need not resolve the jump."""
+def softer_jumps(model: LimbModel, band: float = BAND) -> LimbModel:
+    """Sheared fibres come in over a wider band of I4: solved sooner than the jump itself."""
 
     def soften(material: Material) -> Material:
         parts = tuple(map(soften, material.parts))
         if material.law == "fiber_exp_pow" and material.parameters.get("mu"):
-            material = material.with_parameters(band=BAND)
+            material = material.with_parameters(band=band)
         return replace(material, parts=parts) if parts else material
 
     return replace(model, materials={name: soften(each) for name, each in model.materials.items()})

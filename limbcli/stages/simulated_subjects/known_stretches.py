@@ -1,0 +1,166 @@
+"""How far the tissue is truly stretched in each state of a site, which a simulated measurement must know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from limbcli.case import Case, Site
+from limbcli.case_parts import Stretch, StretchState
+from limbcli.errors import CaseError
+from limbcli.problems import suggestion
+from limbcli.stages.fitting.state_plan import HIGH, LOW
+from limbcli.stages.site_model.prestretch import WAYS
+
+
+@dataclass(frozen=True)
+class KnownStretches:
+    """unloaded : stretches, counted as the case's states are, at which the tissue is truly unloaded
+    states : by the state's name, true stretches over the unloaded tissue, where the case tells none
+    """
+
+    unloaded: Stretch = field(default_factory=Stretch)
+    states: Mapping[str, Stretch] = field(default_factory=dict)
+
+    @property
+    def given(self) -> bool:
+        return self.unloaded != Stretch() or bool(self.states)
+
+
+@dataclass(frozen=True)
+class TrueState:
+    """A state and the elastic stretches of its tissue (1): over the unloaded tissue."""
+
+    name: str
+    along: float
+    around: float
+
+
+def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
+    """ "STATE=STRETCH" of the command line, by the state's name.
+
+    Raises
+    ------
+    CaseError
+        If one is none, its stretch is out of bounds, or a state is named twice.
+
+    >>> parse_stretches(["bent=0.8", "straight=1.15"], option="--stretch-along")
+    {'bent': 0.8, 'straight': 1.15}
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, size = text.rpartition("=")
+        try:
+            value = float(size)
+        except ValueError:
+            value = float("nan")
+        if not name or not LOW < value < HIGH:
+            raise CaseError(
+                f"{text!r} is not a state's name and its stretch between {LOW:g} and {HIGH:g}",
+                where=option, fix=f"for example {option} {name or 'bent'}=0.8",
+            )  # fmt: skip
+        if name in found:
+            raise CaseError(f"{option} tells state {name} twice", where=option, fix="tell each state once")
+        found[name] = value
+    return found
+
+
+def known_stretches(
+    along: Mapping[str, float], around: Mapping[str, float], unloaded: Stretch = Stretch()
+) -> KnownStretches:
+    """Of stretches by the state's name, each way by itself."""
+    names = dict.fromkeys([*along, *around])
+    return KnownStretches(unloaded, {name: Stretch(along.get(name), around.get(name)) for name in names})
+
+
+def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) -> None:
+    """
+    Raises
+    ------
+    CaseError
+        If stretches are told of states that no site has, or any of a site's states lacks its own.
+    """
+    names = {each.name for site in sites for each in site.states}
+    if known.given and not names:
+        raise CaseError(
+            "true stretches are told, but no site that is simulated has states",
+            where=str(case.file),
+            fix="add [[site.state]] tables to the site, or leave --stretch-... and --unloaded-... out",
+        )
+    for name in known.states:
+        if name not in names:
+            raise CaseError(
+                f"no site that is simulated has a state {name!r}",
+                where="--stretch-along, --stretch-around",
+                fix=suggestion(name, sorted(names)),
+            )
+    for site in sites:
+        true_states(site, known)
+
+
+def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
+    """Every state of a site with its true stretches; none where the site has no states.
+
+    A stretch that the case tells counts from lengths of the user's choice: it is divided by that at which
+    the tissue is unloaded, of the case or of `known`; states that all tell the same are unloaded there.
+
+    Raises
+    ------
+    CaseError
+        If a stretch is not known, is told both ways, or is beyond what a fit of states searches.
+    """
+    ways = [[_elastic(site, each, way, known) for each in site.states] for way in WAYS]
+    states = [TrueState(each.name, *pair) for each, *pair in zip(site.states, *ways, strict=True)]
+    for state in states:
+        for way in WAYS:
+            value = getattr(state, way)
+            if not LOW < value < HIGH:
+                raise CaseError(
+                    f"state {state.name} would stretch the tissue {way} the limb to {value:.3g} of unloaded; "
+                    f"{LOW:g} to {HIGH:g} is possible",
+                    where=f"site {site.name}",
+                    fix=f"correct stretch_{way} of the state, or --unloaded-stretch-{way}",
+                )
+    return states
+
+
+def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -> float:
+    told, true = getattr(state.stretch, way), getattr(known.states.get(state.name, Stretch()), way)
+    where = f"site {site.name}, state {state.name}"
+    if told is None:
+        if true is None:
+            raise CaseError(
+                f"the case does not know the state's stretch {way} the limb, so its truth must be told",
+                where=where,
+                fix=f"add --stretch-{way} {state.name}=1.0 (over the unloaded tissue)",
+            )
+        return float(true)
+    if true is not None:
+        raise CaseError(
+            f"the case tells stretch_{way} = {told:g} of the state, and --stretch-{way} tells it again",
+            where=where,
+            fix=f'leave --stretch-{way} {state.name}=... out, or set stretch_{way} = "unknown" in the case',
+        )
+    return float(told) / _unloaded(site, way, known)
+
+
+def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
+    """The told stretch at which the tissue is unloaded."""
+    of_case, true = getattr(site.unloaded, way), getattr(known.unloaded, way)
+    if of_case is not None and true is not None and of_case != true:
+        raise CaseError(
+            f"the case knows that its tissue is unloaded at a stretch of {of_case:g} {way} the limb, "
+            f"--unloaded-stretch-{way} says {true:g}",
+            where=f"site {site.name}",
+            fix=f"leave one of them out: unloaded_stretch_{way} in case.toml, or the option",
+        )
+    if of_case is not None or true is not None:
+        return float(of_case if true is None else true)
+    told = {getattr(each.stretch, way) for each in site.states} - {None}
+    if len(told) == 1:
+        return float(told.pop())
+    raise CaseError(
+        f"at which of the told stretches {way} the limb the tissue is unloaded must be told",
+        where=f"site {site.name}",
+        fix=f"add --unloaded-stretch-{way} 1.0, or unloaded_stretch_{way} to the site where it is known",
+    )

@@ -1,0 +1,104 @@
+"""What is true of simulated measurements: a site's, or each state's; truth.toml, and a line for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from limbcli.phantom.case_folder import NoiseLaw
+from limbcli.phantom.noise import Readings
+from limbcli.phantom.protocol import TrueLevels
+from limbcli.stages.simulated_subjects.known_stretches import TrueState
+from limbcli.stages.simulated_subjects.synth_case import noise_table
+from limbcli.version import __version__
+
+if TYPE_CHECKING:
+    from limbcli.stages.synth import SynthOptions
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticSite:
+    """One site's truth and readings; of one of its states, where it has any."""
+
+    site: str
+    true: TrueLevels
+    readings: Readings
+    law: NoiseLaw
+    facts: Mapping[str, Any]
+    state: TrueState | None = None
+
+    @property
+    def label(self) -> str:
+        """Where its files lie."""
+        return self.site if self.state is None else f"{self.site}/{self.state.name}"
+
+
+def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
+    """What is true of the measurements."""
+    return {
+        "made_by": f"limbcli {__version__}",
+        "measurement_seed": options.seed,
+        "tissue": vars(options.tissue),
+        **({} if options.contact_penalty is None else {"contact_penalty": options.contact_penalty}),
+        "hidden": [each.facts() for each in options.hidden],
+        "site": [
+            _true_site([each for each in measured if each.site == name], options)
+            for name in dict.fromkeys(each.site for each in measured)
+        ],
+    }
+
+
+def _true_site(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
+    """What is true of a site: of its one measurement, or of each state's."""
+    first = measured[0]
+    noise = {"noise": noise_table(first.law, layers=first.true.borders is not None)}
+    if first.state is None:
+        return {"name": first.site, **first.facts, **_true_readings(first), **noise}
+    given = vars(options.stretches.unloaded).items()
+    unloaded = {f"unloaded_stretch_{way}": value for way, value in given if value is not None}
+    states = [
+        {
+            "name": each.state.name,
+            "stretch_along": each.state.along,
+            "stretch_around": each.state.around,
+            **_true_readings(each),
+        }
+        for each in measured
+        if each.state is not None
+    ]
+    return {"name": first.site, **first.facts, **unloaded, **noise, "state": states}
+
+
+def _true_readings(each: SyntheticSite) -> dict[str, Any]:
+    return {
+        "skin_bone_mm": float("nan") if each.true.skin_bone is None else each.true.skin_bone,
+        "force_n": _rounded(each.true.force),
+        "depth_mm": _rounded(each.true.depth),
+        "swe_mean_m_per_s": [round(float(m.speed_m_per_s.mean()), 5) for m in each.true.maps],
+        **_true_layers(each),
+    }
+
+
+def _true_layers(each: SyntheticSite) -> dict[str, list[float]]:
+    """Thickness of skin and fat (mm) at every level, where they were followed."""
+    if each.true.borders is None:
+        return {}
+    upper = np.diff(each.true.borders, axis=1, prepend=0.0)
+    return {"skin_mm": _rounded(upper[:, 0]), "fat_mm": _rounded(upper[:, 1])}
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(each), 6) for each in values]
+
+
+def summary_of(each: SyntheticSite) -> str:
+    """One line for people."""
+    true = each.true
+    speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
+    return (
+        f"{each.label}: {len(true.force)} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
+        f"SWE {speeds[0]:.2f} to {speeds[-1]:.2f} m/s; {each.facts['n_elements']} {each.facts['element']}"
+    )
