@@ -41,6 +41,7 @@ def holder(folder: Path, seconds: float = 60.0) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.slow
 def test_a_second_writer_waits_and_says_for_whom(tmp_path: Path):
     process = holder(tmp_path, seconds=1.5)
     reported: list[str] = []

@@ -62,6 +62,7 @@ def test_what_is_expected_and_does_not_hold_is_a_failure(quick: None, tmp_path: 
     assert "expected 'many'" in found.failures[-1].error.message
 
 
+@pytest.mark.slow
 def test_failures_in_other_processes_come_back(tmp_path: Path):
     pytest.importorskip("distributed", reason="needs the extra `cluster`")
     case = tmp_path / "a"
@@ -91,6 +92,7 @@ def test_numbers_and_words_are_bounded(tmp_path: Path):
         limbcli.batch(tmp_path, element="hex8")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_cohort_comes_back_as_a_table(tmp_path: Path):
     mean, spread = np.log([0.006, 0.010, 4.0]), np.diag([0.35, 0.3, 0.2]) ** 2
     rows, _ = people(12, mean=mean, spread=spread, rng=np.random.default_rng(7))

@@ -15,6 +15,8 @@ import limbcli
 from limbcli.cli.app import main
 from tests.benchmarks.small_case import write_case
 
+pytestmark = pytest.mark.slow
+
 CASES = Path(__file__).resolve().parents[2] / "cases"
 SIZES = {"size_mm": 6.0, "far_size_mm": 12.0}
 
@@ -182,7 +184,6 @@ def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path:
     assert len(bad.table()) == len(bad.problems) > 2
 
 
-@pytest.mark.slow
 def test_fits_of_several_sites_and_of_both_elements(chain: dict[str, Any]):
     case, out = chain["case"], chain["out"]
     joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False, max_iterations=8)

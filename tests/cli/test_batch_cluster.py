@@ -33,6 +33,8 @@ from limbcli.stages.batching import cluster
 from tests.benchmarks.left_behind import contents, strays
 from tests.test_case_text import two_sites
 
+pytestmark = pytest.mark.slow
+
 PRELOAD = str(Path(__file__).parent / "quick_stages.py")
 OF_SITES = [f"{stage}/{site}" for stage in ("mesh", "build-feb", "run", "fit") for site in ("p1", "p2")]
 ALL = sorted(["segment", "report", *OF_SITES])

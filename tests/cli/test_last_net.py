@@ -13,6 +13,8 @@ import pytest
 
 from tests.stages.chain_case import write_case
 
+pytestmark = pytest.mark.slow
+
 FAULTY = """
 import sys
 from limbcli.cli import entry
@@ -85,7 +87,6 @@ def test_a_file_as_output_folder_is_told(tmp_path: Path, command: str):
     assert out.read_text() == "mine"
 
 
-@pytest.mark.slow
 def test_one_cases_unforeseen_fault_does_not_stop_the_batch(tmp_path: Path):
     for name in ("a", "b"):
         write_case(tmp_path / name)

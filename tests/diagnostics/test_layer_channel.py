@@ -109,6 +109,7 @@ def test_a_homogeneous_tissue_is_adequate_with_layers_too(rng):
     assert found.base.values["c_kpa"] == pytest.approx(6.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_soft_fat_is_named_by_its_layers(rng, tmp_path):
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 8.0, "log_fat_softness": 0.9}),)
     levels, layers = measured(rng, fat)

@@ -206,6 +206,7 @@ def test_a_case_may_name_a_volume_file(image, tmp_path):
     assert Case.open(folder).imaging.mri == folder / "t1.nii.gz"
 
 
+@pytest.mark.slow
 def test_real_series_as_nifti_and_nrrd_is_the_same_image(shared: Path, tmp_path: Path):
     series = read_series(shared / "data" / "calf-mri")
     part = series.volume.with_values(series.volume.values.astype(np.int16))

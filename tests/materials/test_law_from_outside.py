@@ -54,6 +54,7 @@ def test_stress_is_differentiated_by_its_parameters(parameter: str, states: np.n
     checks.parameter_derivative_of_stress(MATERIAL, parameter, states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", [MATERIAL, MIXED], ids=["alone", "in a mixture"])
 def test_the_loops_of_a_simulation_take_it_point_by_point(
     material: Material, rng: np.random.Generator

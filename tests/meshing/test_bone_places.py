@@ -36,6 +36,7 @@ def moved(leg: Mapping[str, Triangles], by: tuple[float, float, float], names: t
     return right, {name: leg[name].moved(shift) for name in names}
 
 
+@pytest.mark.slow
 def test_what_was_moved_together_is_put_back_within_5_mm_from_anywhere(leg):
     """Along the limb the height of the fibula's head is anybody's by 5 mm; across it the joint tells more."""
     ends = []
@@ -51,6 +52,7 @@ def test_what_was_moved_together_is_put_back_within_5_mm_from_anywhere(leg):
     assert ends[0] == pytest.approx(ends[1], abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_left_leg_is_mirrored(leg):
     flip = np.diag([-1.0, 1.0, 1.0])
     mirrored = {name: Triangles(each.points @ flip, each.faces[:, ::-1].copy()) for name, each in leg.items()}
@@ -70,6 +72,7 @@ def test_nothing_is_proposed_where_nothing_tells(leg):
     assert put_back(leg["skin"], right, wrong, limb="right") is None
 
 
+@pytest.mark.slow
 def test_nothing_is_proposed_where_it_does_not_fit(leg, make_tube):
     """A skin that has no room for the bones."""
     right, wrong = moved(leg, (120.0, -40.0, 75.0))

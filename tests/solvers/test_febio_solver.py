@@ -282,6 +282,7 @@ def test_a_version_probe_that_hangs_ends_soon(binary: Path, monkeypatch: pytest.
     assert time.monotonic() - start < 5
 
 
+@pytest.mark.slow
 def test_a_silent_run_gives_signs_of_life_and_ends_by_the_limit_of_its_size(
     binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,8 @@ from limbcli.stages.segmenting.assumed_geometry import assumed_limb
 from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.synth import SynthOptions, synth
 
+pytestmark = pytest.mark.slow
+
 SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"
 SCAN = 'skin = "skin.stl"\nbone = "from-ultrasound"\nbone_radius_mm = 9'
 CASE = """
@@ -203,7 +205,6 @@ def wide_over(doubt: dict, name: str) -> float:
     return (high / low) / (narrow_high / narrow_low)
 
 
-@pytest.mark.slow
 def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     """Simulated on the same numbers: m within its interval, which the varied shapes widen."""
     truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
@@ -266,7 +267,6 @@ def flank_and_slope(folder: Path, *, angle_deg: float, slope: float) -> Case:
     return Case.open(folder)
 
 
-@pytest.mark.slow
 def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_path):
     """Simulated on the true surfaces, fitted on a scan and a straight rod: m is off beyond the noise."""
     real = flank_and_slope(tmp_path / "real", angle_deg=30.0, slope=0.15)

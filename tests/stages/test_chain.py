@@ -34,6 +34,8 @@ from limbcli.stages.report_pages.material import gather
 from limbcli.stages.segment import segment
 from tests.stages import chain_case
 
+pytestmark = pytest.mark.slow
+
 
 class Reached(Exception):
     """A stage went on to its work."""
@@ -229,7 +231,6 @@ def test_a_new_site_is_not_given_the_layers_of_a_segmentation_before_it(root: Pa
         mesh_module.mesh(Case.open(root / "case"), out=root / "out")
 
 
-@pytest.mark.slow
 def test_the_commands_told_mend_the_chain_with_the_options_it_was_made_with(
     root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -248,7 +249,6 @@ def test_the_commands_told_mend_the_chain_with_the_options_it_was_made_with(
     assert result.provenance["made_from"]["results"]["mesh p1"]["files"]["model"]
 
 
-@pytest.mark.slow
 def test_the_same_again_leaves_the_chain_whole(root: Path, monkeypatch: pytest.MonkeyPatch):
     """Results are the same byte for byte, so that what was made from them stays good."""
     monkeypatch.undo()
@@ -293,7 +293,6 @@ def test_another_subjects_results_are_not_on_the_page(root: Path):
     assert "done" not in found.data["stages"].values()
 
 
-@pytest.mark.slow
 def test_a_batch_mends_what_no_key_sees(root: Path, monkeypatch: pytest.MonkeyPatch):
     """The fat under a site that moved is told anew, and a result that was touched is made again."""
     monkeypatch.undo()

@@ -20,6 +20,8 @@ from tests.imaging.test_fibre_map import write as write_map
 from tests.stages import block_case
 from tests.stages.test_site_fibres import case_with, in_patient, made
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["made"]  # a fixture
 
 WINDOWS = Windows(-10.0, 10.0, 1.0, 10.0, across=2, down=1)
@@ -86,7 +88,6 @@ def solved():
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["anisotropy", "contraction"])
 def test_each_side_of_the_image_shows_the_fibres_that_it_has(solved, name):
     """Left half along the image, right half across it: each part of the map as with the whole so, at

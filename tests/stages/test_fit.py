@@ -127,6 +127,7 @@ def test_headlines_of_a_good_fit_are_numbers_and_it_is_not_called_poor(fitted):
     assert reported["value"] == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
     """Forces that no curve of the law can follow."""
     odd = forces[-1] * np.array([0.8, 0.9, 0.96, 1.0])
@@ -168,6 +169,7 @@ def test_without_speed_at_level_0_c_must_be_given(case, tmp_path, forces):
         initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=-1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_without_stated_noise_nothing_is_claimed_of_how_sure_the_parameters_are(case, tmp_path):
     text = (
@@ -266,6 +268,7 @@ def test_what_a_harder_contact_changes_is_told(fitted, forces):
     assert any("contact's penalty changes the force" in line for line in fitted[0].summary)
 
 
+@pytest.mark.slow
 def test_a_contact_that_the_fit_makes_up_for_is_warned_of(forces, tmp_path):
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=TRUTH["c"], penalty=2.0)
     options = FitOptions(intervals=False)

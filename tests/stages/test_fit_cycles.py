@@ -21,6 +21,8 @@ from limbcli.stages.report_pages.material import gather
 from limbcli.stages.site_model.site_levels import levels_of, maps_of
 from tests.stages import block_case as block
 
+pytestmark = pytest.mark.slow
+
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 LEFT, STIFFER = 0.7, 1.6  # mm that stays after cycle 1; how much stiffer the first loading is

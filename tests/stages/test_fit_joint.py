@@ -95,6 +95,7 @@ def test_levels_and_exports_are_left(joint):
         assert joint.path(name).stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LAWS))
 def test_derivatives_of_every_law_are_those_of_differences(name):
     curve = law_curve(name, speeds=False)
@@ -154,6 +155,7 @@ def test_wrong_choices_are_refused_with_a_fix():
         check_choice("joint", compare_element=False, solver="febio")
 
 
+@pytest.mark.slow
 def test_a_mesh_study_says_the_numerical_error(case_and_out):
     case, out = case_and_out
     with open_stage(out, "mesh-study", subject="B1", site="p1") as writer:

@@ -81,6 +81,7 @@ def test_derivatives_of_lines_by_the_law_are_those_of_differences():
     curve.close()
 
 
+@pytest.mark.slow
 def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     (result,) = fit(
@@ -103,6 +104,7 @@ def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
     assert shown(result).pictures[0].source == result.path("layers_picture")
 
 
+@pytest.mark.slow
 def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
     case = layered_case(tmp_path, truth, fat_gone=np.array([0.15, 0.3, 0.45, 0.6]))
     (result,) = fit(

@@ -151,6 +151,7 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     assert set(found.data["not_told"]) <= set(found.warnings)
 
 
+@pytest.mark.slow
 def test_knots_reach_a_little_beyond_the_deepest_state(case_and_out):
     case, _ = case_and_out
     measured = states_of(case.sites[0])

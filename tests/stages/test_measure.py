@@ -71,6 +71,7 @@ def test_levels_are_those_the_instruments_saw(folder: Path, tmp_path: Path):
     assert len(list((result.folder / "swe").glob("level_*.csv"))) == 4
 
 
+@pytest.mark.slow
 def test_levels_are_written_to_the_case_once_and_never_over_a_file(folder: Path, tmp_path: Path):
     case = Case.open(folder)
     measure(case, out=tmp_path, write=True)
@@ -170,6 +171,7 @@ def without(folder: Path, target: Path, *keys: str, more: str = "") -> Case:
     return Case.open(target)
 
 
+@pytest.mark.slow
 def test_bar_and_box_are_found_and_the_same_speeds_come_out(folder: Path, tmp_path: Path):
     stated = measure(Case.open(folder), out=tmp_path / "a")[0]
     case = without(folder, tmp_path / "case", "box_pixels", "bar_pixels")
@@ -179,6 +181,7 @@ def test_bar_and_box_are_found_and_the_same_speeds_come_out(folder: Path, tmp_pa
     np.testing.assert_allclose(mine, theirs, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Path):
     plain = measure(Case.open(folder), out=tmp_path / "a")[0]
     assert any("skin and fat are left out" in text for text in plain.warnings)

@@ -125,6 +125,7 @@ def test_without_segment_it_says_what_to_run(folder, tmp_path):
         mesh(Case.open(folder), out=tmp_path)
 
 
+@pytest.mark.slow
 def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     import shutil
 
@@ -162,6 +163,7 @@ def test_model_is_checked_against_the_measurement(found, measured, said):
     assert [said in each for each in warnings] == ([True] if said else [])
 
 
+@pytest.mark.slow
 def test_command_prints_json(folder, out, capsys):
     with pytest.raises(SystemExit) as done:
         main(

@@ -99,6 +99,7 @@ def test_the_truth_is_measured_on_a_case_that_reaches_the_true_surfaces(tmp_path
     assert seen == ["p1", "p2"]
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_measured_and_told_by_the_command(tmp_path, monkeypatch):
     seen = []
 

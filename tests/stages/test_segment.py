@@ -22,6 +22,8 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.segment import segment
 
+pytestmark = pytest.mark.slow
+
 
 def case_with(folder, **imaging):
     return Case(
@@ -124,7 +126,6 @@ def from_labels(segmented, series, tmp_path_factory):
     return segment(case, out=folder)
 
 
-@pytest.mark.slow
 def test_a_label_map_replaces_the_automatic_segmentation(segmented, from_labels):
     _, first, _ = segmented
     assert from_labels.data["source"] == "labels"
@@ -135,7 +136,6 @@ def test_a_label_map_replaces_the_automatic_segmentation(segmented, from_labels)
     np.testing.assert_allclose(places[0], places[1], atol=1.5)
 
 
-@pytest.mark.slow
 def test_sites_get_the_thickness_of_their_fat(from_labels):
     """The phantom's fat is 4 to 6 mm, thicker behind; skin 1.6 mm (see limbcli.phantom.anatomy)."""
     assert 4.0 < from_labels.data["layers"]["p1"]["fat_mm"] < 8.0
@@ -219,7 +219,6 @@ def bone_voxels(result) -> int:
     return int((np.asarray(nib.load(result.path("labels")).dataobj) == 2).sum())
 
 
-@pytest.mark.slow
 def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_path):
     _, first, _ = segmented
     out = copied(segmented, tmp_path)

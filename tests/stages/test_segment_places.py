@@ -22,6 +22,8 @@ from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 

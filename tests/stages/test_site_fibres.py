@@ -32,6 +32,8 @@ from tests.imaging.test_fibre_map import write as write_map
 from tests.stages.block_case import block_model
 from tests.stages.test_mesh import CASE, prism
 
+pytestmark = pytest.mark.slow
+
 TOLD = "fibre_direction = [0.1, 0.2, 2.0]\n"
 SITE = 'levels = "levels.csv"\n'
 

@@ -27,6 +27,8 @@ from limbcli.stages.site_model.prestretch import StretchAxes, prestretched, skin
 from tests.stages import block_case as block
 from tests.stages import state_case
 
+pytestmark = pytest.mark.slow
+
 DEPTHS = [0.6, 1.4, 2.4]
 THETA = np.array([60.0, 4.0, 0.9, 1.12])  # f_kappa, m, along, around
 
