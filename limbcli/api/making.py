@@ -25,7 +25,7 @@ from limbcli.case import Case
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
-    from limbcli.stages.synth import SynthOptions
+    from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
 ELEMENTS = ("tet10", "tet4")
 
@@ -224,7 +224,7 @@ def _plan(
     )  # fmt: skip
     one_of(function, ELEMENTS, element=element)
     from limbcli.stages.simulated_subjects.indent import KnownTissue
-    from limbcli.stages.synth import LoadingProtocol, SynthOptions
+    from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
 
     return SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m), seed=seed, noise=noise, element=element,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 if TYPE_CHECKING:
-    from limbcli.stages.synth import SynthOptions
+    from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
 _TISSUE = "Known tissue"
 _MEASURING = "Measuring it"
@@ -121,7 +121,7 @@ def _plan(
     """What is simulated and measured, of the options chosen."""
     from limbcli.stages.simulated_subjects.hidden_effects import hide
     from limbcli.stages.simulated_subjects.indent import KnownTissue
-    from limbcli.stages.synth import LoadingProtocol, SynthOptions
+    from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
 
     return SynthOptions(
         tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m),

@@ -33,8 +33,9 @@ from limbcli.results import StageResult, provenance
 from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.machine.kernels import compile_ahead
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
-from limbcli.stages.synth import SynthOptions, measure_sites
+from limbcli.stages.synth import measure_sites
 
 TRUTH = "truth"
 LABELS = "labels.nii.gz"

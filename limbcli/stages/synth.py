@@ -9,8 +9,7 @@ each of them, its tissue stretched before the probe touches it.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,16 +24,13 @@ from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
 from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.noise import Readings, measure
-from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
+from limbcli.phantom.protocol import TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.scratch import scratch_folder
-from limbcli.shear_waves.pixels import Window
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.simulated_subjects.hidden_effects import Hidden
-from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
+from limbcli.stages.simulated_subjects.indent import indent
 from limbcli.stages.simulated_subjects.known_stretches import (
-    KnownStretches,
     check_stretches,
     true_states,
 )
@@ -43,44 +39,13 @@ from limbcli.stages.simulated_subjects.synth_case import (
     case_table,
     copy_imaging,
 )
+from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
-
-Alter = Callable[[LimbModel], LimbModel]
-
-
-@dataclass(frozen=True)
-class SynthOptions:
-    """What to simulate, and how to measure it.
-
-    element None is the case's; size, far_size, margin : of the mesh simulated on (mm), None the
-    usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
-    contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
-    one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
-    layers : read skin, fat and muscle too, as thick at first touch as `segment` tells them;
-    alter : a change of the meshed model; hidden : effects in tissue and readings;
-    stretches : true ones of the states that the case's sites have.
-    """
-
-    tissue: KnownTissue = field(default_factory=KnownTissue)
-    seed: int = 7
-    noise: float = 1.0
-    element: str | None = None
-    size: float | None = 4.0
-    far_size: float | None = 12.0
-    margin: float | None = None
-    same_mesh: bool = False
-    contact_penalty: float | None = None
-    protocol: LoadingProtocol = field(default_factory=LoadingProtocol)
-    window: Window = field(default_factory=Window)
-    alter: Alter | None = None
-    hidden: tuple[Hidden, ...] = ()
-    layers: bool = False
-    stretches: KnownStretches = field(default_factory=KnownStretches)
 
 
 def synth(

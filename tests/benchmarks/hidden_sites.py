@@ -29,8 +29,9 @@ from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.run import run
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite
-from limbcli.stages.synth import SynthOptions, measure_sites, read_off
+from limbcli.stages.synth import measure_sites, read_off
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
 anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2

@@ -27,7 +27,8 @@ from limbcli.stages.run import run
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.assumed_geometry import assumed_limb
 from limbcli.stages.simulated_subjects.indent import KnownTissue
-from limbcli.stages.synth import SynthOptions, synth
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.synth import synth
 
 pytestmark = pytest.mark.slow
 

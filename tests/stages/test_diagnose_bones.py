@@ -13,7 +13,8 @@ from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 from limbcli.stages.simulated_subjects.indent import KnownTissue
-from limbcli.stages.synth import SynthOptions, synth
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.synth import synth
 from tests.benchmarks.small_case import write_case
 from tests.stages.test_mesh import prism
 

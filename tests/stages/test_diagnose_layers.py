@@ -19,8 +19,9 @@ from limbcli.stages.segment import segment
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_case import borders_at_rest
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.site_model.site_levels import levels_of
-from limbcli.stages.synth import SynthOptions, synth, truth_file
+from limbcli.stages.synth import synth, truth_file
 from tests.stages.test_assumed_geometry import numbers
 
 NAMES = ("adipose-layer", "force-zero", "depth-zero")

@@ -14,7 +14,7 @@ from limbcli.cli.app import app
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
-from limbcli.stages.synth import SynthOptions
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
 BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), site_names=("p1", "p2"), synth=None)
 

@@ -19,7 +19,8 @@ from limbcli.stages.mesh import mesh
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.segment import segment
 from limbcli.stages.simulated_subjects.indent import KnownTissue, depths_to
-from limbcli.stages.synth import SynthOptions, synth, truth_file
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.synth import synth, truth_file
 
 TISSUE = KnownTissue(c_kpa=6.0, f_kappa=20.0, m=6.0)
 EXACT = SynthOptions(

@@ -28,7 +28,8 @@ from limbcli.stages.simulated_subjects.known_stretches import (
     parse_stretches,
     true_states,
 )
-from limbcli.stages.synth import SynthOptions, synth, truth_file
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.synth import synth, truth_file
 from tests.stages import block_case as block
 from tests.stages import state_case
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import TrueLevels
 from limbcli.stages.simulated_subjects.known_stretches import TrueState
 from limbcli.stages.simulated_subjects.synth_case import noise_table
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.version import __version__
-
-if TYPE_CHECKING:
-    from limbcli.stages.synth import SynthOptions
 
 
 @dataclass(frozen=True, eq=False)
