@@ -182,6 +182,8 @@ class _Run:
             return "unexplained", why
         if best.left_p < thresholds.LEFT:
             return "ambiguous", "one explanation fits, but it leaves something; it may not be all"
+        if best.fitted.notes:
+            return "ambiguous", f"one explanation fits, but with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:
             why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"

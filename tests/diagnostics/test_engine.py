@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -249,3 +250,16 @@ def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, do
         for each in several
     ]
     assert run._conclude(kept, []) == (word, several)
+
+
+def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch):
+    fit = toy.Toy.fit
+
+    def held(self, explanation, start):
+        found = fit(self, explanation, start)
+        return replace(found, notes=("m ended on its bound 20",)) if explanation else found
+
+    monkeypatch.setattr(toy.Toy, "fit", held)
+    found = run(toy.make(rng, {"offset": 5.0}))
+    assert (found.verdict, found.chosen) == ("ambiguous", ("offset",))
+    assert "m ended on its bound 20" in found.reason

@@ -19,8 +19,8 @@ def _held(rng, weight: float, *, n: int = 14, free: int = 2, held: int = 2):
 
 def test_free_parameters_leave_what_least_squares_leave(rng):
     residual, J = _held(rng, 0.0)
-    for n_free in (None, 2, 4):
-        state = LinearFit.of(residual, J, n_free=n_free)
+    for as_it_stands in (False, True):
+        state = LinearFit.of(residual, J, as_it_stands=as_it_stands)
         assert state.chi2 == pytest.approx(residual @ residual, rel=1e-12)
         assert (state.nu, state.is_held) == (10, False)
 
@@ -28,7 +28,7 @@ def test_free_parameters_leave_what_least_squares_leave(rng):
 @pytest.mark.parametrize("weight", [10.0, 1e4])
 def test_a_fit_that_a_prior_holds_is_judged_where_it_stands(rng, weight):
     residual, J = _held(rng, weight)
-    state = LinearFit.of(residual, J, n_free=2)
+    state = LinearFit.of(residual, J, as_it_stands=True)
     assert LinearFit.of(residual, J).chi2 < 0.9 * state.chi2  # where no prior would be
     assert state.chi2 == pytest.approx(residual @ residual, rel=1e-12)
     assert (state.nu, state.is_held) == (11, True)
@@ -38,14 +38,14 @@ def test_a_fit_that_a_prior_holds_is_judged_where_it_stands(rng, weight):
 def test_on_average_a_direction_that_is_just_not_followed_costs_as_much_as_it_counts():
     """One deviation of chi2 for one degree of freedom, at the threshold."""
     J = np.eye(6)[:, :2]
-    below = LinearFit.of(np.array([0.0, 0.999, 2.0, 0, 0, 0]), J, n_free=1)
-    above = LinearFit.of(np.array([0.0, 1.001, 2.0, 0, 0, 0]), J, n_free=1)
+    below = LinearFit.of(np.array([0.0, 0.999, 2.0, 0, 0, 0]), J, as_it_stands=True)
+    above = LinearFit.of(np.array([0.0, 1.001, 2.0, 0, 0, 0]), J, as_it_stands=True)
     assert above.chi2 - below.chi2 == pytest.approx(above.nu - below.nu, abs=0.01)
 
 
-def test_what_the_free_parameters_did_not_follow_is_not_held_against_the_others():
-    """m on its bound, say: the residual along its own column counts as reachable, as ever."""
-    for alike in (0.0, 0.9):
-        J = np.eye(6)[:, :2] @ np.array([[1.0, alike], [0.0, 1.0]])
-        state = LinearFit.of(np.array([3.0, -3.0 * alike, 1.0, 0, 0, 0]), J, n_free=1)
-        assert (state.chi2, state.is_held) == (pytest.approx(1.0), False)
+def test_at_a_corner_of_the_model_its_slopes_reach_nothing():
+    """Slopes of -1 and 2 beside it: it is the least there is, and the central one of 0.5 leads nowhere."""
+    residual = np.array([3.0, 1.0])
+    state = LinearFit.of(residual, np.array([[0.5], [0.0]]), as_it_stands=True)
+    assert (state.chi2, state.nu, state.is_held) == (pytest.approx(10.0), 2, True)
+    assert LinearFit.of(residual, np.array([[0.5], [0.0]])).chi2 == pytest.approx(1.0)

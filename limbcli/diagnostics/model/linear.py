@@ -72,23 +72,18 @@ class LinearFit:
     is_held: bool = False
 
     @staticmethod
-    def of(residual: Array, jacobian: Array, *, n_free: int | None = None) -> LinearFit:
+    def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
         """
-        n_free : how many of the columns, the first, belong to parameters that the data alone decide;
-            None: all. The others a bound or a prior may have held. The one direction in which they did not
-            follow the residual, if that is more than one deviation, counts as one that the model cannot
-            reach: the fit is judged where it stands, not where a size beyond all plausibility would bring it.
+        as_it_stands : where the slopes would lessen chi2 by more than one further than the fit went, the
+            direction in which it did not follow counts as one that the model cannot reach. A prior or a bound
+            held it, or a corner of the model, whose slopes are those of neither side: it is judged where it
+            stands, not where a size beyond all plausibility would bring it.
         """
         basis = _span(jacobian)
-        if n_free is None or n_free >= jacobian.shape[1]:
+        pull = basis.T @ residual
+        if not as_it_stands or float(pull @ pull) <= 1.0:
             return LinearFit(residual, jacobian, basis)
-        free, held = _span(jacobian[:, :n_free]), _even(jacobian[:, n_free:])
-        own = held - free @ (free.T @ held)
-        # what moving them would take away, by their own slopes: those of the free ones may stand on a bound
-        against = basis.T @ (np.linalg.pinv(own, rcond=_RANK).T @ (held.T @ residual))
-        if float(against @ against) <= 1.0:
-            return LinearFit(residual, jacobian, basis)
-        return LinearFit(residual, jacobian, basis @ null_space(against[None, :]), is_held=True)
+        return LinearFit(residual, jacobian, basis @ null_space(pull[None, :]), is_held=True)
 
     @property
     def nu(self) -> int:

@@ -71,7 +71,7 @@ class BaselineFit:
 
     def linearised(self, fitted: Fitted) -> LinearFit:
         off, jacobian = self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian)
-        return LinearFit.of(off, jacobian, n_free=len(fitted.base_names))
+        return LinearFit.of(off, jacobian, as_it_stands=True)
 
     def family(
         self, state: LinearFit, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0

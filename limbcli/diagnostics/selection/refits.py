@@ -145,7 +145,7 @@ class Refits:
         family = baseline.family(
             LinearFit.of(
                 whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian),
-                n_free=len(fitted.base_names) if state.is_held else None,
+                as_it_stands=state.is_held,
             ),
             [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
             relative=baseline.is_relative(state),
