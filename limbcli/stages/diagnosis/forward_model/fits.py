@@ -109,8 +109,6 @@ class Fits(Predictions):
         worse than; the effect that they lack begins a tenth of the way to its start."""
         own = self._ends.get((explanation, label(points)))
         found = [] if own is None else [own]
-        if len(explanation) < 2:
-            return found
         for k in range(len(explanation)):
             others = [n for n in range(len(explanation)) if n != k]
             end = self._ends.get((tuple(explanation[n] for n in others), label([points[n] for n in others])))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,25 @@ from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NEAR = 5  # solved values of m that are used
+_OF_NO_EFFECT = 0.1  # of an effect's start: below such a size what a simulation mends is not the effect's
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """What the surrogate missed where a model was simulated, and how much of it holds elsewhere.
+
+    missed : (n, n_columns) of `logs`; sizes : of the effects in that model, in units of their starts
+    """
+
+    missed: Array
+    sizes: Mapping[str, float]
+
+    def at(self, sizes: Mapping[str, float]) -> Array:
+        """In proportion to the effects' sizes, so that a model without them is as it was."""
+        usual = _OF_NO_EFFECT**2
+        along = sum(size * sizes[name] for name, size in self.sizes.items())
+        whole = sum(size**2 for size in self.sizes.values())
+        return self.missed * max(0.0, (along + usual) / (whole + usual))
 
 
 class SiteCurves:
@@ -43,7 +63,7 @@ class SiteCurves:
         self.penetration = penetration
         self.changes = Changes(book, progress=progress)
         self.nodes: dict[float, Curves] = {}
-        self._repairs: dict[tuple[Explanation, str], Array] = {}
+        self._repairs: dict[tuple[Explanation, str], tuple[Repair, ...]] = {}
 
     def solve_nodes(self, values: Sequence[float]) -> None:
         """Solve at these m, the stiffest law first; what fails is left out, unless all do.
@@ -94,7 +114,9 @@ class SiteCurves:
     ) -> Curves:
         """The surrogate's curves with these values."""
         depth, values, plain = self._base(m)
-        values = values + self._repairs.get((explanation, label(points)), 0.0)
+        sizes = self._sizes(explanation, theta)
+        for each in self._repairs.get((explanation, label(points)), ()):
+            values = values + each.at(sizes)
         for name, point in zip(explanation, points, strict=True):
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point).at(theta)
@@ -136,7 +158,8 @@ class SiteCurves:
         if any(effect.new_mesh for effect, _ in solving):
             missed = without_spikes(self.book, missed)
         key = (explanation, label(points))
-        self._repairs[key] = self._repairs.get(key, 0.0) + np.nan_to_num(missed)
+        made = Repair(np.nan_to_num(missed), self._sizes(explanation, theta))
+        self._repairs[key] = (*self._repairs.get(key, ()), made)
 
     def inherit(
         self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
@@ -152,17 +175,25 @@ class SiteCurves:
         n = len(explanation)
         if n < 2 or (explanation, label(points)) in self._repairs:
             return
-        left, total = set(range(n)), None
+        left = set(range(n))
+        total: tuple[Repair, ...] = ()
         for size in range(n - 1, 0, -1):
             for part in itertools.permutations(range(n), size):
                 key = (tuple(explanation[k] for k in part), label([points[k] for k in part]))
                 if left.issuperset(part) and key in self._repairs:
-                    total = self._repairs[key] if total is None else total + self._repairs[key]
+                    total += self._repairs[key]
                     left -= set(part)
-        if total is not None:
+        if total:
             self._repairs[(explanation, label(points))] = total
 
     # ------------------------------------------------------------
+
+    def _sizes(self, explanation: Explanation, theta: Theta) -> dict[str, float]:
+        """Of the effects that are simulated, in units of their starts."""
+        return {
+            p.name: p.proportional(theta[p.name]) / p.proportional(p.start)
+            for name in explanation if self.effects[name].solves for p in self.effects[name].sizes
+        }  # fmt: skip
 
     def _tied(self, m: float, width: int) -> Array | float:
         """Of so many columns; lines are not tied."""
