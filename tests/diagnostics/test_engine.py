@@ -196,6 +196,23 @@ def test_all_are_refitted_where_the_fit_without_effects_is_grossly_wrong(chi2, r
     assert found.promising({}) == refitted
 
 
+def test_the_nearest_candidates_are_refitted_where_only_a_part_of_the_data_shows_something():
+    """First order tells little of a strong effect: none is near significance, and one of them it may be."""
+    names, p = ("a", "force", "b", "c", "d"), (0.9, 0.001, 0.3, 0.25, 0.5)
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=each, score=SimpleNamespace(statistic=1 - each))
+        for name, each in zip(names, p, strict=True)
+    ]
+    family = SimpleNamespace(tests=tests, of=lambda name: next(t for t in tests if t.name == name))
+
+    class Unlike(Candidates):
+        def _likeness(self, first, second):
+            return 0.0
+
+    found = Unlike(SimpleNamespace(nu=10, chi2=20.0), dict.fromkeys("abcd"), family)
+    assert found.promising({}) == ["c", "b", "d"]
+
+
 @pytest.mark.parametrize(
     ("before", "after", "closed"), [(888.0, 60.0, True), (500.0, 420.0, False), (390.0, 10.0, False)]
 )

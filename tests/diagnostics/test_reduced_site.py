@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,43 @@ def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
     one.repair(4.0, pair, theta, points)
     true = one.predict(0.0065, 4.0, pair, theta, points)
     assert np.abs(started - true).max() < 0.5 * np.abs(before - true).max()
+
+
+def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
+    """Where a large size was simulated, the model without the effect is still the model without it."""
+    one = bench(levels(rng), names=("skin-layer",)).sites[0]
+    for m in (2.0, 5.0):
+        one.solve_node(m)
+    skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+
+    def force(log_ratio):
+        return one.curves(0.0065, 4.0, skin, {"log_skin_ratio": log_ratio}, point).force[1:]
+
+    plain, before = one.curves(0.0065, 4.0, (), {}, ()).force[1:], force(3.0)
+    one.repair(4.0, skin, {"log_skin_ratio": 3.0}, point)
+    book = one.book.curves(4.0, ((effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5}),))
+    assert force(3.0) / book.force[1:] == pytest.approx(0.0065 / one.book.c, rel=1e-9)
+    mended = np.abs(np.log(force(3.0) / before)).max()
+    assert mended > 0.01
+    assert np.abs(np.log(force(0.0) / plain)).max() < 0.05 * mended
+
+
+def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
+    """Also where it begins at a large size, whose simulation was a surprise."""
+    the_bench = bench(levels(rng), names=("skin-layer",))
+    without = the_bench.fit((), {})
+    one, skin, point = the_bench.sites[0], ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    solved = one.book.curves
+
+    def stiffer(m, ingredients=()):
+        found = solved(m, ingredients)
+        return replace(found, force=20.0 * found.force) if ingredients else found
+
+    monkeypatch.setattr(one.book, "curves", stiffer)
+    one.repair(4.0, skin, {"log_skin_ratio": 4.9}, point)
+    deviance, fitted = the_bench.best_fit(skin, point, {"log_skin_ratio": 4.9})
+    off = the_bench.whiten(the_bench.data.y - without.prediction)
+    assert deviance <= float(off @ off) + 0.1, fitted.values
 
 
 @pytest.mark.slow
