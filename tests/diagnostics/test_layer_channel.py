@@ -26,6 +26,8 @@ from limbcli.stages.site_model.layer_readings import LayerReadings
 from tests.diagnostics import reduced
 from tests.stages import block_case
 
+pytestmark = pytest.mark.slow
+
 ALONE = Solving(threads=1)
 REST = np.array([1.5, 8.0])
 NOISE = replace(reduced.NOISE, layer=0.1)

@@ -232,6 +232,7 @@ def of_the_block(measured) -> ModelError:
     return ModelError("model: block", force[0] - force[1], parts[0] - parts[1])
 
 
+@pytest.mark.slow
 def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
     """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
     the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
@@ -246,6 +247,7 @@ def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
     assert the_bench.plausible(ran, usual - 13.0, points) is ran
 
 
+@pytest.mark.slow
 def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
     the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
@@ -315,6 +317,7 @@ def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypa
     assert one.changes.not_simulated == {"skin-layer": "it takes too long"}
 
 
+@pytest.mark.slow
 def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     measured = levels(rng, ((effect("contraction"), {"active_stress_per_c": 0.8}),))
     made = bench(measured, ("contraction", "force-zero"))

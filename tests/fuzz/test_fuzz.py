@@ -97,6 +97,7 @@ KEYS = (
 tables = st.dictionaries(st.sampled_from(KEYS), st.one_of(plain, st.lists(plain, max_size=3)), max_size=9)
 
 
+@pytest.mark.slow
 @few
 @given(content=st.dictionaries(st.sampled_from(["subject", "imaging", "probe", "model", "other"]), tables),
        sites=st.lists(tables, max_size=2))  # fmt: skip
@@ -109,6 +110,7 @@ def test_any_case_toml_gives_a_case_or_problems(tmp_path: Path, content: dict, s
     assert case is not None or any(each.severity == "error" for each in problems)
 
 
+@pytest.mark.slow
 @few
 @given(rows=st.lists(st.tuples(cells, cells, cells), min_size=1, max_size=6))
 def test_any_levels_give_sound_levels_or_problems(tmp_path: Path, rows: list[tuple[str, str, str]]) -> None:

@@ -10,6 +10,8 @@ from limbcli.errors import CaseError
 from limbcli.imaging.segmentation import FAT, Wishes, segment_limb
 from limbcli.imaging.volume import Volume
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (104, 92, 12)
 HU = {
     "air": -1000.0, "skin": 20.0, "fat": -100.0, "muscle": 60.0, "cortex": 1200.0, "marrow": 230.0,

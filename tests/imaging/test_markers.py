@@ -10,6 +10,8 @@ from limbcli.imaging.markers import number_markers
 from limbcli.imaging.segmentation import segment_limb
 from limbcli.imaging.volume import Volume
 
+pytestmark = pytest.mark.slow
+
 MIDDLE = np.array([29.5, 29.5, 0.0])
 
 

@@ -15,6 +15,8 @@ from limbcli.imaging.quality import assess
 from limbcli.imaging.surface import surface_of
 from limbcli.imaging.volume import Volume
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("tibia", "fibula")
 
 

@@ -12,6 +12,8 @@ from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.residual import Residual
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 
+pytestmark = pytest.mark.slow
+
 DEPTH = np.linspace(0.0, 10.0, 12)
 C = 0.008
 

@@ -11,6 +11,8 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_problems
 from limbcli.meshing.surfaces import Triangles
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def surfaces(make_tube) -> dict[str, Triangles]:

@@ -92,6 +92,7 @@ def test_febio_that_was_named_and_is_not_there_is_missing(tmp_path: Path, monkey
     assert result.exit_code == 4
 
 
+@pytest.mark.slow
 def test_missing_library_is_named_with_its_debian_package(monkeypatch):
     """A trial that fails as a missing library makes it fail."""
     said = "ImportError: libOpenGL.so.0: cannot open shared object file: No such file or directory"

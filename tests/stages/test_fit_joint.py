@@ -20,6 +20,8 @@ from limbcli.stages.fitting.numerical_error import gain_deviation
 from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 from tests.stages import block_case as block
 
+pytestmark = pytest.mark.slow
+
 C, SHAPE = 0.008, np.array([20.0, 5.0])
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 

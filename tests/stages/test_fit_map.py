@@ -19,6 +19,8 @@ from limbcli.stages.fitting.stiffness_map import tissue_map
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
+pytestmark = pytest.mark.slow
+
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 SOFT, STIFF = 0.005, 0.016
 TRUTH = {"f_kappa": 60.0, "m": 4.0}

@@ -26,6 +26,8 @@ from limbcli.stages.site_model.site_states import states_of
 from tests.stages import block_case as block
 from tests.stages import state_case
 
+pytestmark = pytest.mark.slow
+
 WAY, UNLOADED = state_case.WAY, f"unloaded_stretch_{state_case.WAY}"
 OPTIONS = StatesOptions(gain_deviation=0.03, max_rounds=1)
 

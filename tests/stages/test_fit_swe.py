@@ -20,6 +20,8 @@ from limbcli.stages.fitting.predicted_speeds import leave_speeds
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
+pytestmark = pytest.mark.slow
+
 DEPTHS = np.array([1.2, 2.4, 3.6])
 C = 0.008  # MPa: 2 m/s
 

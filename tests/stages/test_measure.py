@@ -83,6 +83,7 @@ def test_levels_are_written_to_the_case_once_and_never_over_a_file(folder: Path,
         case.sites[0].levels.unlink()
 
 
+@pytest.mark.slow
 def test_missing_image_is_said_with_the_counts(folder: Path, tmp_path: Path):
     extra = folder / "bmode" / "3.png"
     content = extra.read_bytes()
@@ -195,6 +196,7 @@ def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Pa
         assert depth.max() <= 0.1 * row - 1.5 + 0.2
 
 
+@pytest.mark.slow
 def test_bone_read_by_hand_at_every_level_wins(folder: Path, tmp_path: Path):
     bone = "bone_mm = [24.0, 23.0, 22.0, 21.0]\n"
     toml = (folder / "case.toml").read_text()
@@ -208,6 +210,7 @@ def test_bone_read_by_hand_at_every_level_wins(folder: Path, tmp_path: Path):
         measure(Case.open(case.folder), out=tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     case = without(folder, tmp_path / "case", "-")
     text = (case.folder / "case.toml").read_text()
@@ -218,6 +221,7 @@ def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     assert (case.folder / "p1.csv").is_file()
 
 
+@pytest.mark.slow
 def test_level_0_may_follow_the_air_without_a_gap(folder: Path, tmp_path: Path, rng):
     """The tare in the air and the hold at first touch both read about 0 N: level 0 is not lost."""
     time, force = times_and_forces(rng)
@@ -245,6 +249,7 @@ def test_half_a_table_is_not_written_into_the_case(folder: Path, tmp_path: Path)
     assert not (case.folder / "p1.csv").exists()
 
 
+@pytest.mark.slow
 def test_layers_of_the_images_become_columns_that_add_up_to_the_bone(folder: Path, tmp_path: Path):
     case = without(folder, tmp_path / "case", "-")
     toml = (folder / "case.toml").read_text()

@@ -16,6 +16,8 @@ from limbcli.files import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
+pytestmark = pytest.mark.slow
+
 BARE = PhantomOptions(seed=3, voxel=(2.5, 2.5, 8.0), site_names=("p1", "p2"), synth=None)
 
 

@@ -398,6 +398,7 @@ def add_predicted_speeds(out: Path, site: str) -> None:
     (folder / "fit.json").write_text(json.dumps(content))
 
 
+@pytest.mark.slow
 def test_predicted_speeds_and_the_stiffness_map_are_shown_where_the_fit_left_them(tmp_path, whole):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
@@ -412,6 +413,7 @@ def test_predicted_speeds_and_the_stiffness_map_are_shown_where_the_fit_left_the
     assert "predicts" not in " ".join(attrs["alt"] for attrs in whole[1].all("img")), "and nowhere else"
 
 
+@pytest.mark.slow
 def test_a_broken_table_of_predicted_speeds_becomes_words(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
@@ -509,6 +511,7 @@ def test_unreadable_levels_and_records_become_words(tmp_path):
     assert "nodes.csv cannot be used" in result.warnings[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "content",
     [b"", b"time_s,depth_mm", b"time_s,depth_mm,force_n\n1,2", b"time_s,depth_mm\n1,2\n", b"\x00\xff\n,",
@@ -551,6 +554,7 @@ def test_a_fit_of_the_very_model_is_not_called_old(tmp_path):
     assert not any("older" in text for text in gather(case, out=out).notices)
 
 
+@pytest.mark.slow
 def test_users_template_replaces_ours(tmp_path):
     case = make_case(tmp_path / "case")
     (tmp_path / "mine" / "report").mkdir(parents=True)
@@ -561,6 +565,7 @@ def test_users_template_replaces_ours(tmp_path):
     assert "At a glance" in html
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", ["{% if %}", "{{ nothing_like_it }}"])
 def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_path, content):
     case = make_case(tmp_path / "case")
@@ -597,6 +602,7 @@ def add_on_demand(out: Path) -> None:
         small_png(writer.file("picture", "study.png"))
 
 
+@pytest.mark.slow
 def test_what_was_made_on_demand_is_on_the_page(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
@@ -618,6 +624,7 @@ def test_what_was_not_made_on_demand_is_not_missed(whole):
     assert not ids & {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"}
 
 
+@pytest.mark.slow
 def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_on_demand(out)

@@ -15,6 +15,8 @@ from limbcli.results import open_stage
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.index import report_index
 
+pytestmark = pytest.mark.slow
+
 
 def add_subject(folder: Path, name: str, *, fitted: bool = True, failure: str | None = None) -> None:
     out = folder / name
