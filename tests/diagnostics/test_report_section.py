@@ -9,9 +9,11 @@ import pytest
 
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
+from limbcli.effects import effect
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
 from limbcli.stages.diagnosis.report import (
+    _in_plausible_sizes,
     candidates_picture,
     diagnosis_json,
     gap_picture,
@@ -39,6 +41,16 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     assert float(sizes["force-zero", "f0_n"]) < 0.0
     assert "open" in sizes.values()
     assert len(shown.pictures) == 3
+
+
+@pytest.mark.parametrize(
+    ("effect_name", "parameter", "ends", "shown"),
+    [("force-zero", 0, (-0.25, 0.75), (-0.25, 0.75)), ("viscoelasticity", 0, (-0.6, 0.6), (0.0, 2.0)),
+     ("thickness", 0, (-2.0, -1.3), (-2.0, -2.0)), ("depth-gain", 0, (-np.inf, np.inf), (-7 / 3, 5 / 3))],
+)  # fmt: skip
+def test_sizes_are_drawn_within_what_is_looked_for(effect_name, parameter, ends, shown):
+    p = effect(effect_name).sizes[parameter]
+    assert _in_plausible_sizes(p, ends) == pytest.approx(shown), (p.null, p.typical, p.low, p.high)
 
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):

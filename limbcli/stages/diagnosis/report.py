@@ -107,6 +107,7 @@ def _refit(refit: Any) -> dict[str, Any]:
 
 
 _WIDEST = 4.0  # plausible sizes
+_THINNEST = 0.02  # of them: a bar that can be seen
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
           "layer": "layers", "hold": "fall of the force in holds"}  # fmt: skip
 
@@ -166,25 +167,40 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 
 def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -> None:
-    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it."""
+    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it.
+
+    A triangle: all of it lies beyond the frame, or beyond the largest size that is looked for.
+    """
     rows = [
-        (f"{name}: {p.name}", [x / p.proportional(p.typical) for x in found.sizes[name][p.name]])
+        (f"{name}: {p.name}", _in_plausible_sizes(p, found.sizes[name][p.name]))
         for name, effect in effects.items() if name in found.sizes
         for p in effect.sizes if p.name in found.sizes[name]
     ]  # fmt: skip
     figure = Figure(figsize=(8.4, 0.26 * max(len(rows), 4) + 1.2), layout="constrained")
     axes = figure.subplots()
     for k, (_, ends) in enumerate(rows):
-        low, high = np.clip(np.sort(ends), -_WIDEST, _WIDEST)
-        without = low <= 0.0 <= high
-        axes.barh(k, high - low, left=low, height=0.6, color="#9aa5b1" if without else "#d55e00")
+        low, high = np.clip(ends, -_WIDEST, _WIDEST)
+        color = "#9aa5b1" if low <= 0.0 <= high else "#d55e00"
+        axes.barh(k, high - low, left=low, height=0.6, color=color)
+        if high - low < _THINNEST:
+            axes.plot(low, k, ">" if low > 0 else "<", color=color, clip_on=False)
     axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=8)
     axes.axvline(0.0, color="#22303c", lw=0.8)
     axes.axvline(1.0, color="#22303c", lw=0.8, ls="--")
     axes.set_xlim(-_WIDEST, _WIDEST)
     axes.invert_yaxis()
-    axes.set_xlabel("size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside)")
+    axes.set_xlabel(
+        "size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside;\n"
+        "triangle: larger than the sizes that are looked for, or than this frame)"
+    )
     save_figure(figure, path, dpi=150)
+
+
+def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
+    """An interval of what grows in proportion to the effect, as sizes that are looked for, in order."""
+    low, high = (float(np.clip(p.from_proportional(x), p.low, p.high) - p.null) for x in ends)
+    first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
+    return first, last
 
 
 def _z_rms(found: Diagnosis, test: str) -> float | None:
