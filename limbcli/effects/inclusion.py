@@ -21,6 +21,7 @@ from limbcli.model import Array, LimbModel
 
 X, DEPTH, RADIUS = "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm"
 EDGE_MM = 0.5
+_FAR = 20.0  # edges outside the ball, from where 2e-9 of it are left
 CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=3.0, typical=1.0,
                      prior="scars 2 to 10 times as stiff")  # fmt: skip
 SHAPE = (
@@ -36,10 +37,13 @@ _PLACES = tuple(
 
 def stiffness(places: Places, theta: Theta) -> Array:
     middle = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 12.0)])
-    away = places.at - middle
-    beyond = np.sqrt(np.einsum("...k,...k", away, away)) - theta.get(RADIUS, 7.0)
-    inside = expit(-beyond / EDGE_MM)
-    return np.asarray(1.0 + inside * np.expm1(theta[CONTRAST.name]))
+    radius = theta.get(RADIUS, 7.0)
+    squared = places.squared - 2.0 * (places.at @ middle) + middle @ middle
+    near = squared < (radius + _FAR * EDGE_MM) ** 2
+    beyond = np.sqrt(np.maximum(squared[near], 0.0)) - radius
+    found = np.ones(squared.shape)
+    found[near] += expit(-beyond / EDGE_MM) * np.expm1(theta[CONTRAST.name])
+    return found
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

@@ -24,6 +24,11 @@ class Places:
     model: LimbModel
 
     @cached_property
+    def squared(self) -> Array:
+        """mm2 (...) from the frame's origin."""
+        return np.asarray(np.einsum("...k,...k", self.at, self.at))
+
+    @cached_property
     def below_skin(self) -> Array:
         """mm (...) to the nearest point of the skin's surface."""
         distance, _ = skin_tree(self.model).query(self.at.reshape(-1, 3))
