@@ -131,11 +131,16 @@ class _Run:
         ]  # fmt: skip
 
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
-        """Removal test: without any one member, the rest does not suffice (it was tried, and failed)."""
+        """Removal test: without any one member, the rest does not suffice (it was tried, and failed).
+
+        One effect alone needs evidence of its own, or fits as well as the best, whose evidence is its, too.
+        """
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
-            seen = found is not None and found.p_adjusted < thresholds.REFIT_BELOW
-            return seen or refit.gap == 0.0 or closes_gross(self.baseline.state, refit.state)
+            if found is not None and found.p_adjusted < thresholds.REFIT_BELOW:
+                return True
+            as_well = refit.gap is not None and refit.gap < thresholds.AS_WELL
+            return as_well or closes_gross(self.baseline.state, refit.state)
         for name in refit.explanation:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:

@@ -223,19 +223,21 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "speaks", "needed"),
-    [(100.0, 8.0, True, True), (100.0, 30.0, True, False), (30.0, 5.0, True, False),
-     (100.0, 80.0, False, False), (30.0, 20.0, False, False)],
+    ("before", "after", "gap", "speaks", "needed"),
+    [(100.0, 8.0, 5.0, True, True), (100.0, 30.0, 5.0, True, False), (30.0, 5.0, 5.0, True, False),
+     (100.0, 80.0, 5.0, False, False), (30.0, 20.0, 5.0, False, False), (30.0, 20.0, 3.0, False, True),
+     (30.0, 20.0, None, False, False)],
 )  # fmt: skip
-def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, speaks, needed):
-    """Its score was not significant at the fit without effects, where sensitivities may tell little."""
+def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, gap, speaks, needed):
+    """Its score was not significant at the fit without effects, where sensitivities may tell little; nor does
+    one that fits as well as the best."""
     baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
     run = _Run(baseline, 3, False)
     run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
     fitted = SimpleNamespace(effect_names=("size",))
     state = SimpleNamespace(nu=9, chi2=after)
-    refit = SimpleNamespace(explanation=("wave",), state=state, gap=3.0, fitted=fitted)
+    refit = SimpleNamespace(explanation=("wave",), state=state, gap=gap, fitted=fitted)
     assert run._speaks_for_itself(refit) is speaks
     assert run._each_is_needed(refit, None) is needed
 
