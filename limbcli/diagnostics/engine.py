@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -165,7 +166,7 @@ class _Run:
             why = "something is left that no candidate, alone or together, explains"
             return self._finish("unexplained", why, None)
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        doubt = self._doubt(best, promising)
+        doubt = self._doubt(best, kept, promising)
         if len(kept) == 1 and doubt is not None:
             word, why = doubt
             return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
@@ -177,15 +178,19 @@ class _Run:
         why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
         return self._finish("ambiguous", why, best, tuple(kept))
 
-    def _doubt(self, best: Refit, promising: list[str]) -> tuple[Word, str] | None:
-        """Why the best explanation is not to be named, and what is to be said instead; None: it may be."""
+    def _doubt(self, best: Refit, kept: Sequence[Refit], promising: list[str]) -> tuple[Word, str] | None:
+        """Why the best explanation is not to be named, and what is to be said instead; None: it may be.
+
+        What it leaves may be that of one effect more: then an explanation with both leaves nothing.
+        """
         if not self._speaks_for_itself(best):
             why = "the one explanation that fits is not significant by itself; what is, does not fit"
             return "unexplained", why
         if not Closing(self.baseline, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return "unexplained", why
-        if best.left_p < thresholds.LEFT:
+        larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
+        if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "one explanation fits, but it leaves something; it may not be all"
         if best.fitted.notes:
             return "ambiguous", f"one explanation fits, but with it {best.fitted.notes[0]}"

@@ -147,7 +147,7 @@ IMAGE_ALIKE: Final = 0.97
 
 LEFT: Final = ALPHA
 """p of what the only explanation leaves, below which it is not named: a name leaves nothing that would be
-detected."""
+detected, or what one effect more explains, which is told beside it."""
 
 CLOSED_PERCENTILE: Final = 95.0
 """Per cent of placebos (smooth curves of no meaning) that a named effect must beat. Convention."""

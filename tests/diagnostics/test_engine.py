@@ -262,13 +262,30 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 )  # fmt: skip
 def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word):
     run = _Run(SimpleNamespace(), 3, False)
-    run._doubt = lambda best, promising: doubt
+    run._doubt = lambda best, kept, promising: doubt
     run._finish = lambda said, why, best, kept=(): (said, [each.explanation for each in kept])
     kept = [
         SimpleNamespace(explanation=each, is_adequate=True, state=SimpleNamespace(chi2=10.0 - len(each)))
         for each in several
     ]
     assert run._conclude(kept, []) == (word, several)
+
+
+@pytest.mark.parametrize(
+    ("alone", "with_one_more", "named"),
+    [(0.2, None, True), (0.02, None, False), (0.02, 0.3, True), (0.02, 0.03, False)],
+)
+def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, with_one_more, named):
+    run = _Run(SimpleNamespace(), 3, False)
+    run._speaks_for_itself = lambda refit: True
+    monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
+    fitted = SimpleNamespace(notes=(), at_bound=())
+    kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
+    if with_one_more is not None:
+        kept.append(SimpleNamespace(explanation=("a", "b"), left_p=with_one_more, fitted=fitted))
+    doubt = run._doubt(kept[0], kept, [])
+    assert (doubt is None) == named
+    assert named or doubt[0] == "ambiguous"
 
 
 def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch):
