@@ -227,6 +227,9 @@ class SiteForwardModel(Fits):
     def _check_channels(self, explanation: Explanation) -> None:
         has = {channel for each in self.sites for channel in each.site.channels}
         for name in explanation:
+            for each in self.sites:
+                if name in each.refused:
+                    raise each.refused[name]
             if self.effects[name].febio_only:
                 raise only_febio(self.effects[name])
             lacking = [each for each in self.effects[name].needs if each not in has]
