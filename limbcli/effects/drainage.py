@@ -2,14 +2,13 @@
 
 A probe that is pressed in at once and held bears F(t) = F_0 G(k c t): F_0 before anything has drained, k the
 permeability, c the stiffness, on which G depends through their product alone. G at a few depths comes out of
-simulations, as 1 - sum_i s_i (1 - exp(-k c t / x_i)). What drains follows how the depth came about, so that of
-any history d(t) there is left
+simulations, as 1 - sum_i s_i (1 - exp(-k c t / x_i)). What drains follows how the depth came about, so that
+of any history d(t) there is left
 
     1 - sum_i s_i(d) (1 - m_i / d),    m_i(t) = int exp(-k c (t - s) / x_i) dd(s).
 
-Exact for a held indentation of linear tissue with a steady contact. Against simulations of a whole staircase
-of holds (strain to a quarter, k c from 0.05 to 0.5 mm^2/s) forces are within 0.7 %, and their falls within holds
-within 0.4 % of the force.
+Exact for linear tissue under a steady contact. Against simulations of a whole staircase of holds (strain to
+a quarter, k c 0.05 and 0.5 mm^2/s) forces are within 0.7 %, their falls in holds within 0.4 % of the force.
 Source: Mow et al. 1980, J Biomech Eng 102:73; superposition, Fung 1993, Biomechanics, section 7.6.
 """
 
@@ -24,8 +23,8 @@ from scipy.optimize import nnls
 from limbcli.errors import SolveError
 from limbcli.model import Array
 
-# mm^2, k c t of the terms. What drains before the first one does so over less than a millimetre, at the rim of
-# the contact: that is the mesh's.
+# mm^2, k c t of the terms. What drains before the first one does so over less than a millimetre, at the rim
+# of the contact: that is the mesh's.
 SPREADS = 10.0 ** np.arange(-1.0, 3.51, 0.5)
 _LEAST_DEPTH = 0.05  # mm, below which a depth has no history to speak of
 _LEAST_LEFT = 0.05
@@ -47,8 +46,8 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Drainage:
-    """What drains at a site: depth (n_depths,) mm, rising; lost (n_depths, n_terms): the shares s_i; spread
-    (n_terms,) mm^2: the x_i."""
+    """What drains at a site: depth (n_depths,) mm, rising; lost (n_depths, n_terms): the shares s_i;
+    spread (n_terms,) mm^2: the x_i."""
 
     depth: Array
     lost: Array
@@ -76,8 +75,8 @@ class Drainage:
     def left(self, depth: Array, memory: Array, rate: float) -> Array:
         """Share (n,) of the undrained force that is left at depths (n,) mm.
 
-        memory (n, n_terms) mm : the m_i, with time constants `times(rate)`. For rates below 0, which are there for
-        differences about 0 only, as much is gained as is lost at the rate's opposite.
+        memory (n, n_terms) mm : the m_i, with time constants `times(rate)`. For rates below 0, which are
+        there for differences about 0 only, as much is gained as is lost at the rate's opposite.
         """
         shares = np.column_stack([np.interp(depth, self.depth, each) for each in self.lost.T])
         gone = shares * (1.0 - memory / np.maximum(depth, _LEAST_DEPTH)[:, None])

@@ -2,8 +2,8 @@
 
 sigma = -p I + sigma_e, div(v - k grad p) = 0, over a time L^2/((lambda + 2 mu) k): the drained solid is
 compressible (f_kappa 0.3 to 20), the fluid supplies incompressibility at first.
-FEBio: module `biphasic`; the reference solver refuses it, so that without FEBio it is not evaluated. With it a
-few held indentations tell what drains (`drainage`), and the force follows for any permeability and history.
+FEBio: module `biphasic`; the reference solver refuses it, so that without FEBio it is not evaluated. With it
+a few held indentations tell what drains (`drainage`), and the force follows for any permeability and history.
 Skin, probe and bone let nothing through; through the cuts, beyond which the tissue goes on, it flows freely.
 Shear waves are those of the skeleton, whose shear modulus the fluid's pressure leaves as it is; that drained
 tissue is squeezed a little otherwise is of second order for them, and left out.
@@ -13,6 +13,7 @@ Source: Mow et al. 1980, J Biomech Eng 102:73.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from limbcli.effects.base import Effect, Parameter, Theta
@@ -23,13 +24,30 @@ from limbcli.model import LimbModel, Material, Support
 
 DRAINED = "drained_f_kappa"
 CUT = "cut"  # the node set where the mesh ends but the tissue does not
-PERMEABILITY = Parameter("permeability_mm4_per_n_s", null=0.0, start=10.0, low=0.0, high=500.0, typical=50.0,
-                         prior="muscle and fat: 0.01 to 230", saturates=20.0)  # fmt: skip
+# mm^4/(N s): below it what drains in a hold of some seconds grows as the permeability, beyond about as its
+# logarithm.
+BENDS = 0.2
+PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0, high=7.8, typical=5.5,
+                         prior="muscle and fat: permeability 0.01 to 230 mm^4/(N s)")  # fmt: skip
+
+
+def permeability(theta: Theta) -> float:
+    """mm^4/(N s). What is fitted is ln(1 + k / 0.2), in which drainage is about linear.
+
+    >>> round(permeability(with_permeability(50.0)), 9)
+    50.0
+    """
+    return BENDS * math.expm1(theta[PERMEABILITY.name])
+
+
+def with_permeability(k: float) -> dict[str, float]:
+    """The effect's parameter for a permeability in mm^4/(N s)."""
+    return {PERMEABILITY.name: math.log1p(k / BENDS)}
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
     """The wet tissue that FEBio needs; load and time stay as they are."""
-    k = theta[PERMEABILITY.name]
+    k = permeability(theta)
     if k == 0.0:
         return model
     kappa = theta.get(DRAINED, 2.0) * ground_modulus(model)
@@ -50,10 +68,8 @@ def with_drainage(drainage: Drainage) -> Effect:
     """The effect at a site where it is known what drains: in the reading, without a simulation each."""
 
     def observe(reading: Reading, theta: Theta) -> Reading:
-        k = theta[PERMEABILITY.name]
-        return (
-            reading if k == 0.0 else replace(reading, draining=(*reading.draining, (drainage, k * reading.c)))
-        )
+        rate = permeability(theta) * reading.c
+        return reading if rate == 0.0 else replace(reading, draining=(*reading.draining, (drainage, rate)))
 
     return replace(EFFECT, observe=observe, solves=False, febio_only=False)
 

@@ -53,8 +53,8 @@ class DiagnoseOptions:
     size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
     measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place;
-    solver : of draining tissue, which only FEBio simulates. "auto": FEBio where it is found, and where a force
-    falls in a hold; "febio": wherever holds were recorded; "reference": never. febio : its binary
+    solver : of draining tissue, which only FEBio simulates. "auto": FEBio where it is found, and where a
+    force falls in a hold; "febio": wherever holds were recorded; "reference": never. febio : its binary
     """
 
     effects: tuple[str, ...] = ()

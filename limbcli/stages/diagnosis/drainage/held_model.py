@@ -36,7 +36,7 @@ def held_model(meshed: LimbModel, depth: float, *, c: float, m: float) -> LimbMo
     """The site's model (as `mesh` makes it) at one depth (mm): c in MPa; f_kappa drained as the effect's."""
     start = starting_depth(meshed, depth)
     model = indentation_model(meshed, schedule([depth], start=start), c=c, f_kappa=100.0, m=m)
-    theta = {poroelasticity.PERMEABILITY.name: 1.0 / c, **poroelasticity.EFFECT.grid[0]}
+    theta = {**poroelasticity.with_permeability(1.0 / c), **poroelasticity.EFFECT.grid[0]}
     wet = poroelasticity.apply(with_penalty(model, USUAL_PENALTY), theta)
     first = RAMP / np.ceil((depth - start) / _RAMP_STEP)
     edges = np.geomspace(RAMP, END, round(_PER_DECADE * np.log10(END / RAMP)) + 1)
