@@ -23,9 +23,9 @@ from scipy.optimize import nnls
 from limbcli.errors import SolveError
 from limbcli.model import Array
 
-# mm^2, k c t of the terms. What drains before the first one does so over less than a millimetre, at the rim
+# mm^2, k c t of the terms. What drains before the first does so over a fraction of a millimetre at the rim
 # of the contact: that is the mesh's.
-SPREADS = 10.0 ** np.arange(-1.0, 3.51, 0.5)
+SPREADS = 10.0 ** np.arange(-2.0, 3.51, 0.5)
 _LEAST_DEPTH = 0.05  # mm, below which a depth has no history to speak of
 _LEAST_LEFT = 0.05
 _ENOUGH_POINTS = 8
