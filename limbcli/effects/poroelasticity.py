@@ -28,7 +28,8 @@ CUT = "cut"  # the node set where the mesh ends but the tissue does not
 # logarithm.
 BENDS = 0.2
 PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0, high=7.8, typical=5.5,
-                         prior="muscle and fat: permeability 0.01 to 230 mm^4/(N s)")  # fmt: skip
+                         prior="muscle and fat: permeability 0.01 to 230 mm^4/(N s)",
+                         looked_at=1.0)  # fmt: skip
 
 
 def permeability(theta: Theta) -> float:

@@ -32,6 +32,7 @@ from limbcli.stages.fitting.force_curves import available_cores, shares
 
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
+_LEAST_DEPTHS = 2
 _TIME_LIMIT_S = 3600.0  # of one simulation; a limb of 6,000 nodes takes a few minutes
 
 
@@ -87,8 +88,7 @@ def drained(
         found = runs.all(depths)
         told = [each.facts() for each in found]
         facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": told}
-        drainage = Drainage.through([each.hold for each in found if each.hold is not None])
-        _enough(drainage, found)
+        drainage = Drainage.through(_enough(found))
     except LimbError as error:
         return Drained(refused=error, facts=facts)
     lacking = tuple(_not_run(each) for each in found if each.hold is None)
@@ -164,18 +164,24 @@ class _Runs:
         return self.keep / f"drainage-{changed_to(model)[:16]}-{self.version}.json"
 
 
-def _enough(drainage: Drainage, found: Sequence[_Run]) -> None:
-    """What drains at one depth alone says too little of the others."""
-    if len(drainage.depth) < 2:
-        failed = next(each for each in found if each.hold is None)
-        raise SolveError(
-            f"FEBio drained the tissue at one of {len(found)} depths only: {failed.problem}",
-            where=f"effect {NAME}", fix="another --size-mm, or look at the site's mesh",
-        )  # fmt: skip
+def _enough(found: Sequence[_Run]) -> list[Hold]:
+    """The holds that came to their end: what drains at one depth alone says too little of the others."""
+    holds = [each.hold for each in found if each.hold is not None]
+    if len(holds) >= _LEAST_DEPTHS:
+        return holds
+    failed = next(each for each in found if each.hold is None)
+    raise SolveError(
+        f"FEBio drained it at {len(holds)} of {len(found)} depths only: {_first_line(failed.problem)}",
+        where=f"effect {NAME}", fix="another --size-mm, or look at the site's mesh",
+    )  # fmt: skip
+
+
+def _first_line(text: str) -> str:
+    return text.splitlines()[0].rstrip(":") if text else ""
 
 
 def _not_run(each: _Run) -> str:
-    return f"{NAME} was judged without FEBio's run at {each.depth:g} mm: {each.problem.splitlines()[0]}"
+    return f"{NAME} was judged without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
 
 
 def _no_holds(why: str) -> FitError:

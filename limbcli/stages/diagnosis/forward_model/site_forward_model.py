@@ -164,7 +164,7 @@ class SiteForwardModel(Fits):
         x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
         x += [values[s.name] for s in slots]
         k = 2 + [s.name for s in slots].index(slot.name)
-        step = 0.02 * (p.start - p.null)
+        step = p.looked_at * (p.start - p.null)
         up, down = np.array(x), np.array(x)
         up[k] += step
         if not p.sign:
