@@ -32,7 +32,7 @@ _ENOUGH_POINTS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class HeldIndentation:
     """A simulated indentation, pressed in while k c t rises to `ramp` and held from there on.
 
     depth mm; ramp mm^2; spread (n,) : k c t in mm^2, rising; force (n,) N
@@ -54,7 +54,7 @@ class Drainage:
     spread: Array
 
     @staticmethod
-    def through(holds: Sequence[Hold]) -> Drainage:
+    def through(holds: Sequence[HeldIndentation]) -> Drainage:
         """The shares that go through simulated holds, at one depth each.
 
         Raises
@@ -83,13 +83,13 @@ class Drainage:
         return np.maximum(1.0 - np.sign(rate) * gone.sum(axis=1), _LEAST_LEFT)
 
 
-def held_memory(hold: Hold, spread: Array) -> Array:
+def held_memory(hold: HeldIndentation, spread: Array) -> Array:
     """m_i / d (n, n_terms) of a hold, from the end of its ramp on."""
     at_end = spread / hold.ramp * -np.expm1(-hold.ramp / spread)
     return np.asarray(at_end * np.exp(-np.maximum(hold.spread - hold.ramp, 0.0)[:, None] / spread))
 
 
-def _shares(hold: Hold) -> Array:
+def _shares(hold: HeldIndentation) -> Array:
     """Shares (n_terms,), none below 0, by least squares of the relative force from the first term on."""
     used = hold.spread >= max(hold.ramp, SPREADS[0])
     force = hold.force[used]

@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.effects import effect, poroelasticity
 from limbcli.effects.curves import Curves
-from limbcli.effects.drainage import SPREADS, Drainage, Hold
+from limbcli.effects.drainage import SPREADS, Drainage, HeldIndentation
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import SolveError
 from limbcli.stages.diagnosis.data.held_forces import STEP_S, HeldForces
@@ -19,7 +19,7 @@ LEVELS = np.array([0.0, 2.0, 4.0, 6.0])
 C, RAMP = 0.008, 0.02  # MPa, mm^2
 
 
-def hold(depth: float, shares: np.ndarray, *, scale: float = 1.0) -> Hold:
+def hold(depth: float, shares: np.ndarray, *, scale: float = 1.0) -> HeldIndentation:
     """A made one: pressed in linearly, and held."""
     at = np.concatenate([np.linspace(0.005, RAMP, 4), np.geomspace(0.03, 3000.0, 25)])
     memory = np.empty((len(at), len(SPREADS)))
@@ -27,7 +27,7 @@ def hold(depth: float, shares: np.ndarray, *, scale: float = 1.0) -> Hold:
         pressed = np.minimum(at, RAMP)
         memory[:, k] = x / RAMP * (np.exp(-(at - pressed) / x) - np.exp(-at / x))
     share = np.minimum(at / RAMP, 1.0)
-    return Hold(depth, RAMP, at, scale * depth * (share - (share[:, None] - memory) @ shares))
+    return HeldIndentation(depth, RAMP, at, scale * depth * (share - (share[:, None] - memory) @ shares))
 
 
 def drainage() -> Drainage:

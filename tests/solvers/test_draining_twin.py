@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.effects.drainage import Drainage, Hold, held_memory
+from limbcli.effects.drainage import Drainage, HeldIndentation, held_memory
 from limbcli.progress import SILENT
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.diagnosis.data.held_forces import STEP_S, relaxing
@@ -22,7 +22,7 @@ from tests.stages.block_case import block_model
 
 FEBIO = json.loads(asked.FILE.read_text())
 HOLDS = [
-    Hold(each["depth_mm"], each["ramp_mm2"], np.array(each["spread_mm2"]), np.array(each["force_n"]))
+    HeldIndentation(each["depth_mm"], each["ramp_mm2"], np.array(each["spread_mm2"]), np.array(each["force_n"]))
     for each in FEBIO["holds"]
 ]
 
@@ -35,7 +35,7 @@ def test_a_confined_column_is_the_closed_form():
     assert force[-1] == pytest.approx(asked.closed_form(time[-1:])[0], rel=5e-4)
 
 
-def undrained(hold: Hold, drainage: Drainage) -> float:
+def undrained(hold: HeldIndentation, drainage: Drainage) -> float:
     """N, that the fitted terms say was there before anything had drained."""
     k = int(np.flatnonzero(drainage.depth == hold.depth)[0])
     left = 1.0 - (1.0 - held_memory(hold, drainage.spread)) @ drainage.lost[k]

@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.diagnostics import thresholds
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
-from limbcli.effects.drainage import Drainage, Hold
+from limbcli.effects.drainage import Drainage, HeldIndentation
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.files import atomic_file
 from limbcli.model import LimbModel
@@ -98,7 +98,7 @@ def drained(
 @dataclass(frozen=True, eq=False)
 class _Run:
     depth: float
-    hold: Hold | None
+    hold: HeldIndentation | None
     problem: str = ""
     seconds: float = 0.0
 
@@ -156,7 +156,7 @@ class _Runs:
         try:
             content = json.loads(self._path(model).read_text(encoding="utf-8"))
             spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
-            return _Run(depth, Hold(depth, content["ramp_mm2"], spread, force), "", content["seconds"])
+            return _Run(depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -164,7 +164,7 @@ class _Runs:
         return self.keep / f"drainage-{changed_to(model)[:16]}-{self.version}.json"
 
 
-def _enough(found: Sequence[_Run]) -> list[Hold]:
+def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
     """The holds that came to their end: what drains at one depth alone says too little of the others."""
     holds = [each.hold for each in found if each.hold is not None]
     if len(holds) >= _LEAST_DEPTHS:

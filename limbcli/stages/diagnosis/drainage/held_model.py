@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.effects import poroelasticity
-from limbcli.effects.drainage import SPREADS, Hold
+from limbcli.effects.drainage import SPREADS, HeldIndentation
 from limbcli.feb.settings import USUAL_PENALTY, schedule
 from limbcli.model import Curve, LimbModel
 from limbcli.solvers.base import Simulation
@@ -55,7 +55,7 @@ def held_model(meshed: LimbModel, depth: float, *, c: float, m: float) -> LimbMo
     return replace(wet, curves=curves, steps=(step,), records=wet.records[:1])
 
 
-def hold_of(simulation: Simulation, depth: float) -> Hold:
+def hold_of(simulation: Simulation, depth: float) -> HeldIndentation:
     """What a finished simulation of `held_model` says."""
     later = simulation.times > 0
-    return Hold(depth, RAMP, simulation.times[later], simulation.probe_force()[later])
+    return HeldIndentation(depth, RAMP, simulation.times[later], simulation.probe_force()[later])
