@@ -29,6 +29,7 @@ SPREADS = 10.0 ** np.arange(-2.0, 3.51, 0.5)
 _LEAST_DEPTH = 0.05  # mm, below which a depth has no history to speak of
 _LEAST_LEFT = 0.05
 _ENOUGH_POINTS = 8
+_MISFIT = 0.02  # of the force: simulated holds of blocks and a limb are within 0.002 of their terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,4 +102,11 @@ def _shares(hold: HeldIndentation) -> Array:
     gone = 1.0 - held_memory(hold, SPREADS)[used]
     table = np.column_stack([np.ones(len(force)), -gone]) / force[:, None]
     found, _ = nnls(table, np.ones(len(force)))
+    off = np.abs(table @ found - 1.0)
+    if found[0] <= 0 or off.max() > _MISFIT:
+        raise SolveError(
+            f"the force of the hold at {hold.depth:g} mm does not fall as that of draining tissue does "
+            f"({100 * off.max():.0f} % off)",
+            where="drainage", fix="look at the log of the run, and at the site's mesh",
+        )  # fmt: skip
     return np.asarray(found[1:] / found[0])

@@ -69,6 +69,14 @@ def test_too_little_is_refused():
         Drainage.through([replace(short, spread=short.spread[:8], force=short.force[:8])])
 
 
+def test_a_force_that_does_not_fall_as_drainage_does_is_refused():
+    """A contact that slipped, say: the force grows in the hold."""
+    made = hold(2.0, np.zeros(len(SPREADS)))
+    grown = replace(made, force=made.force * np.where(made.spread > 10.0, 1.2, 1.0))
+    with pytest.raises(SolveError, match="does not fall as that of draining tissue"):
+        Drainage.through([grown])
+
+
 def test_without_permeability_nothing_changes_and_a_little_changes_it_smoothly():
     table, null = drainage(), {poroelasticity.PERMEABILITY.name: 0.0}
     assert poroelasticity.with_drainage(table).observe(Reading(c=C), null) == Reading(c=C)

@@ -22,7 +22,9 @@ from tests.stages.block_case import block_model
 
 FEBIO = json.loads(asked.FILE.read_text())
 HOLDS = [
-    HeldIndentation(each["depth_mm"], each["ramp_mm2"], np.array(each["spread_mm2"]), np.array(each["force_n"]))
+    HeldIndentation(
+        each["depth_mm"], each["ramp_mm2"], np.array(each["spread_mm2"]), np.array(each["force_n"])
+    )
     for each in FEBIO["holds"]
 ]
 

@@ -78,7 +78,10 @@ def drained(
     if held is None:
         return Drained(refused=_no_holds(why_not_held))
     if not solver.always:
-        fallen = held.fallen(book.curves(USUAL_M))
+        try:
+            fallen = held.fallen(book.curves(USUAL_M))
+        except LimbError as error:
+            return Drained(refused=error)
         if fallen < thresholds.FALLEN_SD:
             return Drained(refused=_nothing_falls(fallen))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
@@ -156,7 +159,9 @@ class _Runs:
         try:
             content = json.loads(self._path(model).read_text(encoding="utf-8"))
             spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
-            return _Run(depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"])
+            return _Run(
+                depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"]
+            )
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
