@@ -8,7 +8,7 @@ of any history d(t) there is left
     1 - sum_i s_i(d) (1 - m_i / d),    m_i(t) = int exp(-k c (t - s) / x_i) dd(s).
 
 Exact for linear tissue under a steady contact. Against simulations of a whole staircase of holds (strain to
-a quarter, k c 0.05 and 0.5 mm^2/s) forces are within 0.7 %, their falls in holds within 0.4 % of the force.
+a quarter, k c 0.05 and 0.5 mm^2/s) forces are within 0.5 %, their falls in holds within 0.4 % of the force.
 Source: Mow et al. 1980, J Biomech Eng 102:73; superposition, Fung 1993, Biomechanics, section 7.6.
 """
 
