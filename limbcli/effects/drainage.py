@@ -29,7 +29,8 @@ SPREADS = 10.0 ** np.arange(-2.0, 3.51, 0.5)
 _LEAST_DEPTH = 0.05  # mm, below which a depth has no history to speak of
 _LEAST_LEFT = 0.05
 _ENOUGH_POINTS = 8
-_MISFIT = 0.02  # of the force: simulated holds of blocks and a limb are within 0.002 of their terms
+# Of the force: simulated holds of blocks and a limb are within 0.002 of their terms, but for single steps.
+_MISFIT, _STRAY, _MOST_FAIR = 0.02, 0.01, 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +102,19 @@ def _shares(hold: HeldIndentation) -> Array:
         )  # fmt: skip
     gone = 1.0 - held_memory(hold, SPREADS)[used]
     table = np.column_stack([np.ones(len(force)), -gone]) / force[:, None]
-    found, _ = nnls(table, np.ones(len(force)))
-    off = np.abs(table @ found - 1.0)
-    if found[0] <= 0 or off.max() > _MISFIT:
+    off = _misfit(table, nnls(table, np.ones(len(force)))[0])
+    # A step that was let pass a little too soon is one point beside the others.
+    fair = off <= max(_STRAY, 5.0 * float(np.median(off)))
+    found = nnls(table[fair], np.ones(int(fair.sum())))[0]
+    worst = float(_misfit(table[fair], found).max())
+    if found[0] <= 0 or worst > _MISFIT or fair.mean() < _MOST_FAIR:
         raise SolveError(
             f"the force of the hold at {hold.depth:g} mm does not fall as that of draining tissue does "
-            f"({100 * off.max():.0f} % off)",
+            f"({100 * float(off.max()):.0f} % off)",
             where="drainage", fix="look at the log of the run, and at the site's mesh",
         )  # fmt: skip
     return np.asarray(found[1:] / found[0])
+
+
+def _misfit(table: Array, found: Array) -> Array:
+    return np.asarray(np.abs(table @ found - 1.0))

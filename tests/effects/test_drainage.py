@@ -77,6 +77,12 @@ def test_a_force_that_does_not_fall_as_drainage_does_is_refused():
         Drainage.through([grown])
 
 
+def test_a_single_stray_step_does_not_count():
+    made = hold(8.0, drainage().lost[1])
+    stray = replace(made, force=made.force * np.where(np.arange(len(made.force)) == 15, 1.03, 1.0))
+    assert Drainage.through([stray]).lost[0] == pytest.approx(drainage().lost[1], abs=1e-6)
+
+
 def test_without_permeability_nothing_changes_and_a_little_changes_it_smoothly():
     table, null = drainage(), {poroelasticity.PERMEABILITY.name: 0.0}
     assert poroelasticity.with_drainage(table).observe(Reading(c=C), null) == Reading(c=C)
