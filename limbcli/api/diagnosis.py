@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
-from limbcli.api.limits import within
+from limbcli.api.limits import one_of, within
+from limbcli.api.simulation import SOLVERS, SolverName
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
@@ -101,6 +102,8 @@ def diagnose(
     far_size_mm: float = 14.0,
     interventions: bool = True,
     separate: bool = False,
+    solver: SolverName = "auto",
+    febio: PathLike | None = None,
     measured: Mapping[str, float] | None = None,
     templates: PathLike | None = None,
     wait: bool = True,
@@ -120,6 +123,8 @@ def diagnose(
         thin) and far from it
     interventions : try cut and contact first, a few more simulations
     separate : each site alone, also those that share a place
+    solver, febio : of draining tissue, which only FEBio simulates. "auto": where FEBio is found, and a force
+        falls in a recorded hold; "febio": in every record with holds; "reference": never
     measured : numbers measured besides: tare_n, force_gain, first_depth_mm, rate_ratio
     templates : a folder of Jinja templates that come before ours
 
@@ -129,12 +134,15 @@ def diagnose(
         If `segment` or `mesh` has not been run, or an effect or argument is not known.
     MeasurementError
         If the levels cannot be used.
+    ToolError
+        If FEBio is asked for and is not there.
     SolveError, FitError
         If the model without effects cannot be solved or fitted.
 
     Source: the documentation, "The method and its limits"; each effect cites its own.
     """
     within("diagnose", max_effects=max_effects, seed=seed, size_mm=size_mm, far_size_mm=far_size_mm)
+    one_of("diagnose", SOLVERS, solver=solver)
     within("diagnose", **dict(measured or {}))
     from limbcli.stages import diagnose as stage
 
@@ -143,7 +151,7 @@ def diagnose(
             effects=tuple(names_of(effects) or ()), effect_file=maybe_path(effect_file, "effect_file"),
             max_effects=max_effects, seed=seed, size=size_mm, far_size=far_size_mm,
             templates=maybe_path(templates, "templates"), interventions=interventions, separate=separate,
-            measured=dict(measured or {}),
+            measured=dict(measured or {}), solver=solver, febio=maybe_path(febio, "febio"),
         )  # fmt: skip
         found = stage.diagnose(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress

@@ -9,11 +9,13 @@ import typer
 
 from limbcli.cli.options import (
     CaseArg,
+    FebioOpt,
     JsonOpt,
     NoWaitOpt,
     OutOpt,
     QuietOpt,
     SiteOpt,
+    SolverOpt,
     TemplatesOpt,
     VerboseOpt,
 )
@@ -25,6 +27,8 @@ def command(
     case: CaseArg,
     out: OutOpt = None,
     site: SiteOpt = None,
+    solver: SolverOpt = "auto",
+    febio: FebioOpt = None,
     effects: Annotated[
         list[str] | None,
         typer.Option("--effects", metavar="NAME", help="Only this effect (may be repeated); default: all."),
@@ -75,7 +79,7 @@ def command(
     options = DiagnoseOptions(
         effects=tuple(effects or ()), effect_file=effect_file, max_effects=max_effects, seed=seed,
         size=size_mm, far_size=far_size_mm, templates=templates, interventions=interventions,
-        separate=separate, measured=_numbers(measured or []),
+        separate=separate, measured=_numbers(measured or []), solver=solver, febio=febio,
     )  # fmt: skip
     progress = terminal(quiet=quiet, verbose=verbose)
     opened, target = Case.open(case), out or default_out(case)

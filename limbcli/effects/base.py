@@ -27,6 +27,7 @@ class Parameter:
     natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
     saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
         None: it changes things in proportion
+    looked_at : the share of the way from `null` to `start` over which its influence at the null is looked at
     """
 
     name: str
@@ -39,6 +40,7 @@ class Parameter:
     shape: bool = False
     natural_bounds: bool = False
     saturates: float | None = None
+    looked_at: float = 0.02
 
     @staticmethod
     def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.effects.curves import Curves, column_at, columns_at, depth_of_force, force_at
+from limbcli.effects.drainage import Drainage
 from limbcli.model import Array
 
 
@@ -58,6 +59,8 @@ class Reading:
     log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
     guided : 1e4 Hz^2 / f^2 of the shear waves, guided by probe and bone
     prony : (share, time constant s) of relaxing stress beside the lasting one
+    c : MPa, of the tissue that is read, which its draining needs; 0: not told
+    draining : (what drains at the site, permeability times c in mm^2/s)
     after : further changes of the readout, by effects of a user's own
     """
 
@@ -71,6 +74,8 @@ class Reading:
     speed_slope: float = 0.0
     guided: float = 0.0
     prony: tuple[tuple[float, float], ...] = ()
+    c: float = 0.0
+    draining: tuple[tuple[Drainage, float], ...] = ()
     after: tuple[Callable[[Readout, Curves, Protocol], Readout], ...] = field(default=())
 
 
@@ -86,7 +91,7 @@ def read(
     """
     depth = true_depth(curves, protocol.depth, reading)
     elastic = force_at(curves, depth)
-    force = relaxed(elastic, protocol, reading)
+    force = relaxed(elastic, depth, protocol, reading)
     if reading.preload:
         force = force - reading.preload
     if with_speeds:
@@ -105,9 +110,15 @@ def read(
     return shown
 
 
-def relaxed(elastic: Array, protocol: Protocol, reading: Reading) -> Array:
-    """N borne at the end of each hold (n_levels,), by what the tissue bears when all has relaxed."""
-    return elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
+def relaxed(elastic: Array, depth: Array, protocol: Protocol, reading: Reading) -> Array:
+    """N borne at the end of each hold (n_levels,), by what the tissue bears when all has relaxed but nothing
+    has drained; depth (n_levels,) mm: of the probe since first touch."""
+    force = elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
+    pressed = np.maximum(depth, 0.0)
+    for drainage, rate in reading.draining:
+        memory = [remembered(pressed, protocol, tau) for tau in drainage.times(rate).tolist()]
+        force = force * drainage.left(pressed, np.column_stack(memory), rate)
+    return force
 
 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
@@ -149,17 +160,25 @@ def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
 def _relaxed(elastic: Array, protocol: Protocol, prony: tuple[tuple[float, float], ...]) -> Array:
     """Force at the end of each hold: the lasting one and what has not relaxed yet.
 
-    Each step is a ramp of `ramp` seconds, linear in the elastic force, then its hold.
     F(t) = F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1).
     """
-    held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
     total = elastic.copy()
     for share, tau in prony:
-        ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)
-        state, before = 0.0, 0.0
-        for k, now in enumerate(elastic):
-            state = state * np.exp(-protocol.ramp / tau) + (now - before) * ramp_kept
-            state *= np.exp(-held[k] / tau)
-            before = float(now)
-            total[k] += share * state
+        total += share * remembered(elastic, protocol, tau)
     return total
+
+
+def remembered(values: Array, protocol: Protocol, tau: float) -> Array:
+    """int exp(-(t - s)/tau) dv/ds ds at the end of each hold (n_levels,), of values v (n_levels,).
+
+    Each step is a ramp of `ramp` seconds, linear in v, from 0 on, then its hold.
+    """
+    held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
+    ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)
+    found, state, before = np.empty(len(values)), 0.0, 0.0
+    for k, now in enumerate(values.tolist()):
+        state = state * np.exp(-protocol.ramp / tau) + (now - before) * ramp_kept
+        state *= np.exp(-held[k] / tau)
+        before = now
+        found[k] = state
+    return found

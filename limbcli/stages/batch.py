@@ -148,7 +148,9 @@ class CaseRun:
         ):
             for name, memory in zip(names, memories, strict=True):
                 memory.remember(DIAGNOSE, name, key)
-        options = DiagnoseOptions(templates=self.options.templates)
+        options = DiagnoseOptions(
+            templates=self.options.templates, solver=self.options.solver, febio=self.options.febio
+        )
 
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())

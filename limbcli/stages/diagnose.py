@@ -28,6 +28,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.diagnosis.bones.evidence import Stand, compared
 from limbcli.stages.diagnosis.bones.weighing import may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
@@ -51,7 +52,9 @@ class DiagnoseOptions:
     """effects : names to try (empty: all);
     size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
-    measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place.
+    measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place;
+    solver : of draining tissue, which only FEBio simulates. "auto": FEBio where it is found, and where a
+    force falls in a hold; "febio": wherever holds were recorded; "reference": never. febio : its binary
     """
 
     effects: tuple[str, ...] = ()
@@ -64,6 +67,8 @@ class DiagnoseOptions:
     interventions: bool = True
     separate: bool = False
     measured: Mapping[str, float] = field(default_factory=dict)
+    solver: str = "auto"
+    febio: Path | None = None
 
     @property
     def mesh(self) -> WorkingMesh:
@@ -82,15 +87,18 @@ def diagnose(
         If `segment` has not been run, or an effect is not known.
     MeasurementError
         If the levels cannot be used.
+    ToolError
+        If FEBio is asked for and is not there.
     SolveError, FitError
         If the model without effects cannot be solved or fitted.
     """
+    draining = DrainageSolver.chosen(options.solver, options.febio)
     effects = chosen_effects(options)
     results: list[StageResult] = []
     check_earlier(case, out, case.selected(sites))
     for group in places(case, case.selected(sites), out=out, separate=options.separate):
         progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
-        results += _Diagnosed(case, group, out, effects, options, progress).all()
+        results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
     return results
 
 
@@ -148,9 +156,9 @@ class _Diagnosed:
 
     def __init__(
         self, case: Case, sites: Sequence[Site], out: Path, effects: Sequence[Effect],
-        options: DiagnoseOptions, progress: Progress,
+        options: DiagnoseOptions, draining: DrainageSolver | None, progress: Progress,
     ):  # fmt: skip
-        self.case, self.sites, self.out = case, sites, out
+        self.case, self.sites, self.out, self.draining = case, sites, out, draining
         self.options, self.progress = options, progress
         self.effects = {each.name: each for each in effects if each.kind != "numerical"}
 
@@ -219,7 +227,7 @@ class _Diagnosed:
                 more = extras if not prepared else []
                 prepared.append(
                     prepare(self.case, site, self.effects, out=folder, mesh=self.options.mesh,
-                            extras=more, progress=self.progress)
+                            extras=more, draining=self.draining, progress=self.progress)
                 )  # fmt: skip
         except BaseException:
             for each in prepared:
@@ -300,6 +308,7 @@ class _Diagnosed:
         content["f_kappa_held_at"] = F_KAPPA
         content["not_simulated"] = sorted(forward_model.not_simulated)
         content["solved_in_part_mm"] = mine.book.in_part
+        content["drainage"] = mine.notes.data.get("drainage")
         lines = sentences(found)
         moved = [
             i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"

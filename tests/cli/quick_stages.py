@@ -33,6 +33,8 @@ class Options:
     """Of any stage."""
 
     templates: Path | None = None
+    solver: str = "auto"
+    febio: Path | None = None
 
 
 def in_one_place(case: Case, sites: Sequence[Site], *, out: Path) -> list[list[Site]]:

@@ -36,6 +36,8 @@ from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.drainage.drained import NAME as POROELASTICITY
+from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics, depth_scatter
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
@@ -97,9 +99,11 @@ class Prepared:
 
 def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
-    extras: Sequence[ExtraMeasurement] = (), progress: Progress,
+    extras: Sequence[ExtraMeasurement] = (), draining: DrainageSolver | None = None, progress: Progress,
 ) -> Prepared:  # fmt: skip
     """Mesh, solve without effects, try the numerical ones, and stack the data.
+
+    draining : what simulates draining tissue; None: nothing does
 
     Raises
     ------
@@ -110,7 +114,7 @@ def prepare(
     SolveError
         If the model without effects cannot be solved.
     """
-    return _Preparation(case, site, out, mesh, progress).all(effects, extras)
+    return _Preparation(case, site, out, mesh, progress).all(effects, extras, draining)
 
 
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
@@ -148,7 +152,10 @@ def turned_by_90(
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
-    curves = SiteCurves(known.site, book, known.effects, penetration=known.penetration, progress=progress)
+    curves = SiteCurves(
+        known.site, book, known.effects, penetration=known.penetration, refused=known.refused,
+        progress=progress,
+    )  # fmt: skip
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:2])
@@ -201,7 +208,10 @@ class _Preparation:
         if site.states:
             self.notes.warnings.append(one_state(site))
 
-    def all(self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement]) -> Prepared:
+    def all(
+        self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement],
+        draining: DrainageSolver | None,
+    ) -> Prepared:  # fmt: skip
         book = self.book()
         try:
             for m in FIRST_M:
@@ -214,12 +224,20 @@ class _Preparation:
             tie = numerics.tie(solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
             data = self._data(numerics, tie, interventions, extras)
+            refused: dict[str, LimbError] = {}
+            if POROELASTICITY in effects and draining is not None:
+                found = self._drained(draining, data, book)
+                if found.effect is not None:
+                    effects = {**effects, POROELASTICITY: found.effect}
+                if found.refused is not None:
+                    refused[POROELASTICITY] = found.refused
         except LimbError:
             book.close()
             raise
         curves = SiteCurves(
-            data, book, effects, tie=tie, penetration=numerics.penetration, progress=self.progress
-        )
+            data, book, effects, tie=tie, penetration=numerics.penetration, refused=refused,
+            progress=self.progress,
+        )  # fmt: skip
         return Prepared(self.site, self.size, book, curves, interventions, self.notes)
 
     def book(self) -> CurveBook:
@@ -320,6 +338,16 @@ class _Preparation:
             usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
             map_slopes=errors.map_slopes(), layers=self.layers,
         )  # fmt: skip
+
+    def _drained(self, draining: DrainageSolver, data: SiteData, book: CurveBook) -> Drained:
+        why = str(self.notes.data.get("holds_not_used", ""))
+        found = drained(
+            draining, data.held, why, book, deepest=book.needed, keep=self.work, progress=self.progress
+        )
+        self.notes.warnings.extend(found.warnings)
+        if found.facts:
+            self.notes.data["drainage"] = found.facts
+        return found
 
     def _held(self) -> tuple[HeldForces | None, str]:
         assert self.site.trace is not None

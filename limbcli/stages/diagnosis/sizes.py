@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
 
 Interval = tuple[float | None, float | None]
@@ -22,6 +23,10 @@ def _same(value: float, c_kpa: float) -> float:
 
 def _ratio(value: float, c_kpa: float) -> float:
     return float(np.exp(value))
+
+
+def _permeability(value: float, c_kpa: float) -> float:
+    return poroelasticity.permeability({poroelasticity.PERMEABILITY.name: value})
 
 
 def _softer(value: float, c_kpa: float) -> float:
@@ -64,6 +69,7 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
     "support_compliance_mm_per_n": ("k_n_per_mm", _inverse),
     "swe_modulus_scale": ("s_t", _same),
     "swe_loss_per_mm": ("beta_per_mm", _same),
+    "log_permeability_ratio": ("permeability_mm4_per_n_s", _permeability),
     "guided_1e4_per_hz2": ("f_c_hz", _cut_off),
 }
 

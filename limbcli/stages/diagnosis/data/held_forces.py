@@ -1,8 +1,8 @@
 """What a load-cell record says of relaxation: how the force falls within each hold.
 
 Two numbers a hold, not thousands of samples: ln of the force at its start over that in its first
-third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed by
-whatever terms an explanation has.
+third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed and
+drained by whatever terms an explanation has.
 """
 
 from __future__ import annotations
@@ -46,12 +46,22 @@ class HeldForces:
     def __len__(self) -> int:
         return len(self.y)
 
+    def fallen(self, curves: Curves) -> float:
+        """Deviations by which the forces fall beyond what is elastic, over all holds."""
+        off = self.y - self.predict(curves, Reading())
+        return float(np.sum(off) / np.sqrt(np.sum(self.deviation**2)))
+
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The same numbers of a model (n_features,)."""
-        elastic = force_at(curves, true_depth(curves, self.depth, reading))
+        depth = true_depth(curves, self.depth, reading)
+        elastic = force_at(curves, depth)
         force = elastic.copy()
         for share, tau in reading.prony:
             force += share * relaxing(elastic, tau)
+        pressed = np.maximum(depth, 0.0)
+        for drainage, rate in reading.draining:
+            memory = [relaxing(pressed, tau) for tau in drainage.times(rate).tolist()]
+            force = force * drainage.left(pressed, np.column_stack(memory), rate)
         force = reading.force_gain * (force - reading.preload) + reading.force_zero
         return fall(force, self.windows)
 

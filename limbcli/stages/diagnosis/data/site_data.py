@@ -99,7 +99,7 @@ class SiteData:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
-        borne = relaxed(elastic, self.protocol, reading)
+        borne = relaxed(elastic, depth, self.protocol, reading)
         wanted = (self.protocol.force - reading.force_zero) / reading.force_gain + reading.preload
         known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
         if not known.any():

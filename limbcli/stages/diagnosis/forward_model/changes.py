@@ -203,8 +203,8 @@ def _spent(effect: Effect) -> SolveError:
 
 def only_febio(effect: Effect) -> SolveError:
     return SolveError(
-        "only FEBio can run it, and the diagnosis works with the reference solver",
-        where=f"effect {effect.name}", fix="run the written model with FEBio",
+        "only FEBio can run it, and the diagnosis was made without it",
+        where=f"effect {effect.name}", fix="install FEBio 4 and diagnose with --solver febio",
     )  # fmt: skip
 
 

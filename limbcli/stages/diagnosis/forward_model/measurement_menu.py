@@ -183,7 +183,7 @@ def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> t
         )
         c, m = float(np.exp(values[0])), float(np.exp(values[1]))
         curves = where.curves(c, m, fitted.explanation, theta, points)
-        return see(curves, where.reading(fitted.explanation, theta, points), where.site.protocol)
+        return see(curves, where.reading(c, fitted.explanation, theta, points), where.site.protocol)
 
     center = np.array(x)
     columns = []

@@ -109,7 +109,7 @@ class Predictions:
         one = self.sites[site]
         return (
             one.curves(c, m, fitted.explanation, theta, points),
-            one.reading(fitted.explanation, theta, points),
+            one.reading(c, fitted.explanation, theta, points),
         )
 
     def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:

@@ -164,7 +164,7 @@ class SiteForwardModel(Fits):
         x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
         x += [values[s.name] for s in slots]
         k = 2 + [s.name for s in slots].index(slot.name)
-        step = 0.02 * (p.start - p.null)
+        step = p.looked_at * (p.start - p.null)
         up, down = np.array(x), np.array(x)
         up[k] += step
         if not p.sign:
@@ -227,6 +227,9 @@ class SiteForwardModel(Fits):
     def _check_channels(self, explanation: Explanation) -> None:
         has = {channel for each in self.sites for channel in each.site.channels}
         for name in explanation:
+            for each in self.sites:
+                if name in each.refused:
+                    raise each.refused[name]
             if self.effects[name].febio_only:
                 raise only_febio(self.effects[name])
             lacking = [each for each in self.effects[name].needs if each not in has]

@@ -18,7 +18,7 @@ from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
-from limbcli.errors import SolveError
+from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.penetration import Penetration
@@ -27,6 +27,7 @@ from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs, 
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
+_NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # solved values of m that are used
 _OF_NO_EFFECT = 0.1  # of an effect's start: below such a size what a simulation mends is not the effect's
 
@@ -53,12 +54,15 @@ class SiteCurves:
     """One site's data beside one book of curves.
 
     tie : from the working mesh to the site's own; penetration : of the probe into the book's models
+    refused : effects that have no answer here, and why
     """
 
     def __init__(
         self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
-        penetration: Penetration | None = None, progress: Progress = SILENT,
+        penetration: Penetration | None = None, refused: Mapping[str, LimbError] = _NONE,
+        progress: Progress = SILENT,
     ):  # fmt: skip
+        self.refused = refused
         self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
         self.penetration = penetration
         self.changes = Changes(book, progress=progress)
@@ -95,7 +99,7 @@ class SiteCurves:
     ) -> Array:
         """What this site's data should be (n,)."""
         curves = self.curves(c, m, explanation, theta, points)
-        found = self.site.predict(curves, self.reading(explanation, theta, points))
+        found = self.site.predict(curves, self.reading(c, explanation, theta, points))
         for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
             share = point.get(self.effects[name].onset, 0.0)
             if share > 0.0:
@@ -131,8 +135,8 @@ class SiteCurves:
         found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
         return found if self.penetration is None else self.penetration.without(found, force)
 
-    def reading(self, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
-        reading = Reading()
+    def reading(self, c: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
+        reading = Reading(c=c)
         for name, point in zip(explanation, points, strict=True):
             reading = self.effects[name].observe(reading, {**point, **theta})
         return reading

@@ -1,0 +1,203 @@
+"""Whether poroelasticity can be judged at a site, and what drains there: a few simulations by FEBio, kept."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.diagnostics import thresholds
+from limbcli.effects import poroelasticity
+from limbcli.effects.base import Effect
+from limbcli.effects.drainage import Drainage, HeldIndentation
+from limbcli.errors import FitError, LimbError, SolveError
+from limbcli.files import atomic_file
+from limbcli.model import LimbModel
+from limbcli.progress import Progress
+from limbcli.scratch import scratch_folder
+from limbcli.solvers import choose
+from limbcli.solvers.base import Solver
+from limbcli.solvers.febio import FebioSolver
+from limbcli.stages.diagnosis.curves.curve_book import USUAL_M, CurveBook
+from limbcli.stages.diagnosis.curves.keys import changed_to
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
+from limbcli.stages.diagnosis.drainage.held_model import held_model, hold_of
+from limbcli.stages.fitting.force_curves import available_cores, shares
+
+NAME = poroelasticity.EFFECT.name
+SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
+_LEAST_DEPTHS = 2
+_TIME_LIMIT_S = 3600.0  # of one simulation; a limb of 6,000 nodes takes a few minutes
+
+
+@dataclass(frozen=True)
+class DrainageSolver:
+    """solver : FEBio; always : also where no force falls in a hold."""
+
+    solver: Solver
+    always: bool = False
+
+    @staticmethod
+    def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
+        """FEBio, by `kind` "auto" or "febio" and its binary, or None: the reference solver cannot.
+
+        Raises
+        ------
+        CaseError, ToolError
+            As `solvers.choose`.
+        """
+        solver = choose(kind, febio)
+        named = kind == FebioSolver.name
+        return DrainageSolver(solver, named) if isinstance(solver, FebioSolver) else None
+
+
+@dataclass(frozen=True)
+class Drained:
+    """effect : with what drains at the site, or None and why; facts : of the simulations, for the results."""
+
+    effect: Effect | None = None
+    refused: LimbError | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def drained(
+    solver: DrainageSolver, held: HeldForces | None, why_not_held: str, book: CurveBook,
+    *, deepest: float, keep: Path, progress: Progress,
+) -> Drained:  # fmt: skip
+    """What drains at a site, by simulations of the book's mesh at shares of the depth `deepest` (mm).
+
+    keep : folder of simulations already made
+    """
+    if held is None:
+        return Drained(refused=_no_holds(why_not_held))
+    if not solver.always:
+        try:
+            fallen = held.fallen(book.curves(USUAL_M))
+        except LimbError as error:
+            return Drained(refused=error)
+        if fallen < thresholds.FALLEN_SD:
+            return Drained(refused=_nothing_falls(fallen))
+    depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
+    runs = _Runs(solver.solver, book.model, book.c, USUAL_M, keep, progress)
+    facts: dict[str, Any] = {}
+    try:
+        found = runs.all(depths)
+        told = [each.facts() for each in found]
+        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": told}
+        drainage = Drainage.through(_enough(found))
+    except LimbError as error:
+        return Drained(refused=error, facts=facts)
+    lacking = tuple(_not_run(each) for each in found if each.hold is None)
+    return Drained(poroelasticity.with_drainage(drainage), None, facts, lacking)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    depth: float
+    hold: HeldIndentation | None
+    problem: str = ""
+    seconds: float = 0.0
+
+    def facts(self) -> dict[str, Any]:
+        return {"depth_mm": self.depth, "seconds": round(self.seconds, 1), "problem": self.problem or None}
+
+
+@dataclass
+class _Runs:
+    """Simulations side by side on the cores there are, each in a folder of its own; results are kept."""
+
+    solver: Solver
+    model: LimbModel
+    c: float
+    m: float
+    keep: Path
+    progress: Progress
+    version: str = ""
+
+    def all(self, depths: Sequence[float]) -> list[_Run]:
+        self.version = self.solver.version()
+        models = {depth: held_model(self.model, depth, c=self.c, m=self.m) for depth in depths}
+        known = {depth: self._kept(depth, models[depth]) for depth in depths}
+        todo = [depth for depth in depths if known[depth] is None]
+        processes, threads = shares(len(todo), available_cores())
+        if isinstance(self.solver, FebioSolver):
+            self.solver = replace(self.solver, threads=threads)
+        if todo:
+            text = f"FEBio drains wet tissue at {', '.join(f'{each:g}' for each in todo)} mm (minutes each)"
+            self.progress.event("note", text=text)
+        with ThreadPoolExecutor(processes) as pool:
+            fresh = dict(
+                zip(todo, pool.map(lambda depth: self._run(depth, models[depth]), todo), strict=True)
+            )
+        return [known[depth] or fresh[depth] for depth in depths]
+
+    def _run(self, depth: float, model: LimbModel) -> _Run:
+        started = time.monotonic()
+        try:
+            with scratch_folder() as folder:
+                feb = self.solver.write(model, folder)
+                self.solver.run(feb, progress=self.progress, time_limit_s=_TIME_LIMIT_S)
+                hold = hold_of(self.solver.read(feb), depth)
+        except LimbError as error:
+            return _Run(depth, None, error.what, time.monotonic() - started)
+        found = _Run(depth, hold, "", time.monotonic() - started)
+        content = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist(), "ramp_mm2": hold.ramp,
+                   "seconds": found.seconds}  # fmt: skip
+        self.keep.mkdir(parents=True, exist_ok=True)
+        with atomic_file(self._path(model)) as path:
+            path.write_text(json.dumps(content), encoding="utf-8")
+        return found
+
+    def _kept(self, depth: float, model: LimbModel) -> _Run | None:
+        try:
+            content = json.loads(self._path(model).read_text(encoding="utf-8"))
+            spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
+            return _Run(
+                depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"]
+            )
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def _path(self, model: LimbModel) -> Path:
+        return self.keep / f"drainage-{changed_to(model)[:16]}-{self.version}.json"
+
+
+def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
+    """The holds that came to their end: what drains at one depth alone says too little of the others."""
+    holds = [each.hold for each in found if each.hold is not None]
+    if len(holds) >= _LEAST_DEPTHS:
+        return holds
+    failed = next(each for each in found if each.hold is None)
+    raise SolveError(
+        f"FEBio drained it at {len(holds)} of {len(found)} depths only: {_first_line(failed.problem)}",
+        where=f"effect {NAME}", fix="another --size-mm, or look at the site's mesh",
+    )  # fmt: skip
+
+
+def _first_line(text: str) -> str:
+    return text.splitlines()[0].rstrip(":") if text else ""
+
+
+def _not_run(each: _Run) -> str:
+    return f"{NAME} was judged without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
+
+
+def _no_holds(why: str) -> FitError:
+    return FitError(
+        f"it needs what was not measured: hold{f' ({why})' if why else ''}",
+        where=f"effect {NAME}", fix="record force and depth in holds (trace)",
+    )  # fmt: skip
+
+
+def _nothing_falls(fallen: float) -> FitError:
+    return FitError(
+        f"no force falls in the holds ({fallen:.1f} deviations over all of them)",
+        where=f"effect {NAME}", fix="--solver febio judges it all the same",
+    )  # fmt: skip

@@ -1,0 +1,170 @@
+"""Poroelasticity in a diagnosis: evaluated with FEBio where holds were recorded, else told why it is not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.cli.app import main
+from limbcli.effects import poroelasticity
+from limbcli.effects.curves import Curves
+from limbcli.errors import SolveError
+from limbcli.feb.read import read_feb
+from limbcli.model import LimbModel
+from limbcli.progress import SILENT
+from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.febio import FebioSolver
+from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
+from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
+from tests.stages import block_case as block
+from tests.stages import draining_case
+
+CURVES = Curves(np.linspace(0, 10, 21), 0.4 * np.linspace(0, 10, 21) ** 1.5, np.zeros((21, 0)), np.zeros(0))
+NAMES = ("poroelasticity", "viscoelasticity", "force-zero", "depth-zero")
+
+
+@dataclass
+class Pretending:
+    """A solver whose tissue loses a tenth of its force, and that fails at depths (mm) beyond `reach`."""
+
+    reach: float = 100.0
+    name: str = "febio"
+    asked: list[float] = field(default_factory=list)
+
+    def found(self) -> bool:
+        return True
+
+    def version(self) -> str:
+        return "4.0"
+
+    def write(self, model: LimbModel, folder: Path) -> Path:
+        (folder / "depth").write_text(repr(float(model.curves["probe_travel"].points[-1][1])))
+        return folder / "model.feb"
+
+    def run(self, feb: Path, *, progress, time_limit_s=None) -> None:
+        depth = float((feb.parent / "depth").read_text())
+        self.asked.append(depth)
+        if depth > self.reach:
+            raise SolveError("FEBio stopped with an error", where=str(feb), fix="none")
+
+    def read(self, feb: Path) -> Simulation:
+        time = np.r_[0.0, np.geomspace(0.001, 3000.0, 40)]
+        force = np.where(time > 0, 1.0 - 0.1 * (1.0 - np.exp(-time / 10.0)), 0.0)
+        table = Table(("z", "Fz"), time, np.zeros(1, int), np.stack([0 * force, -force], axis=1)[:, None])
+        return Simulation("febio", "4.0", time, {"probe": table})
+
+
+class Book:
+    """A block, and curves of it."""
+
+    model, c = block.block_model("tet10", counts=(4, 2, 2)), 0.006
+
+    def curves(self, m: float) -> Curves:
+        return CURVES
+
+
+def held(fall: float) -> HeldForces:
+    depth = np.r_[np.zeros(20), np.full(80, 4.0)]
+    return HeldForces(depth, np.array([[(24, 34), (84, 94)]] * 2), np.full(2, fall), np.full(2, 0.004))
+
+
+def asked(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True) -> Drained:
+    return drained(
+        DrainageSolver(solver, always), data, "no trace", Book(), deepest=4.0, keep=keep, progress=SILENT
+    )
+
+
+def test_what_drains_is_simulated_once_and_kept(tmp_path):
+    solver = Pretending()
+    found = asked(solver, tmp_path, held(0.1))
+    assert sorted(solver.asked) == pytest.approx([0.8, 1.8, 3.8], abs=0.21)
+    assert found.effect is not None
+    assert not found.effect.febio_only
+    assert not found.effect.solves
+    assert [each["depth_mm"] for each in found.facts["runs"]] == [4.0, 2.0, 1.0]
+    assert found.facts["solver_version"] == "4.0"
+    again = Pretending()
+    assert asked(again, tmp_path, held(0.1)).effect is not None
+    assert again.asked == []
+
+
+def test_a_depth_without_an_answer_is_told_and_two_refuse(tmp_path):
+    found = asked(Pretending(reach=3.0), tmp_path, held(0.1))
+    assert found.effect is not None
+    assert "without FEBio's run at 4 mm: FEBio stopped with an error" in found.warnings[0]
+    refused = asked(Pretending(reach=1.5), tmp_path / "other", held(0.1))
+    assert refused.effect is None
+    assert "at 1 of 3 depths only: FEBio stopped" in refused.refused.what
+    assert "at 0 of 3 depths" in asked(Pretending(reach=0.0), tmp_path / "none", held(0.1)).refused.what
+
+
+def test_without_holds_or_fall_nothing_is_simulated(tmp_path):
+    solver = Pretending()
+    assert "hold (no trace)" in asked(solver, tmp_path, None).refused.what
+    assert "no force falls" in asked(solver, tmp_path, held(0.0), always=False).refused.what
+    assert solver.asked == []
+    assert asked(solver, tmp_path, held(0.1), always=False).effect is not None
+
+
+def test_febio_that_is_not_there_is_exit_code_4(capsys, tmp_path):
+    case = Path(__file__).parents[2] / "cases" / "phantom"
+    with pytest.raises(SystemExit) as stop:
+        main(["diagnose", str(case), "--out", str(tmp_path), "--solver", "febio", "--febio", "nowhere"])
+    assert stop.value.code == 4
+    assert "FEBio was not found at nowhere" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- the whole stage
+
+
+@pytest.mark.slow
+def test_a_febio_that_crashes_leaves_it_not_evaluated(tmp_path, rng):
+    binary = tmp_path / "febio4"
+    binary.write_text("#!/bin/sh\nexit 1\n")
+    binary.chmod(0o755)
+    stairs = draining_case.Staircase((1.0, 2.0, 3.0), c=0.03)
+    time = np.array([0.0, 1.0, 13.0, 14.0, 26.0, 27.0, 39.0])
+    force = np.array([0.0, 1.1, 1.0, 2.3, 2.1, 4.4, 4.1])
+    working = block.block_model("tet10", counts=(4, 2, 2))
+    case = draining_case.make_case(
+        tmp_path / "case", tmp_path / "out", stairs, time, force, np.full(4, 3.9), working, rng
+    )
+    options = DiagnoseOptions(effects=NAMES, interventions=False, solver="febio", febio=binary)
+    (found,) = diagnose(case, out=tmp_path / "out", options=options)
+    content = json.loads(found.path("diagnosis").read_text())
+    assert "FEBio" in content["not_evaluated"]["poroelasticity"]
+    assert all(each["problem"] for each in content["drainage"]["runs"])
+
+
+@pytest.mark.slow
+@pytest.mark.febio
+@pytest.mark.skipif(not FebioSolver().found(), reason="needs FEBio 4: set LIMBCLI_FEBIO to its binary")
+def test_drainage_that_febio_made_is_found_with_its_permeability(tmp_path, rng):
+    """Data of FEBio's run along the whole staircase on a finer mesh; diagnosed on a coarse one."""
+    fine, working = (block.block_model("tet10", counts=counts) for counts in ((8, 6, 3), (6, 4, 2)))
+    stairs = draining_case.Staircase((0.8, 1.4, 2.0, 2.5, 3.0, 3.4, 3.8))
+    time, force = stairs.by_febio(fine, tmp_path / "febio")
+    speed, out = draining_case.speeds(fine, stairs), tmp_path / "out"
+    case = draining_case.make_case(tmp_path / "case", out, stairs, time, force, speed, working, rng)
+    options = DiagnoseOptions(effects=NAMES, interventions=False, solver="febio")
+    (found,) = diagnose(case, out=out, options=options)
+    content = json.loads(found.path("diagnosis").read_text())
+    assert content["verdict"] in ("named", "ambiguous")
+    assert ["poroelasticity"] in content["confidence_set"]
+    assert not content["not_evaluated"]
+    alone = next(each for each in content["refits"] if each["explanation"] == ["poroelasticity"])
+    k = poroelasticity.permeability(alone["values"])
+    assert stairs.k / 3 < k < 3 * stairs.k
+    if content["added"] == ["poroelasticity"]:
+        ends = content["shrink"][-1]["intervals_95"][poroelasticity.PERMEABILITY.name]
+        low, high = (poroelasticity.permeability({poroelasticity.PERMEABILITY.name: x}) for x in ends)
+        assert low < stairs.k < high
+        assert read_feb(found.path("feb")).materials["tissue"].law == "biphasic"
+    (again,) = diagnose(case, out=out, options=options)
+    kept = json.loads(again.path("diagnosis").read_text())
+    assert kept["drainage"] == content["drainage"]  # its seconds too: nothing was run again
