@@ -30,9 +30,11 @@ NAMES = ("poroelasticity", "viscoelasticity", "force-zero", "depth-zero")
 
 @dataclass
 class Pretending:
-    """A solver whose tissue loses a tenth of its force, and that fails at depths (mm) beyond `reach`."""
+    """A solver whose tissue loses a tenth of its force, and that fails at depths (mm) beyond `reach`, and in
+    longer first steps than `longest` (mm)."""
 
     reach: float = 100.0
+    longest: float = 100.0
     name: str = "febio"
     asked: list[float] = field(default_factory=list)
 
@@ -43,13 +45,15 @@ class Pretending:
         return "4.0"
 
     def write(self, model: LimbModel, folder: Path) -> Path:
-        (folder / "depth").write_text(repr(float(model.curves["probe_travel"].points[-1][1])))
+        (_, _), (ramp, depth) = model.curves["probe_travel"].points[:2]
+        first = model.curves["longest_step"].points[0][1] / ramp * depth
+        (folder / "depth").write_text(f"{depth!r} {float(first)!r}")
         return folder / "model.feb"
 
     def run(self, feb: Path, *, progress, time_limit_s=None) -> None:
-        depth = float((feb.parent / "depth").read_text())
+        depth, first = map(float, (feb.parent / "depth").read_text().split())
         self.asked.append(depth)
-        if depth > self.reach:
+        if depth > self.reach or first > self.longest:
             raise SolveError("FEBio stopped with an error", where=str(feb), fix="none")
 
     def read(self, feb: Path) -> Simulation:
@@ -91,6 +95,15 @@ def test_what_drains_is_simulated_once_and_kept(tmp_path):
     again = Pretending()
     assert asked(again, tmp_path, held(0.1)).effect is not None
     assert again.asked == []
+
+
+def test_what_fails_is_tried_again_in_shorter_steps(tmp_path):
+    solver = Pretending(longest=0.2)
+    found = asked(solver, tmp_path, held(0.1))
+    assert found.effect is not None
+    assert not found.warnings
+    assert len(solver.asked) == 6
+    assert [each["problem"] for each in found.facts["runs"]] == [None] * 3
 
 
 def test_a_depth_without_an_answer_is_told_and_two_refuse(tmp_path):

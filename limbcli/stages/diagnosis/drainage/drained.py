@@ -27,7 +27,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.diagnosis.curves.curve_book import USUAL_M, CurveBook
 from limbcli.stages.diagnosis.curves.keys import changed_to
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.drainage.held_model import held_model, hold_of
+from limbcli.stages.diagnosis.drainage.held_model import RAMP_STEPS, held_model, hold_of
 from limbcli.stages.fitting.force_curves import available_cores, shares
 
 NAME = poroelasticity.EFFECT.name
@@ -123,8 +123,7 @@ class _Runs:
 
     def all(self, depths: Sequence[float]) -> list[_Run]:
         self.version = self.solver.version()
-        models = {depth: held_model(self.model, depth, c=self.c, m=self.m) for depth in depths}
-        known = {depth: self._kept(depth, models[depth]) for depth in depths}
+        known = {depth: self._kept(depth) for depth in depths}
         todo = [depth for depth in depths if known[depth] is None]
         processes, threads = shares(len(todo), available_cores())
         if isinstance(self.solver, FebioSolver):
@@ -133,31 +132,37 @@ class _Runs:
             text = f"FEBio drains wet tissue at {', '.join(f'{each:g}' for each in todo)} mm (minutes each)"
             self.progress.event("note", text=text)
         with ThreadPoolExecutor(processes) as pool:
-            fresh = dict(
-                zip(todo, pool.map(lambda depth: self._run(depth, models[depth]), todo), strict=True)
-            )
+            fresh = dict(zip(todo, pool.map(self._run, todo), strict=True))
         return [known[depth] or fresh[depth] for depth in depths]
 
-    def _run(self, depth: float, model: LimbModel) -> _Run:
-        started = time.monotonic()
-        try:
-            with scratch_folder() as folder:
-                feb = self.solver.write(model, folder)
-                self.solver.run(feb, progress=self.progress, time_limit_s=_TIME_LIMIT_S)
-                hold = hold_of(self.solver.read(feb), depth)
-        except LimbError as error:
-            return _Run(depth, None, error.what, time.monotonic() - started)
+    def _held(self, depth: float, ramp_step: float = RAMP_STEPS[0]) -> LimbModel:
+        return held_model(self.model, depth, c=self.c, m=self.m, ramp_step=ramp_step)
+
+    def _run(self, depth: float) -> _Run:
+        """With shorter steps where FEBio fails at longer ones."""
+        started, problem, hold = time.monotonic(), "", None
+        for ramp_step in RAMP_STEPS:
+            try:
+                with scratch_folder() as folder:
+                    feb = self.solver.write(self._held(depth, ramp_step), folder)
+                    self.solver.run(feb, progress=self.progress, time_limit_s=_TIME_LIMIT_S)
+                    hold = hold_of(self.solver.read(feb), depth)
+                break
+            except LimbError as error:
+                problem = problem or error.what
+        if hold is None:
+            return _Run(depth, None, problem, time.monotonic() - started)
         found = _Run(depth, hold, "", time.monotonic() - started)
         content = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist(), "ramp_mm2": hold.ramp,
                    "seconds": found.seconds}  # fmt: skip
         self.keep.mkdir(parents=True, exist_ok=True)
-        with atomic_file(self._path(model)) as path:
+        with atomic_file(self._path(depth)) as path:
             path.write_text(json.dumps(content), encoding="utf-8")
         return found
 
-    def _kept(self, depth: float, model: LimbModel) -> _Run | None:
+    def _kept(self, depth: float) -> _Run | None:
         try:
-            content = json.loads(self._path(model).read_text(encoding="utf-8"))
+            content = json.loads(self._path(depth).read_text(encoding="utf-8"))
             spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
             return _Run(
                 depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"]
@@ -165,8 +170,8 @@ class _Runs:
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
-    def _path(self, model: LimbModel) -> Path:
-        return self.keep / f"drainage-{changed_to(model)[:16]}-{self.version}.json"
+    def _path(self, depth: float) -> Path:
+        return self.keep / f"drainage-{changed_to(self._held(depth))[:16]}-{self.version}.json"
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:

@@ -25,20 +25,26 @@ from limbcli.stages.site_model.indentation_model import (
 RAMP = 0.2 * float(SPREADS[0])  # mm^2
 END = float(SPREADS[-1])
 _PER_DECADE = 3
-_RAMP_STEP = 0.5  # mm at most: a larger part of an element inverts tet10
+# mm at most: a larger part of an element inverts tet10; what fails is tried with less.
+RAMP_STEPS = (0.5, 0.1)
 _LEAST_STEP = 1e-2  # of the first one
 LONGEST_STEP = "longest_step"
 # Those of `robust_step` but for the residual's, with which holds of a limb of 6,000 nodes ran to their end.
 _CONTROL = {"dtol": 0.01, "etol": 0.01}
 
 
-def held_model(meshed: LimbModel, depth: float, *, c: float, m: float) -> LimbModel:
-    """The site's model (as `mesh` makes it) at one depth (mm): c in MPa; f_kappa drained as the effect's."""
+def held_model(
+    meshed: LimbModel, depth: float, *, c: float, m: float, ramp_step: float = RAMP_STEPS[0]
+) -> LimbModel:
+    """The site's model (as `mesh` makes it) at one depth (mm): c in MPa; f_kappa drained as the effect's.
+
+    ramp_step : mm, the longest step while it is pressed in
+    """
     start = starting_depth(meshed, depth)
     model = indentation_model(meshed, schedule([depth], start=start), c=c, f_kappa=100.0, m=m)
     theta = {**poroelasticity.with_permeability(1.0 / c), **poroelasticity.EFFECT.grid[0]}
     wet = poroelasticity.apply(with_penalty(model, USUAL_PENALTY), theta)
-    first = RAMP / np.ceil((depth - start) / _RAMP_STEP)
+    first = RAMP / np.ceil((depth - start) / ramp_step)
     edges = np.geomspace(RAMP, END, round(_PER_DECADE * np.log10(END / RAMP)) + 1)
     times = [0.0, *(float(f"{each:.4g}") for each in edges)]
     largest = [first, *(np.diff(edges).tolist()), float(edges[-1] - edges[-2])]
