@@ -255,7 +255,7 @@ class _Run:
             for t in self.family.tests
             if t.name.startswith(PREFIX) and t.p_adjusted < thresholds.ALPHA
         )
-        shrink = account.shrink(shown, self.refits, kept if word == "ambiguous" else ())
+        shrink = account.shrink(shown, self.refits, kept if word in ("named", "ambiguous") else ())
         relative = baseline.relative if best is None else baseline.is_relative(best.state)
         return Diagnosis(
             verdict=word, reason=reason, relative=relative, base=baseline.base, family=self.family,

@@ -271,6 +271,22 @@ def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, do
     assert run._conclude(kept, []) == (word, several)
 
 
+@pytest.mark.parametrize(("word", "over"), [("named", 2), ("ambiguous", 2), ("unexplained", 0)])
+def test_c_and_m_reach_over_all_that_fit_also_beside_a_name(monkeypatch, word, over):
+    class Seen(Exception):
+        pass
+
+    def shrink(self, refit, refits, alike=()):
+        raise Seen(len(alike))
+
+    monkeypatch.setattr("limbcli.diagnostics.engine.Account.shrink", shrink)
+    run = _Run(SimpleNamespace(), 3, False)
+    kept = (SimpleNamespace(explanation=("a",)), SimpleNamespace(explanation=("a", "b")))
+    with pytest.raises(Seen) as seen:
+        run._finish(word, "why", kept[0], kept)
+    assert seen.value.args == (over,)
+
+
 @pytest.mark.parametrize(
     ("alone", "with_one_more", "named"),
     [(0.2, None, True), (0.02, None, False), (0.02, 0.3, True), (0.02, 0.03, False)],

@@ -84,7 +84,8 @@ def _set(found: Diagnosis) -> str:
         estimates = found.estimates
         sizes = ", ".join(f"{name} {estimates.values[name]:.3g}" for name in found.final.effect_names)
         others = [" + ".join(each) for each in found.confidence_set if each != found.chosen]
-        more = f" Fits as well: {'; '.join(others)}." if others else ""
+        over = "; c and m reach over all of these" if estimates.over > 1 else ""
+        more = f" Fits as well: {'; '.join(others)}{over}." if others else ""
         return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
     if found.verdict == "ambiguous":
         return f"It may be: {listed}.{_whichever(found.estimates)}"
