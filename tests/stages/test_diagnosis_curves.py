@@ -71,6 +71,27 @@ def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredie
     assert again.in_part == book.in_part
 
 
+def test_what_curves_go_on_beside_is_no_work_of_theirs(block, tmp_path, monkeypatch):
+    """Nor when it is taken up again, where they are kept and it is not asked for."""
+    solve, stops = CurveBook._solve, Stops(9)
+
+    def stopped(self, key, m, ingredients):
+        stops.after = 3 if ingredients else 9
+        return solve(self, key, m, ingredients)
+
+    monkeypatch.setattr(CurveBook, "_solve", stopped)
+    solving = Solving(1e-6, threads=1)
+    book = CurveBook(block, DEPTHS, c=0.006, solving=solving, progress=Progress(stops), keep=tmp_path)
+    again = CurveBook(block, DEPTHS, c=0.006, keep=tmp_path)
+    for each in (book, again):
+        each.curves(8.0)
+        each.curves(5.0, THICKER)
+    book.close()
+    assert book.in_part == {"thickness, m 5": 3.0}
+    assert (book.n_solves, again.n_solves) == (3, 0)
+    assert (again.work.total, again.work.usual) == (book.work.total, book.work.usual)
+
+
 def test_what_stops_far_short_has_no_curves(block):
     book = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)))
     with pytest.raises(SolveError, match="as far as it goes"):

@@ -286,7 +286,8 @@ class CurveBook:
         if not ingredients and stiffer == m:
             return None
         try:
-            return self.curves(m if ingredients else stiffer)
+            with self.work.aside():
+                return self.curves(m if ingredients else stiffer)
         except SolveError:
             return None
 

@@ -6,6 +6,8 @@ Work is counted, not timed, so that a diagnosis says the same on any machine.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,6 +59,16 @@ class Work:
     def end(self) -> None:
         self._allowed = math.inf
         self.total += self.done
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """What is solved within is not counted: a diagnosis that finds kept what it is for does not ask
+        for it again, and has to come to the same end."""
+        known = self.total, list(self.usual), self.done
+        try:
+            yield
+        finally:
+            self.total, self.usual, self.done = known
 
     @property
     def spent(self) -> bool:
