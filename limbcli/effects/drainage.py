@@ -1,4 +1,4 @@
-"""What is left of the force of squeezed wet tissue while its fluid drains, for any history of the depth.
+"""What is left of the force of squeezed biphasic tissue while its fluid drains, for any history of the depth.
 
 A probe that is pressed in at once and held bears F(t) = F_0 G(k c t): F_0 before anything has drained, k the
 permeability, c the stiffness, on which G depends through their product alone. G at a few depths comes out of

@@ -47,7 +47,7 @@ def with_permeability(k: float) -> dict[str, float]:
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """The wet tissue that FEBio needs; load and time stay as they are."""
+    """The biphasic tissue that FEBio needs; load and time stay as they are."""
     k = permeability(theta)
     if k == 0.0:
         return model
@@ -55,14 +55,14 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     softened = with_core(model, core(model.materials[TISSUE]).with_parameters(kappa=kappa))
     solid = softened.materials[TISSUE]
     fluid = {"phi0": 0.2, "fluid_density": 1e-9, "perm": k}
-    wet = softened.with_material(TISSUE, Material("biphasic", fluid, (solid,)))
+    biphasic = softened.with_material(TISSUE, Material("biphasic", fluid, (solid,)))
     # In a hold hardly anything moves: a residual relative to the step's first one cannot get small.
     steps = tuple(
-        replace(each, analysis="transient", control={**each.control, "rtol": 0.0}) for each in wet.steps
+        replace(each, analysis="transient", control={**each.control, "rtol": 0.0}) for each in biphasic.steps
     )
-    if len(wet.mesh.node_sets.get(CUT, ())):
-        wet = replace(wet, supports=(*wet.supports, Support(CUT, ("p",))))
-    return replace(wet, steps=steps)
+    if len(biphasic.mesh.node_sets.get(CUT, ())):
+        biphasic = replace(biphasic, supports=(*biphasic.supports, Support(CUT, ("p",))))
+    return replace(biphasic, steps=steps)
 
 
 def with_drainage(drainage: Drainage) -> Effect:

@@ -1,4 +1,4 @@
-"""A block of wet tissue that FEBio measured: its model along the whole protocol, no superposition."""
+"""A block of biphasic tissue that FEBio measured: its model along the whole protocol, no superposition."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Staircase:
         loaded = schedule(list(self.depths), start=START)
         model = indentation_model(meshed, loaded, c=self.c, f_kappa=100.0, m=self.m)
         theta = {**poroelasticity.with_permeability(self.k), poroelasticity.DRAINED: 2.0}
-        wet = poroelasticity.apply(model, theta)
+        biphasic = poroelasticity.apply(model, theta)
         times, travel = [], [(0.0, 0.0)]
         for n, depth in enumerate(self.depths):
             from_, to = n * (RAMP_S + self.hold), n * (RAMP_S + self.hold) + RAMP_S
@@ -54,11 +54,11 @@ class Staircase:
         least, end = float(largest.min()), times[-1]
         n_steps = int(np.ceil(end / least))
         step = replace(
-            wet.steps[0], n_steps=n_steps, step_size=end / n_steps, dt_min=least / 200, must_points=(),
+            biphasic.steps[0], n_steps=n_steps, step_size=end / n_steps, dt_min=least / 200, must_points=(),
             dt_max_curve="steps",
         )  # fmt: skip
         curves = {TRAVEL: Curve(tuple(travel)), "steps": Curve(points, interpolate="step")}
-        return replace(wet, curves=curves, steps=(step,), records=wet.records[:1])
+        return replace(biphasic, curves=curves, steps=(step,), records=biphasic.records[:1])
 
     def by_febio(self, meshed: LimbModel, folder: Path, binary: Path | None = None) -> tuple[Array, Array]:
         """Times (n,) s and forces (n,) N of every step."""

@@ -129,7 +129,8 @@ class _Runs:
         if isinstance(self.solver, FebioSolver):
             self.solver = replace(self.solver, threads=threads)
         if todo:
-            text = f"FEBio drains wet tissue at {', '.join(f'{each:g}' for each in todo)} mm (minutes each)"
+            at = ", ".join(f"{each:g}" for each in todo)
+            text = f"FEBio simulates held biphasic tissue at {at} mm (minutes each)"
             self.progress.event("note", text=text)
         with ThreadPoolExecutor(processes) as pool:
             fresh = dict(zip(todo, pool.map(self._run, todo), strict=True))
@@ -148,8 +149,11 @@ class _Runs:
                     self.solver.run(feb, progress=self.progress, time_limit_s=_TIME_LIMIT_S)
                     hold = hold_of(self.solver.read(feb), depth)
                 break
-            except LimbError as error:
+            except SolveError as error:
                 problem = problem or error.what
+            except LimbError as error:  # shorter steps will not mend that
+                problem = error.what
+                break
         if hold is None:
             return _Run(depth, None, problem, time.monotonic() - started)
         found = _Run(depth, hold, "", time.monotonic() - started)

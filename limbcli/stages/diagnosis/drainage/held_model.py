@@ -1,4 +1,4 @@
-"""A held indentation of wet tissue, as FEBio is given it: pressed in at once, and held while it drains.
+"""A held indentation of biphasic tissue, as FEBio is given it: pressed in at once, and held while it drains.
 
 Permeability times c is 1 mm^2/s, so that the simulated seconds are k c t in mm^2. The largest step grows with
 the time since the ramp, a third of a decade at a time.
@@ -43,22 +43,22 @@ def held_model(
     start = starting_depth(meshed, depth)
     model = indentation_model(meshed, schedule([depth], start=start), c=c, f_kappa=100.0, m=m)
     theta = {**poroelasticity.with_permeability(1.0 / c), **poroelasticity.EFFECT.grid[0]}
-    wet = poroelasticity.apply(with_penalty(model, USUAL_PENALTY), theta)
+    biphasic = poroelasticity.apply(with_penalty(model, USUAL_PENALTY), theta)
     first = RAMP / np.ceil((depth - start) / ramp_step)
     edges = np.geomspace(RAMP, END, round(_PER_DECADE * np.log10(END / RAMP)) + 1)
     times = [0.0, *(float(f"{each:.4g}") for each in edges)]
     largest = [first, *(np.diff(edges).tolist()), float(edges[-1] - edges[-2])]
     n_steps = int(np.ceil(times[-1] / first))
     step = replace(
-        wet.steps[0], n_steps=n_steps, step_size=times[-1] / n_steps, dt_min=_LEAST_STEP * first,
-        must_points=(), dt_max_curve=LONGEST_STEP, control={**wet.steps[0].control, **_CONTROL},
+        biphasic.steps[0], n_steps=n_steps, step_size=times[-1] / n_steps, dt_min=_LEAST_STEP * first,
+        must_points=(), dt_max_curve=LONGEST_STEP, control={**biphasic.steps[0].control, **_CONTROL},
     )  # fmt: skip
     travel = depth - start
     curves = {
         TRAVEL: Curve(((0.0, 0.0), (times[1], travel), (times[-1], travel))),
         LONGEST_STEP: Curve(tuple(zip(times, largest, strict=True)), interpolate="step"),
     }
-    return replace(wet, curves=curves, steps=(step,), records=wet.records[:1])
+    return replace(biphasic, curves=curves, steps=(step,), records=biphasic.records[:1])
 
 
 def hold_of(simulation: Simulation, depth: float) -> HeldIndentation:

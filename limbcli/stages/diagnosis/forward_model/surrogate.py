@@ -44,10 +44,10 @@ class Repair:
 
     def at(self, sizes: Mapping[str, float]) -> Array:
         """In proportion to the effects' sizes, so that a model without them is as it was."""
-        usual = _OF_NO_EFFECT**2
+        least = _OF_NO_EFFECT**2
         along = sum(size * sizes[name] for name, size in self.sizes.items())
         whole = sum(size**2 for size in self.sizes.values())
-        return self.missed * max(0.0, (along + usual) / (whole + usual))
+        return self.missed * max(0.0, (along + least) / (whole + least))
 
 
 class SiteCurves:
