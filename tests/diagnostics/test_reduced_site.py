@@ -145,6 +145,8 @@ def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
         found = solved(m, ingredients)
         return replace(found, force=20.0 * found.force) if ingredients else found
 
+    (begun,) = the_bench._ends_of_parts(skin, point)
+    assert np.exp(begun[:2]) == pytest.approx([without.values["c_kpa"] / 1e3, without.values["m"]])
     monkeypatch.setattr(one.book, "curves", stiffer)
     one.repair(4.0, skin, {"log_skin_ratio": 4.9}, point)
     deviance, fitted = the_bench.best_fit(skin, point, {"log_skin_ratio": 4.9})
