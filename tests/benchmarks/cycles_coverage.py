@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.cycles_coverage --seeds 20 --out cycles.jsonl
 
-A block of tet10 in a case folder of its own, its levels simulated on another mesh: the first loading is
-stiffer, the second less so, from the third on the tissue repeats itself; what stays after a cycle moves the touch of the
-next. `fit` as it is called by default: the last loading. Seeds already in the file are skipped.
+A block of tet10 in a case folder of its own, its levels simulated on another mesh. The first loading is
+stiffer, the second less so, from the third on the tissue repeats itself; what stays after a cycle moves the
+touch of the next. `fit` as it is called by default: the last loading. Seeds already in the file are skipped.
 """
 
 from __future__ import annotations
