@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from limbcli.model import Array, IntArray
 
@@ -156,3 +157,76 @@ def _end_weights(h0: float, h1: float, m0: float, m1: float) -> tuple[float, flo
     if m0 * m1 < 0.0 and abs(d) > 3 * abs(m0):
         return 3.0, 0.0
     return (2 * h0 + h1) / (h0 + h1), -h0 / (h0 + h1)
+
+
+def columns_through(knots: Array, values: Array, at: Array) -> Array:
+    """Values (n_places, n_columns) of curves through the finite ones of each column (n_knots, n_columns).
+
+    Level before a column's first knot, with its last slope beyond the last; NaN where it has fewer than two.
+
+    >>> nan = np.nan
+    >>> columns_through(np.arange(3.0), np.array([[0.0, nan], [1.0, 5.0], [2.0, nan]]), np.array([0.5, 3.0]))
+    array([[0.5, nan],
+           [3. , nan]])
+    """
+    out = np.full((len(at), values.shape[1]), np.nan)
+    if len(at):
+        _columns(*(np.ascontiguousarray(each, dtype=float) for each in (knots, values, at)), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _columns(knots, values, at, out):  # type: ignore[no-untyped-def]
+    x, y, slope = np.empty(len(knots)), np.empty(len(knots)), np.empty(len(knots))
+    for c in range(values.shape[1]):
+        n = 0
+        for k in range(len(knots)):
+            if np.isfinite(values[k, c]):
+                x[n], y[n] = knots[k], values[k, c]
+                n += 1
+        if n < 2:
+            continue
+        _slopes_of(x, y, n, slope)
+        for i in range(len(at)):
+            if np.isnan(at[i]):
+                continue
+            beyond = max(at[i] - x[n - 1], 0.0)
+            inside = min(max(at[i], x[0]), x[n - 1])
+            k = 0
+            while k < n - 2 and inside >= x[k + 1]:
+                k += 1
+            h = x[k + 1] - x[k]
+            t = (inside - x[k]) / h
+            s = 1.0 - t
+            first = s * s * ((1 + 2 * t) * y[k] + t * h * slope[k])
+            second = t * t * ((3 - 2 * t) * y[k + 1] - s * h * slope[k + 1])
+            out[i, c] = first + second + beyond * slope[n - 1]
+
+
+@njit(cache=True, nogil=True)
+def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
+    """The slopes of `_slopes`, of one curve of n knots."""
+    if n == 2:
+        out[0] = out[1] = (y[1] - y[0]) / (x[1] - x[0])
+        return
+    for k in range(1, n - 1):
+        before, after = x[k] - x[k - 1], x[k + 1] - x[k]
+        rise, next_rise = (y[k] - y[k - 1]) / before, (y[k + 1] - y[k]) / after
+        w1, w2 = 2 * after + before, after + 2 * before
+        out[k] = (w1 + w2) / (w1 / rise + w2 / next_rise) if rise * next_rise > 0 else 0.0
+    out[0] = _end_of(x[1] - x[0], x[2] - x[1], (y[1] - y[0]), (y[2] - y[1]))
+    out[n - 1] = _end_of(
+        x[n - 1] - x[n - 2], x[n - 2] - x[n - 3], (y[n - 1] - y[n - 2]), (y[n - 2] - y[n - 3])
+    )
+
+
+@njit(cache=True, nogil=True)
+def _end_of(h0, h1, y0, y1):  # type: ignore[no-untyped-def]
+    """The slope of `_end`; y0, y1 : rises over h0, h1."""
+    m0, m1 = y0 / h0, y1 / h1
+    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    if np.sign(d) != np.sign(m0):
+        return 0.0
+    if np.sign(m0) != np.sign(m1) and abs(d) > 3 * abs(m0):
+        return 3 * m0
+    return d

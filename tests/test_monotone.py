@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from limbcli.monotone import Monotone
+from limbcli.monotone import Monotone, columns_through
 
 
 @pytest.mark.parametrize("shape", [(7,), (7, 3), (2,), (3, 2)])
@@ -41,3 +41,25 @@ def test_inverse_finds_the_place_again(rng):
     curve, at = Monotone.through(knots, values), rng.uniform(knots[0], knots[-1], 20)
     np.testing.assert_allclose(curve.inverse(curve(at)), at, atol=1e-9)
     np.testing.assert_allclose(curve.inverse(values[[0, -1]] + [-1.0, 1.0]), knots[[0, -1]], atol=1e-12)
+
+
+def test_columns_go_through_what_is_known_of_each(rng):
+    """Every column alone by the class, whatever is known of it; level before, its last slope beyond."""
+    knots = np.cumsum(rng.uniform(0.2, 1.0, 9))
+    values = rng.standard_normal((9, 40)).round(1)  # some neighbours are equal
+    values[rng.random(values.shape) < 0.4] = np.nan
+    values[:, 0], values[1:, 1], values[2:, 2] = rng.standard_normal(9), np.nan, np.nan
+    values[:2, 2] = 1.0, 2.0
+    at = np.r_[knots[0] - 1.0, knots, rng.uniform(knots[0], knots[-1], 30), knots[-1] + 0.7, np.nan]
+    found = columns_through(knots, values, at)
+    for c, column in enumerate(values.T):
+        known = np.isfinite(column)
+        if known.sum() < 2:
+            assert np.isnan(found[:, c]).all()
+            continue
+        curve, last = Monotone.through(knots[known], column[known]), knots[known][-1]
+        inside = np.clip(at[:-1], knots[known][0], last)
+        expected = curve(inside) + np.maximum(at[:-1] - last, 0.0) * curve.slope(last)
+        np.testing.assert_allclose(found[:-1, c], expected, atol=1e-13)
+    assert np.isnan(found[-1]).all()
+    assert columns_through(knots, values, np.zeros(0)).shape == (0, 40)

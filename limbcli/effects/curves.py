@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
-from limbcli.model import Array, IntArray
-from limbcli.monotone import Monotone
+from limbcli.model import Array
+from limbcli.monotone import Monotone, columns_through
 
 _FAR = 10.0  # of ln depth beyond a curve's ends
 
@@ -143,30 +143,8 @@ def depth_of_force(curves: Curves, force: float) -> float:
 
 
 def columns_at(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths; windows that are known at the same depths all at once."""
-    out = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
-    known = np.isfinite(curves.log_speed)
-    if known.all():
-        return column_at(curves.depth, curves.log_speed, depth)
-    for columns in _equal_columns(known.tobytes(), known.shape[1]):
-        at = known[:, columns[0]]
-        if at.sum() > 1:
-            out[:, columns] = column_at(curves.depth[at], curves.log_speed[at][:, columns], depth)
-    return out
-
-
-@lru_cache(maxsize=64)
-def _equal_columns(truths: bytes, n_columns: int) -> list[IntArray]:
-    """Numbers of the columns of a table of truths that are the same, together.
-
-    >>> table = np.array([[True, False, True], [True, True, True]])
-    >>> [each.tolist() for each in _equal_columns(table.tobytes(), 3)]
-    [[1], [0, 2]]
-    """
-    table = np.frombuffer(truths, dtype=np.bool_).reshape(-1, n_columns)
-    _, which = np.unique(np.packbits(table, axis=0), axis=1, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
+    """ln speed (n_levels, n_windows) at depths, each window by what is known of it."""
+    return columns_through(curves.depth, curves.log_speed, depth)
 
 
 def column_at(knots: Array, values: Array, depth: Array) -> Array:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.special import expit
+from numba import njit
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.places import Places, stiffened
@@ -37,13 +37,21 @@ _PLACES = tuple(
 
 def stiffness(places: Places, theta: Theta) -> Array:
     middle = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 12.0)])
-    radius = theta.get(RADIUS, 7.0)
-    squared = places.squared - 2.0 * (places.at @ middle) + middle @ middle
-    near = squared < (radius + _FAR * EDGE_MM) ** 2
-    beyond = np.sqrt(np.maximum(squared[near], 0.0)) - radius
-    found = np.ones(squared.shape)
-    found[near] += expit(-beyond / EDGE_MM) * np.expm1(theta[CONTRAST.name])
-    return found
+    rise = float(np.expm1(theta[CONTRAST.name]))
+    return np.asarray(_ball(places.rows, middle, theta.get(RADIUS, 7.0), rise).reshape(places.at.shape[:-1]))
+
+
+@njit(cache=True, nogil=True)
+def _ball(at, middle, radius, rise):  # type: ignore[no-untyped-def]
+    """1 (n,) at places (n, 3) outside a ball, 1 + rise within, smooth over its edge."""
+    out = np.ones(len(at))
+    last = (radius + _FAR * EDGE_MM) ** 2
+    for i in range(len(at)):
+        x, y, z = at[i, 0] - middle[0], at[i, 1] - middle[1], at[i, 2] - middle[2]
+        squared = x * x + y * y + z * z
+        if squared < last:
+            out[i] += rise / (1.0 + np.exp((np.sqrt(squared) - radius) / EDGE_MM))
+    return out
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

@@ -24,9 +24,9 @@ class Places:
     model: LimbModel
 
     @cached_property
-    def squared(self) -> Array:
-        """mm2 (...) from the frame's origin."""
-        return np.asarray(np.einsum("...k,...k", self.at, self.at))
+    def rows(self) -> Array:
+        """The places (n, 3), one after the other."""
+        return np.ascontiguousarray(self.at.reshape(-1, 3), dtype=float)
 
     @cached_property
     def below_skin(self) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -48,8 +49,9 @@ class Noise:
 
     parts: tuple[NoisePart, ...]
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
+        """(n, n), the same array every time."""
         return np.asarray(sum(part.covariance for part in self.parts))
 
     @property
