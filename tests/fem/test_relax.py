@@ -69,6 +69,36 @@ def test_a_march_goes_on_where_newtons_method_gives_up(monkeypatch: pytest.Monke
     assert last.forces.bodies[0, 2] == pytest.approx(expected, rel=1e-6)
 
 
+def test_it_begins_where_newtons_method_came_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method given up when two iterations are made: all but done, it is not begun again."""
+    model = punch("tet10", depth=0.6, levels=2, material=ogden_type(c=0.008, f_kappa=50.0, m=4.0))
+    left: list[float] = []
+    monkeypatch.setattr(newton, "_too_long", lambda sizes: len(sizes) == 3)
+
+    def watched(solver, guess, level, **options):  # type: ignore[no-untyped-def]
+        left.append(solver.nearest[0])
+        assert guess is solver.nearest[1]
+        return relax(solver, guess, level, **options)
+
+    monkeypatch.setattr(load_stepping, "relax", watched)
+    last = Analysis(model, Settings(tolerance=1e-8, threads=1)).run()[-1]
+    assert 0.0 < max(left) < load_stepping._NEAR
+    monkeypatch.undo()
+    expected = Analysis(model, Settings(tolerance=1e-8, threads=1)).run()[-1]
+    np.testing.assert_allclose(last.state.u, expected.state.u, atol=1e-6)
+
+
+def test_what_drag_has_held_back_must_leave_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drag that never goes: its equilibria leave a tenth of the tolerance."""
+    system = System(punch("tet10", depth=0.6, levels=1), threads=1)
+    solver = Newton(system, Settings(tolerance=1e-2, threads=1))
+    guess = system.prescribed(system.start, 1.0)
+    monkeypatch.setattr(relaxation, "_LEAST_DRAG", 0.0)
+    assert relax(solver, guess, LEVEL)[1].error <= 1e-3
+    loosely = relax(solver, guess, LEVEL, tolerance=1e-2)[1].error
+    assert 1e-3 < loosely <= 1e-2, "on the way it will do"
+
+
 def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     model = punch("tet10", depth=1.0, levels=4)
     solve = Newton.equilibrate

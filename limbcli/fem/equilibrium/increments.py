@@ -54,7 +54,7 @@ class LoadStepPath:
     known : first guess at its end, from an earlier solve, as long as it was not tried
     brief : tried briefly, with few cuts and up to `most_iterations` of the analysis
     start : states reached, increments pressed and points touching at its beginning
-    cuts : since the last increment that was taken; was_cut : whether there was any
+    cuts : since the last increment that was taken; all_cuts : on this way
     restless : times that the tissue did not come to rest
     """
 
@@ -66,7 +66,7 @@ class LoadStepPath:
     most_iterations: int | None
     start: tuple[int, int, int]
     cuts: int = 0
-    was_cut: bool = False
+    all_cuts: int = 0
     restless: int = 0
 
     @property
@@ -76,4 +76,4 @@ class LoadStepPath:
 
     def note_cut(self) -> None:
         self.cuts += 1
-        self.was_cut = True
+        self.all_cuts += 1

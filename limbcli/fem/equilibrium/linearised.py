@@ -30,6 +30,7 @@ _OUTDATED = 0.4  # of a factorisation wasted, from which on a new factor is made
 _MEMORY = 0.5  # of what older factors wasted: weight of the last
 _FORGETTING = 0.9  # of the same, where none was tried
 _ROUNDS = 8  # of contact in one step
+_OLD_ROUNDS = 2  # of its patience: what an older factor may take over all of them
 _NOWHERE = 0.999  # of the residual left by a factor of this very tangent: there is no step
 _ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
 
@@ -178,6 +179,7 @@ class Linearised:
         residual = tissue + system.contact_residual(at, search=searched)
         best, touching = (np.inf, step), system.touching()
         rough = searched
+        most = self.counts.krylov + _OLD_ROUNDS * self.patience
         for k in range(_ROUNDS):
             size = norm(residual)
             if size <= goal:
@@ -192,6 +194,7 @@ class Linearised:
                 best = (norm(residual), step)
             elif k > 1:
                 break
+            self.stuck |= self._is_old and self.counts.krylov >= most
             if self.stuck:
                 break
             before, touching = touching, system.touching()

@@ -22,6 +22,8 @@ _SMALLEST = 1e-3  # of the nominal step: an increment below it is given up
 # Residual at which an increment on the way is good enough, and once one was cut at the load step:
 # loose ones then lead nowhere, however short.
 _LOOSE, _FIRM = 3e-2, 1e-3
+_RESTED = 1e-2  # the same of tissue that came to rest
+_NEAR = 0.3  # error from which tissue is let come to rest from where Newton's method left it
 _FIRST = 4.0  # of the model's step: the first increment, where the response does not depend on the way
 _MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a load step
 _FAR_OUT = 3.0  # error of a first guess above which an increment is shortened untried
@@ -119,7 +121,8 @@ class LoadStepping:
                 found = self._augmented(*found, way.load_step)
         except (NotConverged, SingularMatrix) as error:
             exhausted = way.is_exhausted
-            way.note_cut()
+            if way.known is None:
+                way.note_cut()
             self._note_cut(error)
             at_rest = None if way.brief or not self.patient else self._at_rest(way, increment, error)
             if at_rest is not None:
@@ -179,18 +182,27 @@ class LoadStepping:
     def _at_rest(
         self, way: LoadStepPath, increment: Increment, error: SolveError
     ) -> tuple[State, Forces] | None:
-        """The state that the tissue relaxes to from the last increment's; None if it does not."""
+        """The state that the tissue relaxes to; None if it does not.
+
+        From where Newton's method came nearest to equilibrium, if that is near; else, or where that did not
+        come to rest, from the last increment's. A guess from an earlier solve, or the first one so
+        far out that no iteration was made, is better left and a shorter increment tried.
+        """
         newton, begin = self._newton, self._reached[-1]
         # the response is by the way, or by forces on bodies
         given = self._timed or self._has_friction or bool(newton.system.rigid)
         restless = way.restless >= _MOST_RESTLESS
         if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
             return None
-        newton.system.recall(begin.hints)
+        left, guess = newton.nearest
+        if way.known is not None or (guess is None and way.all_cuts == 1):
+            return None
+        if guess is None or left > _NEAR or way.restless:
+            guess = newton.system.prescribed(begin, increment.aim)
+        newton.system.recall(guess.hints)
         newton.linearised.reuse_cost = np.inf
         try:
-            guess = newton.system.prescribed(begin, increment.aim)
-            return relax(newton, guess, way.load_step, tolerance=None if increment.is_last else _FIRM)
+            return relax(newton, guess, way.load_step, tolerance=None if increment.is_last else _RESTED)
         except (NotConverged, SingularMatrix):
             way.restless += 1
             return None
@@ -214,8 +226,9 @@ class LoadStepping:
 
     def _solve(self, way: LoadStepPath, increment: Increment, *, patient: bool) -> tuple[State, Forces]:
         newton, aim = self._newton, increment.aim
-        on_the_way = _FIRM if way.was_cut else _LOOSE
+        on_the_way = _FIRM if way.all_cuts else _LOOSE
         tolerance = None if increment.is_last or self._timed else on_the_way
+        newton.nearest = np.inf, None
         if self._histories is not None:
             self._histories.begin(increment.length)
         guess, forces = self._guess(aim, way.load_step, way.known, patient)

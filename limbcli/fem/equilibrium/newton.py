@@ -31,13 +31,17 @@ class NotConverged(SolveError):
 
 
 class Newton:
-    """Equilibrium of one system; keeps its tangent and factor between times."""
+    """Equilibrium of one system; keeps its tangent and factor between times.
+
+    nearest : the least error of the last try, at pressures of their own, and its state
+    """
 
     def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
         self.linearised = Linearised(system, settings, self.counts)
         self.mixed = settings.mixed  # pressures of their own, now
+        self.nearest: tuple[float, State | None] = (np.inf, None)
 
     @property
     def linear_name(self) -> str:
@@ -107,10 +111,14 @@ class Newton:
         if forces.worst <= 0:
             raise self.failure(state, forces, load_step, 0, "a cell was turned inside out by the first guess")
         sizes: list[float] = []
+        self.nearest = np.inf, None
         renew, stagnation = True, Stagnation(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
             self.report(load_step, iteration, forces)
             self.note(stagnation, state, forces)
+            left = norm(forces.mixed) / max(forces.scale, 1e-14)
+            if forces.worst > 0 and left < self.nearest[0]:
+                self.nearest = left, replace(state, hints=system.hints())
             if self.is_reached(forces, target):
                 return replace(state, hints=system.hints(), volumes=()), forces
             if iteration == settings.max_iterations or stagnation.goes_round:

@@ -12,9 +12,11 @@ from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import Array
 
-_RELAXED = 40  # steps of pseudo-time at most
+_RELAXED = 60  # steps of pseudo-time at most
 # Drag at first, the most, and below which it is nothing: of waves of 6 mm, 0.2 mm and 200 mm.
 _DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
+_HELD = 0.1  # of the tolerance: what equilibrium may leave after a step that drag has held back
+_FIRMER = (4.0, 100.0)  # times the drag after a step that went too far: at least, at most
 _BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
 
 
@@ -25,18 +27,22 @@ def relax(
 
     Implicit steps in a pseudo-time, with the drag over the step's length on the tangent's diagonal
     (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523); the straighter the tissue responds, the
-    longer. They go on where the tangent has lost its definiteness and Newton's method runs astray.
+    longer. Along a soft mode a drag leaves little residual and yet a long way to go: after a step with it,
+    equilibrium is asked for more strictly. Such steps go on where the tangent has lost its definiteness
+    and Newton's method runs astray.
     """
     system, linearised = newton.system, newton.linearised
     target = newton.settings.tolerance if tolerance is None else tolerance
+    held = target if tolerance is not None else _HELD * target
     system.at(guess.time)
     state, forces = guess, newton.forces(guess)
     linearised.drag, stagnation = _DRAG, Stagnation(newton.settings.stalled)
+    is_free = False
     try:
         for iteration in range(_RELAXED + 1):
             newton.report(load_step, iteration, forces)
             newton.note(stagnation, state, forces)
-            if newton.is_reached(forces, target):
+            if newton.is_reached(forces, target if is_free else held):
                 return replace(state, hints=system.hints(), volumes=()), forces
             if iteration == _RELAXED or linearised.drag > _MOST_DRAG or stagnation.goes_round:
                 break
@@ -45,11 +51,14 @@ def relax(
             found = _after(newton, state, step)
             bent = np.inf if found is None else _bent(newton, forces, found[1], step)
             if bent > _BENT:
-                linearised.drag = max(4.0 * linearised.drag, _LEAST_DRAG)
+                # along a soft mode the step is as 1 / drag, what it leaves as its square
+                firmer = float(np.clip(np.sqrt(_BENT * bent), *_FIRMER))
+                linearised.drag = firmer * max(linearised.drag, _LEAST_DRAG)
                 newton.forces(state)
                 continue
             assert found is not None
             state, forces = found
+            is_free = linearised.drag == 0.0
             linearised.drag *= 0.2 if bent < 0.3 else 0.5 if bent < 0.7 else 1.0 if bent < 1.0 else 2.0
             if linearised.drag < _LEAST_DRAG:
                 linearised.drag = 0.0
