@@ -37,7 +37,8 @@ class Whitener:
             ) from error
 
     def __call__(self, x: Array) -> Array:
-        return np.asarray(solve_triangular(self.factor, x, lower=True))
+        # the factor is known to be finite, and a prediction that is not is the caller's to judge
+        return np.asarray(solve_triangular(self.factor, x, lower=True, check_finite=False))
 
     def undo(self, whitened: Array) -> Array:
         """L x: the raw quantity again."""

@@ -43,6 +43,17 @@ class ElementLoops:
                 worst, place = low, (k, cell)
         return total(parts), worst, place
 
+    def smallest_mean_volume(self, state: State) -> tuple[float, tuple[int, int]]:
+        """Smallest det of a cell's mean F, and where: a bent quadratic cell may have turned inside out though
+        none of its integration points has."""
+        worst, place = np.inf, (-1, -1)
+        for k, (group, o) in enumerate(zip(self.groups, self.operands, strict=True)):
+            F = o.base + np.einsum("eni,enj->eij", state.u[o.cells], group.mean_grad(o.grad))
+            low = np.linalg.det(F)
+            if len(low) and low.min() < worst:
+                worst, place = float(low.min()), (k, int(low.argmin()))
+        return worst, place
+
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
         out = tuple(np.empty(o.weight.shape) for o in self.operands)

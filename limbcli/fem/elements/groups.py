@@ -60,6 +60,12 @@ class Group:
             self._cache["lame_of"] = program
         return np.asarray(self._cache["lame"]), np.asarray(self._cache["shear"])
 
+    def mean_grad(self, grad: Array) -> Array:
+        """(n_cells, n_nodes, 3) over the integration points, of this group's `grad` as it is now."""
+        if self._cache.get("mean_of") is not grad:
+            self._cache["mean_of"], self._cache["mean_grad"] = grad, grad.mean(axis=1)
+        return np.asarray(self._cache["mean_grad"])
+
     def with_material(self, material: Compiled) -> Group:
         return replace(self, material=material, _cache={})
 

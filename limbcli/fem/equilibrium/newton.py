@@ -120,7 +120,7 @@ class Newton:
             if forces.worst > 0 and left < self.nearest[0]:
                 self.nearest = left, replace(state, hints=system.hints())
             if self.is_reached(forces, target):
-                return replace(state, hints=system.hints(), volumes=()), forces
+                return self.accepted(state, forces, load_step, iteration)
             if iteration == settings.max_iterations or stagnation.goes_round:
                 break
             sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
@@ -136,12 +136,23 @@ class Newton:
                 break
             renew = forces.error > settings.renew_ratio * before
         if stagnation.will_do:
-            return self.least_of(stagnation)
+            return self.accepted(*self.least_of(stagnation), load_step, iteration)
         raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
     def is_reached(self, forces: Forces, target: float) -> bool:
         """Whether this is equilibrium, to a tolerance or to round-off."""
         return forces.error <= target or norm(forces.residual) <= _ROUND_OFF * self.system.least_force
+
+    def accepted(
+        self, state: State, forces: Forces, load_step: LoadStep, iteration: int
+    ) -> tuple[State, Forces]:
+        """An equilibrium as it is kept; raises NotConverged where a cell of it is inside out."""
+        worst, place = self.system.smallest_mean_volume(state)
+        if worst <= 0:
+            self.nearest = np.inf, None
+            turned = replace(forces, worst=worst, place=place)
+            raise self.failure(state, turned, load_step, iteration, "a cell was turned inside out")
+        return replace(state, hints=self.system.hints(), volumes=()), forces
 
     def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
         if stagnation.stalled > 0:

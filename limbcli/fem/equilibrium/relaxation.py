@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from limbcli.fem.equilibrium.newton import Newton
@@ -43,7 +41,7 @@ def relax(
             newton.report(load_step, iteration, forces)
             newton.note(stagnation, state, forces)
             if newton.is_reached(forces, target if is_free else held):
-                return replace(state, hints=system.hints(), volumes=()), forces
+                return newton.accepted(state, forces, load_step, iteration)
             if iteration == _RELAXED or linearised.drag > _MOST_DRAG or stagnation.goes_round:
                 break
             newton.counts.iterations += 1
@@ -65,7 +63,7 @@ def relax(
     finally:
         linearised.drag = 0.0
     if stagnation.will_do:
-        return newton.least_of(stagnation)
+        return newton.accepted(*newton.least_of(stagnation), load_step, iteration)
     raise newton.failure(state, forces, load_step, iteration, "the tissue does not come to rest")
 
 

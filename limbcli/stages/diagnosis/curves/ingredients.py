@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.places import Places, Stiffness
 from limbcli.model import Array
-
-if TYPE_CHECKING:
-    pass
-
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 

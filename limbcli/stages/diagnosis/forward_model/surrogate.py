@@ -67,6 +67,7 @@ class SiteCurves:
         self.penetration = penetration
         self.changes = Changes(book, progress=progress)
         self.nodes: dict[float, Curves] = {}
+        self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
         self._repairs: dict[tuple[Explanation, str], tuple[Repair, ...]] = {}
 
     def solve_nodes(self, values: Sequence[float]) -> None:
@@ -207,7 +208,16 @@ class SiteCurves:
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
-        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set."""
+        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set.
+
+        Kept for the last m: most differences of a fit leave it as it is.
+        """
+        key = m, len(self.nodes)
+        if self._last_base is None or self._last_base[0] != key:
+            self._last_base = key, self._interpolated(m)
+        return self._last_base[1]
+
+    def _interpolated(self, m: float) -> tuple[Array, Array, Curves]:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         at, total = bend(np.array(nodes)), np.zeros_like(logs(first))
