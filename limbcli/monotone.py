@@ -56,8 +56,7 @@ class Monotone:
 
     def _values(self, k: IntArray, t: Array, h: Array) -> Array:
         y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
-        s = 1.0 - t
-        return np.asarray(s * s * ((1 + 2 * t) * y0 + t * h * d0) + t * t * ((3 - 2 * t) * y1 - s * h * d1))
+        return np.asarray(_hermite.py_func(y0, y1, d0, d1, h, t))
 
     def _rates(self, k: IntArray, t: Array, h: Array) -> Array:
         y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
@@ -103,25 +102,11 @@ class Monotone:
 
 
 def _slopes(knots: Array, values: Array) -> Array:
-    h = np.reshape(knots[1:] - knots[:-1], (-1,) + (1,) * (values.ndim - 1))
-    rise = (values[1:] - values[:-1]) / h
-    if len(knots) == 2:
-        return np.concatenate([rise, rise])
-    before, after = rise[:-1], rise[1:]
-    w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
-    same = before * after > 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = (w1 + w2) / (w1 / before + w2 / after)
-    inner = np.where(same, mean, 0.0)
-    first, last = _end(h[0], h[1], rise[0], rise[1]), _end(h[-1], h[-2], rise[-1], rise[-2])
-    return np.concatenate([first[None], inner, last[None]])
-
-
-def _end(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
-    """Slope at an end by three points, kept from overshooting."""
-    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-    d = np.where(np.sign(d) != np.sign(m0), 0.0, d)
-    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > 3 * np.abs(m0)), 3 * m0, d)
+    """At the knots (n, ...), of every curve."""
+    columns = np.ascontiguousarray(values, dtype=float).reshape(len(knots), -1)
+    out = np.empty_like(columns)
+    _slopes_of_columns(np.ascontiguousarray(knots, dtype=float), columns, out)
+    return out.reshape(values.shape)
 
 
 def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
@@ -150,7 +135,7 @@ def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
 
 
 def _end_weights(h0: float, h1: float, m0: float, m1: float) -> tuple[float, float]:
-    """Derivatives of `_end` by the two rises."""
+    """Derivatives of `_end_slope` by the two rises."""
     d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
     if d * m0 <= 0.0:
         return 0.0, 0.0
@@ -175,7 +160,51 @@ def columns_through(knots: Array, values: Array, at: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+_kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_kernel
+def _hermite(y0, y1, d0, d1, h, t):  # type: ignore[no-untyped-def]
+    """Value at the share t of a piece of length h, by the values and slopes at its ends."""
+    s = 1.0 - t
+    return s * s * ((1 + 2 * t) * y0 + t * h * d0) + t * t * ((3 - 2 * t) * y1 - s * h * d1)
+
+
+@_kernel
+def _end_slope(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
+    """Slope at an end by three points, kept from overshooting."""
+    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    if np.sign(d) != np.sign(m0):
+        return 0.0
+    if np.sign(m0) != np.sign(m1) and abs(d) > 3 * abs(m0):
+        return 3 * m0
+    return d
+
+
+@_kernel
+def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
+    """The slopes at the first n knots, of one curve."""
+    if n == 2:
+        out[0] = out[1] = (y[1] - y[0]) / (x[1] - x[0])
+        return
+    for k in range(1, n - 1):
+        before, after = x[k] - x[k - 1], x[k + 1] - x[k]
+        rise, next_rise = (y[k] - y[k - 1]) / before, (y[k + 1] - y[k]) / after
+        if k == 1:
+            out[0] = _end_slope(before, after, rise, next_rise)
+        if k == n - 2:
+            out[n - 1] = _end_slope(after, before, next_rise, rise)
+        w1, w2 = 2 * after + before, after + 2 * before
+        out[k] = (w1 + w2) / (w1 / rise + w2 / next_rise) if rise * next_rise > 0 else 0.0
+
+
+@_kernel
+def _slopes_of_columns(knots, columns, out):  # type: ignore[no-untyped-def]
+    for c in range(columns.shape[1]):
+        _slopes_of(knots, columns[:, c], len(knots), out[:, c])
+
+
+@_kernel
 def _columns(knots, values, at, out):  # type: ignore[no-untyped-def]
     x, y, slope = np.empty(len(knots)), np.empty(len(knots)), np.empty(len(knots))
     for c in range(values.shape[1]):
@@ -190,43 +219,10 @@ def _columns(knots, values, at, out):  # type: ignore[no-untyped-def]
         for i in range(len(at)):
             if np.isnan(at[i]):
                 continue
-            beyond = max(at[i] - x[n - 1], 0.0)
             inside = min(max(at[i], x[0]), x[n - 1])
             k = 0
             while k < n - 2 and inside >= x[k + 1]:
                 k += 1
             h = x[k + 1] - x[k]
-            t = (inside - x[k]) / h
-            s = 1.0 - t
-            first = s * s * ((1 + 2 * t) * y[k] + t * h * slope[k])
-            second = t * t * ((3 - 2 * t) * y[k + 1] - s * h * slope[k + 1])
-            out[i, c] = first + second + beyond * slope[n - 1]
-
-
-@njit(cache=True, nogil=True)
-def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
-    """The slopes of `_slopes`, of one curve of n knots."""
-    if n == 2:
-        out[0] = out[1] = (y[1] - y[0]) / (x[1] - x[0])
-        return
-    for k in range(1, n - 1):
-        before, after = x[k] - x[k - 1], x[k + 1] - x[k]
-        rise, next_rise = (y[k] - y[k - 1]) / before, (y[k + 1] - y[k]) / after
-        w1, w2 = 2 * after + before, after + 2 * before
-        out[k] = (w1 + w2) / (w1 / rise + w2 / next_rise) if rise * next_rise > 0 else 0.0
-    out[0] = _end_of(x[1] - x[0], x[2] - x[1], (y[1] - y[0]), (y[2] - y[1]))
-    out[n - 1] = _end_of(
-        x[n - 1] - x[n - 2], x[n - 2] - x[n - 3], (y[n - 1] - y[n - 2]), (y[n - 2] - y[n - 3])
-    )
-
-
-@njit(cache=True, nogil=True)
-def _end_of(h0, h1, y0, y1):  # type: ignore[no-untyped-def]
-    """The slope of `_end`; y0, y1 : rises over h0, h1."""
-    m0, m1 = y0 / h0, y1 / h1
-    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-    if np.sign(d) != np.sign(m0):
-        return 0.0
-    if np.sign(m0) != np.sign(m1) and abs(d) > 3 * abs(m0):
-        return 3 * m0
-    return d
+            found = _hermite(y[k], y[k + 1], slope[k], slope[k + 1], h, (inside - x[k]) / h)
+            out[i, c] = found + max(at[i] - x[n - 1], 0.0) * slope[n - 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 
 
 def _held(rng, weight: float, *, n: int = 14, free: int = 2, held: int = 2):
@@ -49,3 +49,9 @@ def test_at_a_corner_of_the_model_its_slopes_reach_nothing():
     state = LinearFit.of(residual, np.array([[0.5], [0.0]]), as_it_stands=True)
     assert (state.chi2, state.nu, state.is_held) == (pytest.approx(10.0), 2, True)
     assert LinearFit.of(residual, np.array([[0.5], [0.0]])).chi2 == pytest.approx(1.0)
+
+
+def test_what_is_no_number_is_not_whitened() -> None:
+    """A prediction without an answer must stop a test, not pass it."""
+    with pytest.raises(ValueError, match="NaN"):
+        Whitener.of(np.eye(3))(np.array([1.0, np.nan, 2.0]))
