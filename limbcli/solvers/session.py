@@ -23,6 +23,9 @@ from limbcli.version import __version__
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Snapshot
+    from limbcli.fem.motion.state import State
+    from limbcli.fem.other_mesh import OtherMesh
+    from limbcli.fem.system import System
     from limbcli.fem.warm_start import Solved, WarmStart
 
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
@@ -102,6 +105,7 @@ class ReferenceSession:
         )
         self.body = body or _contact_body(model)
         self._warm: WarmStart | None = None
+        self._other: OtherMesh | None = None
 
     def solve(
         self,
@@ -160,7 +164,7 @@ class ReferenceSession:
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
-            watch, guesses=warm.guess, required=required, hoped=hoped, last=last, patient=patient,
+            watch, guesses=self._guess, required=required, hoped=hoped, last=last, patient=patient,
             ends=None if enough_force is None else lambda: watch.force() >= enough_force,
         )  # fmt: skip
         self.model = model
@@ -194,6 +198,15 @@ class ReferenceSession:
 
         self._warm = self._warm or WarmStart()
         self._warm.keep(solved)
+
+    def begin_beside(self, other: LimbModel, displacements: Mapping[float, Array]) -> None:
+        """Take first guesses from another mesh of the same body, where no earlier solve of this one has any.
+
+        displacements : mm (n_points, 3) of the other model's nodes, by this model's times
+        """
+        from limbcli.fem.other_mesh import OtherMesh
+
+        self._other = OtherMesh.of(other, displacements)
 
     def start_like(self, other: ReferenceSession) -> None:
         """Take first guesses from another session's levels so far, where its model has the same nodes."""
@@ -263,6 +276,12 @@ class ReferenceSession:
             seconds=seconds,
             linear_solver=self._analysis.newton.linear_name,
         )
+
+    def _guess(self, system: System, time: float) -> State | None:
+        found = self._warm.guess(system, time) if self._warm is not None else None
+        if found is None and self._other is not None:
+            found = self._other.guess(system, time)
+        return found
 
     def _warm_start(
         self, model: LimbModel, wrt: Sequence[Parameter], weights: Mapping[Parameter, Array]

@@ -103,6 +103,23 @@ def test_what_stops_far_short_has_no_curves(block):
     fits.close()
 
 
+def test_levels_on_another_mesh_lead_with_less_work_to_the_same(block, tmp_path):
+    fine, few = block_case.block_model(counts=(6, 3, 3)), (4.0,)
+    book, again = (CurveBook(block, DEPTHS, c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
+    alone = CurveBook(fine, few, c=0.006, solving=Solving(1e-6, threads=1))
+    led, resumed = (
+        CurveBook(fine, few, c=0.006, solving=Solving(1e-6, threads=1), reach=Reach(begin=each.levels))
+        for each in (book, again)
+    )
+    expected, found, taken_up = (each.curves(4.0).force for each in (alone, led, resumed))
+    for each in (book, again, alone, led, resumed):
+        each.close()
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert led.work.total < 0.8 * alone.work.total
+    assert again.n_solves == 0
+    np.testing.assert_array_equal(taken_up, found)
+
+
 def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(block, tmp_path):
     book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
     first, second = book.curves(3.0), again.curves(3.0)

@@ -13,7 +13,7 @@ from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, Load
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
-from limbcli.fem.motion.state import Forces, State, norm
+from limbcli.fem.motion.state import Forces, RoughState, State, norm
 from limbcli.model import LimbModel, Step
 
 _MAX_CUTS = 8
@@ -28,6 +28,7 @@ _FIRST = 4.0  # of the model's step: the first increment, where the response doe
 _MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a load step
 _FAR_OUT = 3.0  # error of a first guess above which an increment is shortened untried
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
+_FAR_OFF_ROUGH = 10.0  # the same from another mesh
 _WARY = 5  # increments after a cut before they may grow again
 _EASY = 4  # iterations up to which the next increment may be longer
 
@@ -254,7 +255,8 @@ class LoadStepping:
             # the unloaded state is of no use, nor are those in the air
             most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
             guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
-        limit = _FAR_OUT if known is None else _FAR_OFF
+        rough = isinstance(known, RoughState)
+        limit = _FAR_OUT if known is None else _FAR_OFF_ROUGH if rough else _FAR_OFF
         error, guess, forces = self._best(guesses, time)
         if guess is None or (known is None and error > limit):
             error, guess, forces = self._best([self._newton.predict(reached[-1], time)], time)

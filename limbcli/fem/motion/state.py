@@ -32,6 +32,11 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class RoughState(State):
+    """A first guess that is rough from cell to cell and near on the whole: its residual says little."""
+
+
+@dataclass(frozen=True, eq=False)
 class Forces:
     """What acts at a state.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
+from limbcli.stages.diagnosis.curves.curve_plan import LevelsAt, Reach, Solving
 from limbcli.stages.diagnosis.curves.ingredients import (
     Ingredients,
     fields,
@@ -112,6 +112,8 @@ class CurveBook:
         self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # of an earlier run
+        self._levels: dict[str, Solved] = {}
+        self._times, self._begin = plan.times, reach.begin
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
         self._changed: dict[str, str] = {}
@@ -196,6 +198,14 @@ class CurveBook:
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
+    def levels(self, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
+        """The model without effects, and its displacements (n_points, 3) in mm by depth, as far as solved."""
+        self.curves(m)
+        solved = self._levels.get(self._key(m, ()))
+        times = dict(zip(self._times, self.depths, strict=True))
+        states = {} if solved is None else solved.states
+        return self.model, {times[time]: state.u for time, state in states.items() if time in times}
+
     def close(self) -> None:
         if self._session is not None:
             self._session.close()
@@ -218,6 +228,8 @@ class CurveBook:
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             shared = self._shared()
+            if self._begin is not None and not ingredients:
+                shared.begin_beside(*self._elsewhere(self._begin, m))
             session = shared if same_mesh else self._fresh(model)
             if not same_mesh:
                 session.start_like(shared)
@@ -270,12 +282,19 @@ class CurveBook:
             self._kinematics[key] = kinematics
             self.kept.keep_cells(key, values.astype(np.float32))
             if session.led is not None:
+                self._levels[key] = session.led
                 self.kept.keep_levels(key, session.led)
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
+
+    def _elsewhere(self, levels: LevelsAt, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
+        """Levels on another mesh, at this model's times of the same depths."""
+        model, displacements = levels(m)
+        times = dict(zip(self.depths, self._times, strict=True))
+        return model, {times[depth]: u for depth, u in displacements.items() if depth in times}
 
     def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
         """What curves go on beside: those without effects, of another mesh, or of a stiffer law, which keeps
@@ -305,6 +324,7 @@ class CurveBook:
         levels = self.kept.levels(key)
         if levels is None:
             return
+        self._levels[key] = levels
         if self._session is None:
             self._leads.append(levels)
         else:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from limbcli.effects.curves import Curves
+from limbcli.model import Array, LimbModel
+
+# m -> a model, and displacements (n_points, 3) of its nodes in mm by depth (mm)
+LevelsAt = Callable[[float], tuple[LimbModel, Mapping[float, Array]]]
 
 _TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
 
@@ -18,11 +22,13 @@ class Reach:
     enough_force : N (at the book's c), beyond which no reading lies: the first level that bears it is
         the last
     beside : m -> curves of the same depths on another mesh, which lead where this one's solver stops
+    begin : levels on another mesh at an m, that solves begin from
     """
 
     needed: float | None = None
     enough_force: float | None = None
     beside: Callable[[float], Curves] | None = None
+    begin: LevelsAt | None = None
 
 
 @dataclass(frozen=True)

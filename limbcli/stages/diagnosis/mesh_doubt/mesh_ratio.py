@@ -113,7 +113,7 @@ def own_curves(
     own = CurveBook(
         meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
         windows=book.windows, keep=book.kept.folder, progress=book.progress,
-        reach=Reach(enough_force=book.enough_force, beside=book.curves),
+        reach=Reach(enough_force=book.enough_force, beside=book.curves, begin=book.levels),
         solving=replace(book.solving, penalty=size_ratio * book.model.contacts[0].penalty),
     )  # fmt: skip
     own.work.at_most = _TIMES_USUAL * max(book.work.mean, _LEAST_WORK)
