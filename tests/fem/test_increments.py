@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from small_models import punch
 
@@ -13,6 +14,7 @@ from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, Load
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
 from limbcli.fem.equilibrium.newton import LoadStep, NotConverged, Settings
 from limbcli.fem.linear_solvers.singular import SingularMatrix
+from limbcli.fem.motion.state import RoughState, State
 from limbcli.materials import ogden_type
 from limbcli.model import Step
 
@@ -49,6 +51,25 @@ def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: Inc
     way = LoadStepPath(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, (1, 0, 0))
     increment = Increment(0.0, case["length"], 1.0, 0, is_last=False)
     assert stepping._outcome(way, increment, case["error"], case["exhausted"]) is outcome
+
+
+@pytest.mark.parametrize(
+    ("error", "rough", "refused"), [(3.0, True, False), (3.0, False, True), (30.0, True, True)]
+)
+def test_a_rough_guess_may_be_farther_out(error: float, rough: bool, refused: bool) -> None:
+    stepping = LoadStepping()
+    stepping._newton = SimpleNamespace(
+        system=SimpleNamespace(prescribed=lambda known, time: known), failure=lambda *_: FAILED
+    )
+    stepping._reached, stepping._known, stepping._incremental = [SimpleNamespace(time=0.0)] * 2, None, True
+    stepping._best = lambda guesses, time: (error, guesses[0], None)
+    stepping._tried = SimpleNamespace()
+    known = (RoughState if rough else State)(0.5, np.zeros((4, 3)), ())
+    if refused:
+        with pytest.raises(NotConverged):
+            stepping._guess(0.5, LoadStep(1, 1, None), known, patient=False)
+    else:
+        assert stepping._guess(0.5, LoadStep(1, 1, None), known, patient=False)[0] is known
 
 
 @pytest.fixture
