@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from limbcli.errors import SolveError
+from limbcli.errors import CaseError, SolveError
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
@@ -202,10 +202,24 @@ class ReferenceSession:
     def begin_beside(self, other: LimbModel, displacements: Mapping[float, Array]) -> None:
         """Take first guesses from another mesh of the same body, where no earlier solve of this one has any.
 
-        displacements : mm (n_points, 3) of the other model's nodes, by this model's times
+        A mesh of other cells than tetrahedra leads nowhere.
+
+        displacements : mm (n_points, 3) of the other model's nodes, by this model's times (s)
+
+        Raises
+        ------
+        CaseError
+            If displacements are not those of the other model's nodes.
         """
         from limbcli.fem.other_mesh import OtherMesh
 
+        expected = other.mesh.points.shape
+        for at, u in displacements.items():
+            if np.shape(u) != expected:
+                raise CaseError(
+                    f"displacements {np.shape(u)} at {at:g} s, of a mesh whose nodes are {expected}",
+                    where="session", fix="give three numbers for every node of the other model",
+                )  # fmt: skip
         self._other = OtherMesh.of(other, displacements)
 
     def start_like(self, other: ReferenceSession) -> None:

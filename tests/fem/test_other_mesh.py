@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_models import block
+from small_models import block, punch
 
+from limbcli.errors import CaseError
 from limbcli.fem.other_mesh import OtherMesh
 from limbcli.fem.system import System
+from limbcli.solvers.session import ReferenceSession
 
 COARSE, FINE, SIZE = (2, 2, 2), (3, 5, 4), (2.0, 1.0, 1.5)
 
@@ -60,6 +62,15 @@ def test_what_lies_outside_moves_as_the_border_does(system: System) -> None:
 
 def test_only_levels_that_were_solved(system: System) -> None:
     assert coarse(np.zeros_like).guess(system, 0.25) is None
+
+
+def test_displacements_of_another_number_of_nodes_are_refused() -> None:
+    model = punch("tet4")
+    with (
+        ReferenceSession(model, threads=1) as session,
+        pytest.raises(CaseError, match="of a mesh whose nodes are"),
+    ):
+        session.begin_beside(model, {0.5: np.zeros((3, 3))})
 
 
 def test_other_cells_than_tetrahedra_lead_nowhere() -> None:
