@@ -62,7 +62,7 @@ class OtherMesh:
 
     def _at(self, places: Array, values: Array) -> Array:
         cells, shares = self._located(places)
-        N, _ = shape("tet10" if self.cells.shape[1] == 10 else "tet4", shares[:, 1:])
+        N, _ = shape(self._kind, shares[:, 1:])
         return np.asarray(np.einsum("nk,nkj->nj", N, values[self.cells[cells]]))
 
     def _located(self, places: Array) -> tuple[IntArray, Array]:
@@ -91,9 +91,13 @@ class OtherMesh:
 
     def _gradients(self, u: Array) -> Array:
         """du/dX (n_cells, 3, 3) in the middle of every cell."""
-        _, dN = shape("tet10" if self.cells.shape[1] == 10 else "tet4", np.full((1, 3), 0.25))
+        _, dN = shape(self._kind, np.full((1, 3), 0.25))
         along = np.einsum("cni,nj->cij", u[self.cells], dN[0])
         return np.asarray(along @ self._frames[1])
+
+    @property
+    def _kind(self) -> str:
+        return "tet10" if self.cells.shape[1] == 10 else "tet4"
 
     @cached_property
     def _middles(self) -> cKDTree:
@@ -108,5 +112,5 @@ class OtherMesh:
 
     @cached_property
     def _volumes(self) -> Array:
-        corners = self.points[self.cells[:, :4]]
-        return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+        """mm3 (n_cells,)."""
+        return np.asarray(1.0 / (6.0 * np.abs(np.linalg.det(self._frames[1]))))
