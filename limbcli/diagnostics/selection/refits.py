@@ -147,7 +147,8 @@ class Refits:
                 whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian),
                 as_it_stands=state.is_held,
             ),
-            [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
+            [*baseline.parts(whiten), *others],
+            decisive=(thresholds.LEFT, thresholds.ADEQUATE),
             relative=baseline.is_relative(state),
         )  # fmt: skip
         explained = baseline.state.chi2 - state.chi2

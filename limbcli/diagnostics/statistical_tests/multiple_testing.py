@@ -16,11 +16,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import orth
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
-from limbcli.diagnostics.model.noise import unit_errors
-from limbcli.diagnostics.statistical_tests.score import Score, Trial, score, statistics
+from limbcli.diagnostics.model.noise import ErrorDraws
+from limbcli.diagnostics.statistical_tests.score import (
+    Score,
+    Trial,
+    cone_projection,
+    score,
+    visible_columns,
+)
 from limbcli.model import Array
 
 
@@ -71,45 +79,110 @@ class Family:
 def score_family(
     state: LinearFit,
     trials: Sequence[Trial],
+    errors: ErrorDraws,
     *,
-    rng: np.random.Generator,
     relative: bool = False,
-    n_draws: int = thresholds.N_DRAWS,
     alpha: float = thresholds.ALPHA,
+    decisive: Sequence[float] = (),
 ) -> Family:
     """Score every trial and adjust over all of them, and over the total chi2.
 
     relative : the noise's level is not known; no test of the total.
+    decisive : adjusted p by which something will be decided: batches of draws are doubled, to
+        `MOST_BATCHES` of them, until each adjusted p is clear of these beyond the deviation that the number
+        of draws leaves it.
+
+    Source of the doubling: Besag & Clifford 1991, Sequential Monte Carlo p-values, Biometrika 78:301.
     """
-    if len(state.residual) > thresholds.MANY_DATA:
-        n_draws = min(n_draws, thresholds.N_DRAWS_OF_MANY)
-    draws = unit_errors(rng, (n_draws, len(state.residual)))
-    draws -= (draws @ state.basis) @ state.basis.T
-    drawn_total = np.einsum("bi,bi->b", draws, draws)
-    total = state.chi2
-    scale = 1.0
-    if relative:
-        draws /= np.sqrt(drawn_total)[:, None]
-        scale = 1.0 / max(total, 1e-300)
     scores = [score(state, trial) for trial in trials]
-    drawn = [statistics(state, trial, draws) for trial in trials]
-    values = [each.statistic * scale for each in scores]
-    if not relative:
-        drawn.append(drawn_total)
-        values.append(total)
-    if not drawn:
+    total = state.chi2
+    scale = 1.0 / max(total, 1e-300) if relative else 1.0
+    values = np.array([each.statistic * scale for each in scores] + ([] if relative else [total]))
+    if not len(values):
         return Family((), None, alpha)
-    p_values = [_p(each, value) for each, value in zip(drawn, values, strict=True)]
-    smallest = np.sort(np.min([_ranks(each) for each in drawn], axis=0))
-    adjusted = [_adjust(smallest, p) for p in p_values]
-    threshold = float(np.quantile(smallest, alpha))
+    space = _TestSpace.of(state, trials, relative=relative)
+    drawn = space.statistics(errors.batch(0))
+    adjusted, n = _Adjusted.of(drawn, values), 1
+    while n < thresholds.MOST_BATCHES and not adjusted.clear_of(decisive):
+        drawn = np.vstack([drawn, *(space.statistics(errors.batch(k)) for k in range(n, 2 * n))])
+        adjusted, n = _Adjusted.of(drawn, values), 2 * n
+    threshold = float(np.quantile(adjusted.smallest, alpha))
     tests = tuple(
-        Tested(trial.name, scores[k], p_values[k], adjusted[k],
-               float(np.quantile(drawn[k], 1 - threshold)) / scale)
+        Tested(trial.name, scores[k], adjusted.alone[k], adjusted.p[k],
+               float(np.quantile(drawn[:, k], 1 - threshold)) / scale)
         for k, trial in enumerate(trials)
     )  # fmt: skip
-    overall = None if relative else Overall(total, state.nu, p_values[-1], adjusted[-1])
+    overall = None if relative else Overall(total, state.nu, adjusted.alone[-1], adjusted.p[-1])
     return Family(tests, overall, threshold)
+
+
+@dataclass(frozen=True, eq=False)
+class _TestSpace:
+    """What a family sees of errors: the span of its trials' visible columns, far smaller than the data.
+
+    span (n, r) : an orthonormal basis; fitted (n, p) : that of what the fit takes up
+    columns : for each trial, for each of its directions, (r, q) in that basis, and the signs
+    """
+
+    span: Array
+    fitted: Array
+    columns: tuple[tuple[tuple[Array, tuple[int, ...]], ...], ...]
+    relative: bool
+
+    @staticmethod
+    def of(state: LinearFit, trials: Sequence[Trial], *, relative: bool) -> _TestSpace:
+        seen = [[visible_columns(state, each) for each in trial.directions] for trial in trials]
+        every = [column for of_trial in seen for column in of_trial]
+        span = orth(np.hstack(every)) if every else np.zeros((len(state.residual), 0))
+        columns = tuple(
+            tuple((span.T @ A, each.signs) for A, each in zip(of_trial, trial.directions, strict=True))
+            for of_trial, trial in zip(seen, trials, strict=True)
+        )
+        return _TestSpace(span, state.basis, columns, relative)
+
+    def statistics(self, errors: NDArray[np.float32]) -> Array:
+        """(n_draws, n_tests) of errors (n_draws, n); the total's last where the noise's level is known."""
+        inside = (errors @ self.span.astype(np.float32)).astype(float)
+        taken = errors @ self.fitted.astype(np.float32)
+        total = _squares(errors) - _squares(taken)
+        found = np.zeros((len(errors), len(self.columns) + (not self.relative)))
+        for k, directions in enumerate(self.columns):
+            for A, signs in directions:
+                found[:, k] = np.maximum(found[:, k], cone_projection(A, signs, inside)[0])
+        if self.relative:
+            return found / total[:, None]
+        found[:, -1] = total
+        return found
+
+
+def _squares(rows: NDArray[np.float32]) -> Array:
+    return np.einsum("bi,bi->b", rows, rows, dtype=float)
+
+
+@dataclass(frozen=True)
+class _Adjusted:
+    """p of every test alone and adjusted, and the draws' own smallest p, in order."""
+
+    alone: tuple[float, ...]
+    p: tuple[float, ...]
+    smallest: Array
+
+    @staticmethod
+    def of(drawn: Array, values: Array) -> _Adjusted:
+        alone = tuple(_p(drawn[:, k], value) for k, value in enumerate(values))
+        smallest = np.sort(np.min([_ranks(each) for each in drawn.T], axis=0))
+        return _Adjusted(alone, tuple(_adjust(smallest, p) for p in alone), smallest)
+
+    def clear_of(self, decisive: Sequence[float]) -> bool:
+        """Whether none of the adjusted p may be on the other side of one of these.
+
+        An adjusted p is known no better than its test's own, which is far smaller: by the number of draws
+        that are as extreme.
+        """
+        n = len(self.smallest)
+        alone, p = np.array(self.alone), np.array(self.p)
+        deviation = p * np.sqrt(1.0 / (n * alone) + (1.0 - p) / (n * p))
+        return all((np.abs(p - each) > thresholds.CLEAR_SD * deviation).all() for each in decisive)
 
 
 def _p(drawn: Array, value: float) -> float:
