@@ -99,9 +99,6 @@ HOPELESS: Final = 20.0
 MOST_SIMULATED: Final = 4
 """Explanations by several effects that are simulated, those with the least deviance. Chosen, for time."""
 
-UNFIT: Final = 1e-3
-"""p of what a fit on the surrogate leaves, below which a simulation will not mend it. Chosen."""
-
 # ------------------------------------------------ the confidence set: what cannot be excluded
 
 ADEQUATE: Final = 0.01

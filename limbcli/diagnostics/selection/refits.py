@@ -113,18 +113,17 @@ class Refits:
             return None
 
     def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
-        """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
+        """Simulate the model as fitted, and judge what it leaves."""
         label = " + ".join(explanation)
         self.baseline.progress.event("note", text=f"refit with {label}")
-        refit = self._judged(draft)
-        if simulated and refit.left_p >= thresholds.UNFIT:
+        fitted = draft
+        if simulated:
             try:
                 fitted = self.baseline.forward_model.verified(draft)
             except LimbError as error:
                 self.not_evaluated[label] = error.what
                 return
-            if fitted is not draft:
-                refit = self._judged(fitted)
+        refit = self._judged(fitted)
         if refit.fitted.at_bound:
             self.left_out[label] = "; ".join(refit.fitted.at_bound)
         self.known[explanation] = refit

@@ -23,13 +23,14 @@ from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.score import (
+    RCOND,
     Score,
     Trial,
     cone_projection,
     score,
     visible_columns,
 )
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,37 +119,60 @@ def score_family(
 
 @dataclass(frozen=True, eq=False)
 class _TestSpace:
-    """What a family sees of errors: the span of its trials' visible columns, far smaller than the data.
+    """What a family sees of errors: for each direction an orthonormal basis of what is visible of it.
 
-    span (n, r) : an orthonormal basis; fitted (n, p) : that of what the fit takes up
-    columns : for each trial, for each of its directions, (r, q) in that basis, and the signs
+    axes (n, k) : those bases beside each other; first (d,) : where each direction's begins; sign (k,) : 1, -1
+        where only that way counts, else 0; trial (d,) : the test it belongs to
+    cones : of directions in which several parameters have signs the test, a basis (n, r), the visible columns
+        (r, q) in it, and the signs
+    fitted (n, p) : a basis of what the fit takes up
     """
 
-    span: Array
-    fitted: Array
-    columns: tuple[tuple[tuple[Array, tuple[int, ...]], ...], ...]
+    axes: NDArray[np.float32]
+    first: IntArray
+    sign: Array
+    trial: IntArray
+    cones: tuple[tuple[int, NDArray[np.float32], Array, tuple[int, ...]], ...]
+    fitted: NDArray[np.float32]
+    n_trials: int
     relative: bool
 
     @staticmethod
     def of(state: LinearFit, trials: Sequence[Trial], *, relative: bool) -> _TestSpace:
-        seen = [[visible_columns(state, each) for each in trial.directions] for trial in trials]
-        every = [column for of_trial in seen for column in of_trial]
-        span = orth(np.hstack(every)) if every else np.zeros((len(state.residual), 0))
-        columns = tuple(
-            tuple((span.T @ A, each.signs) for A, each in zip(of_trial, trial.directions, strict=True))
-            for of_trial, trial in zip(seen, trials, strict=True)
-        )
-        return _TestSpace(span, state.basis, columns, relative)
+        bases, signs, owners, cones = [np.zeros((len(state.residual), 0))], [], [], []
+        for k, trial in enumerate(trials):
+            for direction in trial.directions:
+                A = visible_columns(state, direction)
+                if not np.any(A):
+                    continue
+                if A.shape[1] > 1 and any(direction.signs):
+                    basis = orth(A)
+                    cones.append((k, basis.astype(np.float32), basis.T @ A, direction.signs))
+                    continue
+                one_sided = A.shape[1] == 1
+                bases.append(A / np.linalg.norm(A) if one_sided else orth(A, rcond=RCOND))
+                signs.append(np.full(bases[-1].shape[1], direction.signs[0] if one_sided else 0))
+                owners.append(k)
+        first = np.cumsum([0, *(each.shape[1] for each in bases[1:-1])]) if owners else np.zeros(0, np.int64)
+        return _TestSpace(
+            np.hstack(bases).astype(np.float32), first, np.concatenate([np.zeros(0), *signs]),
+            np.array(owners, np.int64), tuple(cones), state.basis.astype(np.float32), len(trials), relative,
+        )  # fmt: skip
 
     def statistics(self, errors: NDArray[np.float32]) -> Array:
         """(n_draws, n_tests) of errors (n_draws, n); the total's last where the noise's level is known."""
-        inside = (errors @ self.span.astype(np.float32)).astype(float)
-        taken = errors @ self.fitted.astype(np.float32)
-        total = _squares(errors) - _squares(taken)
-        found = np.zeros((len(errors), len(self.columns) + (not self.relative)))
-        for k, directions in enumerate(self.columns):
-            for A, signs in directions:
-                found[:, k] = np.maximum(found[:, k], cone_projection(A, signs, inside)[0])
+        total = _squares(errors) - _squares(errors @ self.fitted)
+        found = np.zeros((len(errors), self.n_trials + (not self.relative)))
+        if len(self.first):
+            along = (errors @ self.axes).astype(float)
+            one_sided = self.sign != 0
+            along[:, one_sided] = np.maximum(along[:, one_sided] * self.sign[one_sided], 0.0)
+            by_direction = np.add.reduceat(along**2, self.first, axis=1)
+            for k, trial in enumerate(self.trial):
+                found[:, trial] = np.maximum(found[:, trial], by_direction[:, k])
+        for trial, basis, columns, signs in self.cones:
+            length, _ = cone_projection(columns, signs, (errors @ basis).astype(float))
+            found[:, trial] = np.maximum(found[:, trial], length)
         if self.relative:
             return found / total[:, None]
         found[:, -1] = total
@@ -190,9 +214,12 @@ def _p(drawn: Array, value: float) -> float:
 
 
 def _ranks(drawn: Array) -> Array:
-    """p of every draw within its own distribution."""
-    ordered = np.sort(drawn)
-    return (len(drawn) - np.searchsorted(ordered, drawn, side="left")) / (len(drawn) + 1.0)
+    """p of every draw within its own distribution; 1 where a one-sided statistic is 0."""
+    n = len(drawn)
+    out = np.empty(n)
+    out[np.argsort(drawn)] = np.arange(n, 0, -1)
+    out[drawn <= 0.0] = n
+    return out / (n + 1.0)
 
 
 def _adjust(smallest: Array, p: float) -> float:
