@@ -189,10 +189,6 @@ class _Run:
         if not Closing(self.baseline, self._n_candidates).is_closed(best):
             why = "the one explanation that fits is no better than any smooth curve, or does not predict"
             return "unexplained", why
-        gain = self.baseline.state.chi2 - best.state.chi2
-        if gain < thresholds.OF_MESH * len(self.baseline.data):
-            why = f"one explanation fits, but gains only {gain:.0f} in chi2: another mesh might, too"
-            return "ambiguous", why
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "one explanation fits, but it leaves something; it may not be all"

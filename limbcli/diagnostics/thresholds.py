@@ -152,11 +152,6 @@ LEFT: Final = ALPHA
 """p of what the only explanation leaves, below which it is not named: a name leaves nothing that would be
 detected, or what one effect more explains, which is told beside it."""
 
-OF_MESH: Final = 0.04
-"""Deviance a reading that a name has to gain: another mesh of the same limb may show as much. Chosen: at 23
-sites that FEBio made, meshed anew with bones 0.2 mm larger, single effects gained or lost up to 25 over 600
-readings, and most truths that show gained 30 and more."""
-
 CLOSED_PERCENTILE: Final = 95.0
 """Per cent of placebos (smooth curves of no meaning) that a named effect must beat. Convention."""
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
-from limbcli.meshing.bone_volume import with_bone_volume
 from limbcli.meshing.domain import TissueDomain, boundary
 from limbcli.meshing.improve import Ties, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
@@ -29,9 +28,6 @@ from limbcli.meshing.remesh import (
 from limbcli.meshing.surfaces import Triangles
 from limbcli.meshing.tetrahedra import Tetrahedra, checked, interior_points, tetgen_mesh
 from limbcli.model import Array, IntArray
-
-REVISION = 2
-"""Raised where the same limb and sizes lead to another mesh: what was kept of an earlier one is made anew."""
 
 MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG = 8.0, 4.0
 _LOCAL_REPAIRS = 5
@@ -114,7 +110,7 @@ def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
 def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     fine = boundary(domain)
     field = size_field(domain, probe, sizes)
-    graded, settled = _graded(fine, domain, field)
+    graded = unfold(remesh(fine, domain, field), domain)
     for _ in range(_LOCAL_REPAIRS):
         bad = bad_places(graded)
         if not len(bad):
@@ -122,7 +118,7 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: li
         x, y, z = bad.mean(axis=0)
         tale.append(f"{len(bad)} facets crossed near ({x:.0f}, {y:.0f}, {z:.0f}) mm: finer there")
         field = finer_near(field, bad)
-        graded, settled = _graded(fine, domain, field)
+        graded = unfold(remesh(fine, domain, field), domain)
     best: tuple[float, VolumeMesh] | None = None
     for ratio, dihedral, seed in _TETGEN:
         inner = interior_points(graded, field, seed=seed)
@@ -131,7 +127,7 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: li
         except MeshError as error:
             tale.append(error.what)
             continue
-        found = _improved(raw, *labelled_boundary(raw, graded, settled), settled)
+        found = _improved(raw, *labelled_boundary(raw, graded, domain), domain)
         score = _score(found, probe)
         if best is None or score > best[0]:
             best = score, found
@@ -140,11 +136,6 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: li
     if best is None:
         raise MeshError(tale.pop(), where="volume mesh", fix="ask for a finer mesh (--size-mm)")
     return best[1]
-
-
-def _graded(fine: Triangles, domain: TissueDomain, field: SizeField) -> tuple[Boundary, TissueDomain]:
-    """The boundary in facets of the sizes asked for, bones of the right volume, and the domain it bounds."""
-    return with_bone_volume(unfold(remesh(fine, domain, field), domain), domain, field)
 
 
 def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: TissueDomain) -> tuple[IntArray, IntArray]:
@@ -181,7 +172,7 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Tissue
 def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     """fTetWild: slower, its surface within a tolerance of ours, but it refuses nothing."""
     field = size_field(domain, probe, sizes)
-    surface, domain = _remeshed_or_not(domain, field, tale)
+    surface = _remeshed_or_not(domain, field, tale)
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     options = {
         "edge_length_abs": sizes.far,
@@ -199,20 +190,14 @@ def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: 
     return _improved(Tetrahedra(points, raw.cells, raw.maker), faces, labels, domain)
 
 
-def _remeshed_or_not(
-    domain: TissueDomain, field: SizeField, tale: list[str]
-) -> tuple[Triangles, TissueDomain]:
-    """The boundary, remeshed where that can be, and the domain that it bounds.
-
-    It may pierce itself; fTetWild is fast on few facets.
-    """
+def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) -> Triangles:
+    """The boundary, remeshed where that can be (it may pierce itself; fTetWild is fast on few facets)."""
     fine = boundary(domain)
     try:
-        graded, settled = with_bone_volume(remesh(fine, domain, field), domain, field)
+        return remesh(fine, domain, field).surface
     except MeshError as error:
         tale.append(f"fTetWild from the boundary as it is: {error.what}")
-        return fine, domain
-    return graded.surface, settled
+        return fine
 
 
 def _size_samples(field: SizeField, low: Array, high: Array, *, spacing: float = 4.0) -> Array:

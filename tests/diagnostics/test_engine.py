@@ -287,38 +287,18 @@ def test_c_and_m_reach_over_all_that_fit_also_beside_a_name(monkeypatch, word, o
     assert seen.value.args == (over,)
 
 
-def _doubting(monkeypatch) -> _Run:
-    """500 readings whose fit without effects has chi2 500; what fits speaks for itself and closes the gap."""
-    run = _Run(SimpleNamespace(state=SimpleNamespace(chi2=500.0), data=[None] * 500), 3, False)
-    run._speaks_for_itself = lambda refit: True
-    monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
-    return run
-
-
-def _fits(explanation: tuple[str, ...], *, left_p: float = 0.5, chi2: float = 400.0) -> SimpleNamespace:
-    fitted = SimpleNamespace(notes=(), at_bound=())
-    return SimpleNamespace(
-        explanation=explanation, left_p=left_p, fitted=fitted, state=SimpleNamespace(chi2=chi2)
-    )
-
-
-@pytest.mark.parametrize(("gain", "named"), [(15.0, False), (25.0, True)])
-def test_a_name_gains_more_than_another_mesh_may(monkeypatch, gain, named):
-    best = _fits(("a",), chi2=500.0 - gain)
-    doubt = _doubting(monkeypatch)._doubt(best, [best], [])
-    assert (doubt is None) == named
-    assert named or doubt[0] == "ambiguous"
-
-
 @pytest.mark.parametrize(
     ("alone", "with_one_more", "named"),
     [(0.2, None, True), (0.02, None, False), (0.02, 0.3, True), (0.02, 0.03, False)],
 )
 def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, with_one_more, named):
-    run = _doubting(monkeypatch)
-    kept = [_fits(("a",), left_p=alone)]
+    run = _Run(SimpleNamespace(), 3, False)
+    run._speaks_for_itself = lambda refit: True
+    monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
+    fitted = SimpleNamespace(notes=(), at_bound=())
+    kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
     if with_one_more is not None:
-        kept.append(_fits(("a", "b"), left_p=with_one_more))
+        kept.append(SimpleNamespace(explanation=("a", "b"), left_p=with_one_more, fitted=fitted))
     doubt = run._doubt(kept[0], kept, [])
     assert (doubt is None) == named
     assert named or doubt[0] == "ambiguous"

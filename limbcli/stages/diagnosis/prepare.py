@@ -23,7 +23,6 @@ from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
-from limbcli.meshing.site_mesher import REVISION
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
@@ -301,7 +300,7 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size, _BENDS, _THIN, REVISION]  # fmt: skip
+                  self.size, self.mesh.far_size, _BENDS, _THIN]  # fmt: skip
         text = json.dumps(plain(recipe))
         self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"
