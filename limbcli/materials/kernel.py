@@ -74,7 +74,7 @@ class Kernel:
         if number is None:
             self.add.compile(_ARGUMENTS)
             made = self.add.overloads[_ARGUMENTS]
-            number = int(made.library.get_pointer_to_function(made.fndesc.llvm_func_name))
+            number = int(made.library.get_pointer_to_function(made.fndesc.mangled_name))
         _KERNELS[number] = self
         return number
 
