@@ -45,22 +45,23 @@ def test_rivals_are_compared_round_their_own_fits(rng):
 
 
 @pytest.mark.parametrize(
-    ("name", "p", "chi2", "gap", "estimates"),
+    ("name", "of_adequate", "chi2", "gap", "estimates"),
     [
-        ("barely not adequate, as good a fit", 0.009, 44.6, 3.1, True),
-        ("worse by more than chance", 0.009, 46.0, 4.5, False),
-        ("beaten", 0.009, 44.6, 9.6, False),
-        ("far from adequate", 0.002, 44.6, 3.1, False),
-        ("adequate, so a member by its own right", 0.011, 44.6, 3.1, False),
+        ("barely not adequate, as good a fit", 0.9, 44.6, 3.1, True),
+        ("worse by more than chance", 0.9, 46.0, 4.5, False),
+        ("beaten", 0.9, 44.6, 9.6, False),
+        ("far from adequate", 0.2, 44.6, 3.1, False),
+        ("adequate, so a member by its own right", 1.1, 44.6, 3.1, False),
     ],
 )
-def test_a_level_barely_missed_does_not_take_an_equal_out_of_the_set(name, p, chi2, gap, estimates):
-    def refit(p: float, chi2: float, gap: float) -> Refit:
+def test_a_level_barely_missed_does_not_take_an_equal_out_of_the_set(name, of_adequate, chi2, gap, estimates):
+    def refit(share: float, chi2: float, gap: float) -> Refit:
+        p = share * thresholds.ADEQUATE
         fitted = Fitted((name,), np.zeros(1), np.zeros((1, 0)), (), {}, (), ())
         state = LinearFit.of(np.array([np.sqrt(chi2)]), np.zeros((1, 0)))
         return Refit(fitted, state, Family((), Overall(chi2, 25, p, p), 0.05), gap, 9.0)
 
-    assert refit(p, chi2, gap).is_close_to([refit(0.013, 41.5, 0.0)]) is estimates
+    assert refit(of_adequate, chi2, gap).is_close_to([refit(1.3, 41.5, 0.0)]) is estimates
 
 
 def test_look_alikes_of_a_pair_are_tried_though_their_rank_was_low(rng, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import EFFECTS
@@ -24,7 +25,7 @@ def found(size: float, deviation: float = 1.0):
     residual = size * t + deviation * rng.standard_normal(n)
     state = LinearFit.of(residual / deviation, np.ones((n, 1)))
     trial = Trial("force-zero", (Direction(t[:, None] / deviation, (0,), names=("force_zero_n",)),))
-    family = score_family(state, [trial], rng=rng, n_draws=200)
+    family = score_family(state, [trial], ErrorDraws((3,), n, 200))
     return sizes_95(state, family, {"force-zero": None})["force-zero"]["force_zero_n"], t
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
-from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
+from limbcli.diagnostics.model.noise import ErrorDraws
+from limbcli.diagnostics.statistical_tests.multiple_testing import _TestSpace, score_family
 from limbcli.diagnostics.statistical_tests.score import Trial, cone_projection, cosine, score, statistics
 
 
@@ -77,7 +79,7 @@ def test_family_is_calibrated(rng, relative):
     below = 0
     for _ in range(150):
         state = LinearFit.of((3.0 if relative else 1.0) * rng.standard_normal(n), J)
-        family = score_family(state, trials, rng=np.random.default_rng(7), relative=relative, n_draws=800)
+        family = score_family(state, trials, ErrorDraws((7,), n, 800), relative=relative)
         below += family.smallest < 0.05
     assert below / 150 <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 150)
 
@@ -89,6 +91,71 @@ def test_readings_with_long_tails_raise_no_more_false_alarms(rng):
     parts = [Trial(str(k), (Direction(np.eye(n)[:, 6 * k : 6 * k + 6], (0,) * 6),)) for k in range(4)]
     errors = rng.laplace(size=(400, n)) / np.sqrt(2)
     states = [LinearFit.of(each, J) for each in errors]
-    p = [score_family(s, parts, rng=np.random.default_rng(7), n_draws=2000).smallest for s in states]
+    draws = ErrorDraws((7,), n, 2000)
+    p = [score_family(s, parts, draws).smallest for s in states]
     assert np.mean(np.array(p) < 0.01) < 0.02
     assert np.mean(np.array(p) < 0.05) < 0.05 + 2 * np.sqrt(0.05 * 0.95 / len(p))
+
+
+def _near(rng):
+    """One test whose p is near 0.05, whatever few draws say: three of 200 data, their chi2 at 5 %."""
+    n = 200
+    shape = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    residual = shape[:, :3] @ np.array([2.0, 1.5, 1.23]) + shape[:, 4:].sum(axis=1)
+    state = LinearFit.of(residual, shape[:, 3:4])
+    return state, [Trial("near", (Direction(shape[:, :3], (0, 0, 0)),))]
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_where_a_p_is_near_what_decides_more_errors_are_drawn(rng, relative):
+    state, trials = _near(rng)
+    drawn: list[int] = []
+
+    class Counted(ErrorDraws):
+        def batch(self, k):
+            drawn.append(k)
+            return super().batch(k)
+
+    clear = score_family(state, trials, Counted((7,), 200, 100), relative=relative, decisive=(0.999,))
+    assert drawn == [0]
+    rough = clear.tests[0].p
+    drawn.clear()
+    found = score_family(state, trials, Counted((7,), 200, 100), relative=relative, decisive=(rough,))
+    assert drawn == list(range(thresholds.MOST_BATCHES))
+    assert found.tests[0].p == pytest.approx(rough, abs=0.15)
+
+
+def test_more_draws_lessen_what_a_p_owes_to_them(rng, monkeypatch):
+    """Over seeds, p of 16 times as many draws scatters a quarter as much."""
+    monkeypatch.setattr(thresholds, "CLEAR_SD", 1e9)
+    state, trials = _near(rng)
+    p = np.array(
+        [
+            [
+                score_family(state, trials, ErrorDraws((seed,), 200, 400), decisive=each).tests[0].p
+                for each in ((), (0.05,))
+            ]
+            for seed in range(25)
+        ]
+    )
+    few, many = p.std(axis=0)
+    assert p.mean(axis=0) == pytest.approx(0.053, abs=0.012)
+    assert 0.1 * few < many < 0.45 * few
+
+
+def test_statistics_in_the_span_of_the_columns_are_those_of_the_data(rng):
+    n, J = 30, rng.standard_normal((30, 2))
+    state = LinearFit.of(rng.standard_normal(n), J)
+    trials = [
+        Trial(
+            "a",
+            (Direction(rng.standard_normal((n, 2)), (1, 0)), Direction(rng.standard_normal((n, 1)), (1,))),
+        ),
+        Trial("b", (Direction(rng.standard_normal((n, 3)), (0, 0, 0)),)),
+    ]
+    errors = ErrorDraws((3,), n, 50).batch(0)
+    found = _TestSpace.of(state, trials, relative=False).statistics(errors)
+    draws = state.project(errors.T.astype(float)).T
+    for k, trial in enumerate(trials):
+        assert found[:, k] == pytest.approx(statistics(state, trial, draws), rel=1e-4, abs=1e-5)
+    assert found[:, -1] == pytest.approx(np.sum(draws**2, axis=1), rel=1e-5)

@@ -10,8 +10,8 @@ from limbcli.diagnostics import thresholds
 PACKAGE = Path(thresholds.__file__).parent
 # Numbers of numerical algebra, of curves and of a prior: nothing is decided by them.
 NUMERICAL = {
-    *("_RCOND", "_INVISIBLE", "_RANK", "_WAVES", "_DEGREE", "_LEAST_NU", "_PLACES", "_REFINED", "_FAR"),
-    *("TAILS", "EXCESS", "USUAL_M", "LN_M_DEVIATION", "_MOST_COMPARED", "_EXACT"),
+    *("RCOND", "_INVISIBLE", "_RANK", "_WAVES", "_DEGREE", "_LEAST_NU", "_PLACES", "_REFINED", "_FAR"),
+    *("TAILS", "EXCESS", "USUAL_M", "LN_M_DEVIATION", "_MOST_COMPARED", "_EXACT", "_KEPT_BYTES"),
 }
 
 

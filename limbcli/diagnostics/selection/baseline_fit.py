@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.model.noise import correlated
+from limbcli.diagnostics.model.noise import ErrorDraws, correlated
 from limbcli.diagnostics.statistical_tests.localisation_tests import group_trials
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, score_family
 from limbcli.diagnostics.statistical_tests.roughness import Roughness, roughness
@@ -73,17 +73,18 @@ class BaselineFit:
         off, jacobian = self.whiten(self.data.y - fitted.prediction), self.whiten(fitted.jacobian)
         return LinearFit.of(off, jacobian, as_it_stands=True)
 
+    @cached_property
+    def errors(self) -> ErrorDraws:
+        """What all families are drawn from."""
+        return ErrorDraws((self.seed, 1), len(self.data), self.n_draws)
+
     def family(
-        self, state: LinearFit, trials: Sequence[Trial], *, relative: bool, n_draws: int = 0
-    ) -> Family:
-        """All these tests with one false-alarm rate."""
+        self, state: LinearFit, trials: Sequence[Trial], *, relative: bool,
+        decisive: Sequence[float] = (thresholds.ALPHA,),
+    ) -> Family:  # fmt: skip
+        """All these tests with one false-alarm rate; `decisive`: adjusted p by which something is decided."""
         return score_family(
-            state,
-            trials,
-            rng=self.rng(1),
-            relative=relative,
-            n_draws=n_draws or self.n_draws,
-            alpha=thresholds.ALPHA,
+            state, trials, self.errors, relative=relative, alpha=thresholds.ALPHA, decisive=decisive
         )
 
     def form_error(self, fitted: Fitted) -> Array:

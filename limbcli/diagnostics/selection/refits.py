@@ -113,18 +113,17 @@ class Refits:
             return None
 
     def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
-        """Simulate the model as fitted, unless it is hopeless, and judge what it leaves."""
+        """Simulate the model as fitted, and judge what it leaves."""
         label = " + ".join(explanation)
         self.baseline.progress.event("note", text=f"refit with {label}")
-        refit = self._judged(draft)
-        if simulated and refit.left_p >= thresholds.UNFIT:
+        fitted = draft
+        if simulated:
             try:
                 fitted = self.baseline.forward_model.verified(draft)
             except LimbError as error:
                 self.not_evaluated[label] = error.what
                 return
-            if fitted is not draft:
-                refit = self._judged(fitted)
+        refit = self._judged(fitted)
         if refit.fitted.at_bound:
             self.left_out[label] = "; ".join(refit.fitted.at_bound)
         self.known[explanation] = refit
@@ -147,7 +146,8 @@ class Refits:
                 whiten(baseline.data.y - fitted.prediction), whiten(fitted.jacobian),
                 as_it_stands=state.is_held,
             ),
-            [*baseline.parts(whiten), *others], n_draws=min(baseline.n_draws, thresholds.N_DRAWS_AFTER_REFIT),
+            [*baseline.parts(whiten), *others],
+            decisive=(thresholds.LEFT, thresholds.ADEQUATE),
             relative=baseline.is_relative(state),
         )  # fmt: skip
         explained = baseline.state.chi2 - state.chi2

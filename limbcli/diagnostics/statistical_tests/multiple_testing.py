@@ -16,12 +16,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import orth
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
-from limbcli.diagnostics.model.noise import unit_errors
-from limbcli.diagnostics.statistical_tests.score import Score, Trial, score, statistics
-from limbcli.model import Array
+from limbcli.diagnostics.model.noise import ErrorDraws
+from limbcli.diagnostics.statistical_tests.score import (
+    RCOND,
+    Score,
+    Trial,
+    cone_projection,
+    score,
+    visible_columns,
+)
+from limbcli.model import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,45 +80,133 @@ class Family:
 def score_family(
     state: LinearFit,
     trials: Sequence[Trial],
+    errors: ErrorDraws,
     *,
-    rng: np.random.Generator,
     relative: bool = False,
-    n_draws: int = thresholds.N_DRAWS,
     alpha: float = thresholds.ALPHA,
+    decisive: Sequence[float] = (),
 ) -> Family:
     """Score every trial and adjust over all of them, and over the total chi2.
 
     relative : the noise's level is not known; no test of the total.
+    decisive : adjusted p by which something will be decided: batches of draws are doubled, to
+        `MOST_BATCHES` of them, until each adjusted p is clear of these beyond the deviation that the number
+        of draws leaves it.
+
+    Source of the doubling: Besag & Clifford 1991, Sequential Monte Carlo p-values, Biometrika 78:301.
     """
-    if len(state.residual) > thresholds.MANY_DATA:
-        n_draws = min(n_draws, thresholds.N_DRAWS_OF_MANY)
-    draws = unit_errors(rng, (n_draws, len(state.residual)))
-    draws -= (draws @ state.basis) @ state.basis.T
-    drawn_total = np.einsum("bi,bi->b", draws, draws)
-    total = state.chi2
-    scale = 1.0
-    if relative:
-        draws /= np.sqrt(drawn_total)[:, None]
-        scale = 1.0 / max(total, 1e-300)
     scores = [score(state, trial) for trial in trials]
-    drawn = [statistics(state, trial, draws) for trial in trials]
-    values = [each.statistic * scale for each in scores]
-    if not relative:
-        drawn.append(drawn_total)
-        values.append(total)
-    if not drawn:
+    total = state.chi2
+    scale = 1.0 / max(total, 1e-300) if relative else 1.0
+    values = np.array([each.statistic * scale for each in scores] + ([] if relative else [total]))
+    if not len(values):
         return Family((), None, alpha)
-    p_values = [_p(each, value) for each, value in zip(drawn, values, strict=True)]
-    smallest = np.sort(np.min([_ranks(each) for each in drawn], axis=0))
-    adjusted = [_adjust(smallest, p) for p in p_values]
-    threshold = float(np.quantile(smallest, alpha))
+    space = _TestSpace.of(state, trials, relative=relative)
+    drawn = space.statistics(errors.batch(0))
+    adjusted, n = _Adjusted.of(drawn, values), 1
+    while n < thresholds.MOST_BATCHES and not adjusted.clear_of(decisive):
+        drawn = np.vstack([drawn, *(space.statistics(errors.batch(k)) for k in range(n, 2 * n))])
+        adjusted, n = _Adjusted.of(drawn, values), 2 * n
+    threshold = float(np.quantile(adjusted.smallest, alpha))
     tests = tuple(
-        Tested(trial.name, scores[k], p_values[k], adjusted[k],
-               float(np.quantile(drawn[k], 1 - threshold)) / scale)
+        Tested(trial.name, scores[k], adjusted.alone[k], adjusted.p[k],
+               float(np.quantile(drawn[:, k], 1 - threshold)) / scale)
         for k, trial in enumerate(trials)
     )  # fmt: skip
-    overall = None if relative else Overall(total, state.nu, p_values[-1], adjusted[-1])
+    overall = None if relative else Overall(total, state.nu, adjusted.alone[-1], adjusted.p[-1])
     return Family(tests, overall, threshold)
+
+
+@dataclass(frozen=True, eq=False)
+class _TestSpace:
+    """What a family sees of errors: for each direction an orthonormal basis of what is visible of it.
+
+    axes (n, k) : those bases beside each other; first (d,) : where each direction's begins; sign (k,) : 1, -1
+        where only that way counts, else 0; trial (d,) : the test it belongs to
+    cones : of directions in which several parameters have signs the test, a basis (n, r), the visible columns
+        (r, q) in it, and the signs
+    fitted (n, p) : a basis of what the fit takes up
+    """
+
+    axes: NDArray[np.float32]
+    first: IntArray
+    sign: Array
+    trial: IntArray
+    cones: tuple[tuple[int, NDArray[np.float32], Array, tuple[int, ...]], ...]
+    fitted: NDArray[np.float32]
+    n_trials: int
+    relative: bool
+
+    @staticmethod
+    def of(state: LinearFit, trials: Sequence[Trial], *, relative: bool) -> _TestSpace:
+        bases, signs, owners, cones = [np.zeros((len(state.residual), 0))], [], [], []
+        for k, trial in enumerate(trials):
+            for direction in trial.directions:
+                A = visible_columns(state, direction)
+                if not np.any(A):
+                    continue
+                if A.shape[1] > 1 and any(direction.signs):
+                    basis = orth(A)
+                    cones.append((k, basis.astype(np.float32), basis.T @ A, direction.signs))
+                    continue
+                one_sided = A.shape[1] == 1
+                bases.append(A / np.linalg.norm(A) if one_sided else orth(A, rcond=RCOND))
+                signs.append(np.full(bases[-1].shape[1], direction.signs[0] if one_sided else 0))
+                owners.append(k)
+        first = np.cumsum([0, *(each.shape[1] for each in bases[1:-1])]) if owners else np.zeros(0, np.int64)
+        return _TestSpace(
+            np.hstack(bases).astype(np.float32), first, np.concatenate([np.zeros(0), *signs]),
+            np.array(owners, np.int64), tuple(cones), state.basis.astype(np.float32), len(trials), relative,
+        )  # fmt: skip
+
+    def statistics(self, errors: NDArray[np.float32]) -> Array:
+        """(n_draws, n_tests) of errors (n_draws, n); the total's last where the noise's level is known."""
+        total = _squares(errors) - _squares(errors @ self.fitted)
+        found = np.zeros((len(errors), self.n_trials + (not self.relative)))
+        if len(self.first):
+            along = (errors @ self.axes).astype(float)
+            one_sided = self.sign != 0
+            along[:, one_sided] = np.maximum(along[:, one_sided] * self.sign[one_sided], 0.0)
+            by_direction = np.add.reduceat(along**2, self.first, axis=1)
+            for k, trial in enumerate(self.trial):
+                found[:, trial] = np.maximum(found[:, trial], by_direction[:, k])
+        for trial, basis, columns, signs in self.cones:
+            length, _ = cone_projection(columns, signs, (errors @ basis).astype(float))
+            found[:, trial] = np.maximum(found[:, trial], length)
+        if self.relative:
+            return found / total[:, None]
+        found[:, -1] = total
+        return found
+
+
+def _squares(rows: NDArray[np.float32]) -> Array:
+    return np.einsum("bi,bi->b", rows, rows, dtype=float)
+
+
+@dataclass(frozen=True)
+class _Adjusted:
+    """p of every test alone and adjusted, and the draws' own smallest p, in order."""
+
+    alone: tuple[float, ...]
+    p: tuple[float, ...]
+    smallest: Array
+
+    @staticmethod
+    def of(drawn: Array, values: Array) -> _Adjusted:
+        alone = tuple(_p(drawn[:, k], value) for k, value in enumerate(values))
+        smallest = np.sort(np.min([_ranks(each) for each in drawn.T], axis=0))
+        return _Adjusted(alone, tuple(_adjust(smallest, p) for p in alone), smallest)
+
+    def clear_of(self, decisive: Sequence[float]) -> bool:
+        """Whether none of the adjusted p may be on the other side of one of these.
+
+        An adjusted p is known no better than its test's own, which is far smaller: by the number of draws
+        that are as extreme.
+        """
+        n = len(self.smallest)
+        alone, p = np.array(self.alone), np.array(self.p)
+        deviation = p * np.sqrt(1.0 / (n * alone) + (1.0 - p) / (n * p))
+        return all((np.abs(p - each) > thresholds.CLEAR_SD * deviation).all() for each in decisive)
 
 
 def _p(drawn: Array, value: float) -> float:
@@ -117,9 +214,12 @@ def _p(drawn: Array, value: float) -> float:
 
 
 def _ranks(drawn: Array) -> Array:
-    """p of every draw within its own distribution."""
-    ordered = np.sort(drawn)
-    return (len(drawn) - np.searchsorted(ordered, drawn, side="left")) / (len(drawn) + 1.0)
+    """p of every draw within its own distribution; 1 where a one-sided statistic is 0."""
+    n = len(drawn)
+    out = np.empty(n)
+    out[np.argsort(drawn)] = np.arange(n, 0, -1)
+    out[drawn <= 0.0] = n
+    return out / (n + 1.0)
 
 
 def _adjust(smallest: Array, p: float) -> float:

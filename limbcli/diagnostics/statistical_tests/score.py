@@ -22,7 +22,7 @@ from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.model import Array
 
 _INVISIBLE = 1e-6
-_RCOND = 1e-7
+RCOND = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
             active = [*free, *chosen]
             if not active:
                 continue
-            solved = draws @ np.linalg.pinv(A[:, active], rcond=_RCOND).T
+            solved = draws @ np.linalg.pinv(A[:, active], rcond=RCOND).T
             value = np.einsum("bi,bi->b", solved @ A[:, active].T, draws)
             held = list(chosen)
             keeps = np.ones(len(draws), dtype=bool)
@@ -98,7 +98,7 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
 def _span_projection(A: Array, draws: Array) -> tuple[Array, Array]:
     """The same onto the whole span of A."""
     u, s, vt = np.linalg.svd(A, full_matrices=False)
-    kept = s > _RCOND * s[0]
+    kept = s > RCOND * s[0]
     inside = draws @ u[:, kept]
     return np.einsum("bi,bi->b", inside, inside), (inside / s[kept]) @ vt[kept]
 
@@ -146,7 +146,7 @@ def cosine(state: LinearFit, first: Direction, second: Direction) -> float:
     for direction in (first, second):
         A = visible_columns(state, direction)
         u, s, _ = np.linalg.svd(A, full_matrices=False)
-        bases.append(u[:, s > _RCOND * max(float(s[0]), 1e-300)] if s.size and s[0] > 0 else u[:, :0])
+        bases.append(u[:, s > RCOND * max(float(s[0]), 1e-300)] if s.size and s[0] > 0 else u[:, :0])
     if not bases[0].shape[1] or not bases[1].shape[1]:
         return 0.0
     if bases[0].shape[1] == bases[1].shape[1] == 1 and first.signs == second.signs == (1,):
