@@ -74,7 +74,7 @@ class _Run:
         if self.family.smallest >= thresholds.ALPHA:
             return self._nothing_found()
         by_name = {trial.name: trial for trial in trials}
-        self.refits = Refits(baseline, by_name, self.not_evaluated, self.left_out)
+        self.refits = Refits(baseline, by_name, self.facts, self.not_evaluated, self.left_out)
         candidates = Candidates(baseline.state, by_name, self.family)
         promising = candidates.promising(self.left_out)
         kept = self._explanations(candidates, promising, self.refits)

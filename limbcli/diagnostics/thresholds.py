@@ -91,7 +91,8 @@ HOPELESS: Final = 20.0
 """Deviance behind the best fit on the surrogate, beyond which an explanation is not simulated. Chosen."""
 
 MOST_SIMULATED: Final = 4
-"""Explanations by several effects that are simulated, those with the least deviance. Chosen, for time."""
+"""Explanations by several effects that are simulated, those with the least deviance; what needs no simulation
+of its own is judged besides. Chosen, for time."""
 
 # ------------------------------------------------ the confidence set: what cannot be excluded
 

@@ -44,6 +44,16 @@ def test_twins_are_never_told_apart(rng):
     assert found.angles["toe / twin-of-toe"] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("readings", [frozenset({"wave", "step"}), frozenset({"wave"})])
+def test_what_needs_no_simulation_is_judged_whatever_else_was_simulated(rng, monkeypatch, readings):
+    """Two effects of the readings alone cost nothing; only what has to be simulated is left out for time."""
+    monkeypatch.setattr("limbcli.diagnostics.thresholds.MOST_SIMULATED", 0)
+    found = run(toy.make(rng, {"wave": 7.0, "step": 7.0}, readings=readings))
+    free = "step" in readings
+    assert (("step", "wave") in {each.explanation for each in found.refits}) is free
+    assert found.left_out.get("step + wave", "").startswith("not simulated") is not free
+
+
 def test_c_and_m_of_several_that_fit_are_those_of_any(rng, monkeypatch):
     ends = {("toe",): (2.0, 3.0), ("twin-of-toe",): (2.5, 4.0)}
 

@@ -56,6 +56,7 @@ class Toy:
     stated: float = 1.0
     failing: str = ""
     roomy: float | None = None  # deviation of a prior that keeps every effect's size near 0
+    readings: frozenset[str] = frozenset()  # effects that need no simulation
 
     @property
     def data(self) -> Data:
@@ -77,7 +78,10 @@ class Toy:
 
     @property
     def candidates(self) -> Sequence[Facts]:
-        return [Facts(name, f"{name} is there", "tissue", {name: 4.0}) for name in SIGNATURES]
+        return [
+            Facts(name, f"{name} is there", "tissue", {name: 4.0}, simulated=name not in self.readings)
+            for name in SIGNATURES
+        ]
 
     def _columns(self, name: str, point: str) -> np.ndarray:
         return dict(SIGNATURES[name])[point][:, None]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.next_measurement import best_step
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 
 _WORDS = {
@@ -88,8 +91,20 @@ def _set(found: Diagnosis) -> str:
         more = f" Fits as well: {'; '.join(others)}{over}." if others else ""
         return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
     if found.verdict == "ambiguous":
-        return f"It may be: {listed}.{_whichever(found.estimates)}"
+        return f"It may be: {listed}.{_common(found.confidence_set)}{_whichever(found.estimates)}"
     return f"Fits, but is not believed: {listed}."
+
+
+def _common(several: Sequence[Explanation]) -> str:
+    """What all of them have.
+
+    >>> _common([("tilt", "skin-layer"), ("skin-layer", "friction")])
+    ' All have skin-layer.'
+    >>> _common([("tilt",), ("skin-layer",)]) + _common([("tilt",)])
+    ''
+    """
+    shared = [name for name in several[0] if all(name in each for each in several)]
+    return f" All have {' and '.join(shared)}." if shared and len(several) > 1 else ""
 
 
 def _whichever(estimates: Reported) -> str:

@@ -100,12 +100,14 @@ class Facts:
     """A candidate as the diagnosis sees it.
 
     typical : by parameter, a plausible size away from its null value (for blind spots)
+    simulated : what it does is found by a simulation with it; else from those without it
     """
 
     name: str
     sentence: str
     kind: str
     typical: Mapping[str, float] = field(default_factory=dict)
+    simulated: bool = True
 
 
 @dataclass(frozen=True, eq=False)

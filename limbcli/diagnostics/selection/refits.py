@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit, compare, joint_trial
@@ -23,6 +23,7 @@ class Refits:
 
     baseline: BaselineFit
     trials: dict[str, Trial]
+    facts: Mapping[str, Facts]
     not_evaluated: dict[str, str]
     left_out: dict[str, str]
     known: dict[Explanation, Refit] = field(default_factory=dict)
@@ -79,14 +80,15 @@ class Refits:
         n_simulated = 0
         for each, fitted in sorted(found, key=lambda one: chi2[one[0]]):
             why = "; ".join(fitted.at_bound)
+            dear = not why and any(self.facts[name].simulated for name in each)
             if chi2[each] > limit:
                 self.left_out[" + ".join(each)] = why or "explains far less than others"
-            elif len(each) > 1 and not why and n_simulated == thresholds.MOST_SIMULATED:
+            elif len(each) > 1 and dear and n_simulated == thresholds.MOST_SIMULATED:
                 self.left_out[" + ".join(each)] = (
                     f"not simulated: {thresholds.MOST_SIMULATED} that fit better were"
                 )
             else:
-                n_simulated += not why
+                n_simulated += dear
                 self._settle(each, fitted)
         return [self.known[each] for each in several if each in self.known]
 

@@ -74,6 +74,7 @@ class SiteForwardModel(Fits):
                     s.name: s.parameter.proportional(s.parameter.typical)
                     for s in self.slots((e.name,)) if not s.parameter.shape
                 },
+                simulated=e.solves,
             )
             for e in self.effects.values()
         ]  # fmt: skip
