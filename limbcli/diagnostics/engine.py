@@ -168,44 +168,41 @@ class _Run:
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
         doubt = self._doubt(best, kept, promising)
         if len(kept) == 1 and doubt is not None:
-            word, why = doubt
+            word, but = doubt
+            why = f"one explanation fits, but {but}"
             return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
         if len(kept) == 1:
             return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
-        if doubt is None and all(set(best.explanation) <= set(each.explanation) for each in kept):
-            why = "every explanation that fits has it; whether there is one effect more these data do not say"
-            return self._finish("named", why, best, tuple(kept))
         why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
+        if all(set(best.explanation) <= set(each.explanation) for each in kept):
+            if doubt is None:
+                why = "all that fits has it; whether one effect more is there these data do not say"
+                return self._finish("named", why, best, tuple(kept))
+            why = f"all that fits has {' + '.join(best.explanation)}, but {doubt[1]}"
         return self._finish("ambiguous", why, best, tuple(kept))
 
     def _doubt(self, best: Refit, kept: Sequence[Refit], promising: list[str]) -> tuple[Word, str] | None:
-        """Why the best explanation is not to be named, and what is to be said instead; None: it may be.
+        """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
 
         What it leaves may be that of one effect more: then an explanation with both leaves nothing.
         """
         if not self._speaks_for_itself(best):
-            why = "the one explanation that fits is not significant by itself; what is, does not fit"
-            return "unexplained", why
+            return "unexplained", "it is not significant by itself, and what is significant does not fit"
         if not Closing(self.baseline, self._n_candidates).is_closed(best):
-            why = "the one explanation that fits is no better than any smooth curve, or does not predict"
-            return "unexplained", why
+            return "unexplained", "it is no better than any smooth curve, or does not predict"
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
-            return "ambiguous", "one explanation fits, but it leaves something; it may not be all"
+            return "ambiguous", "it leaves something; it may not be all"
         if best.fitted.notes:
-            return "ambiguous", f"one explanation fits, but with it {best.fitted.notes[0]}"
+            return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:
-            why = f"one explanation fits, but {', '.join(failed)} could not be evaluated and may fit too"
-            return "ambiguous", why
+            return "ambiguous", f"{', '.join(failed)} could not be evaluated and may fit, too"
         rivals = [
             label for label, refit in self._at_bounds() if len(refit.explanation) == len(best.explanation)
         ]
         if rivals:
-            return (
-                "ambiguous",
-                f"one explanation fits; {', '.join(rivals)} would too, with a size on its bound",
-            )
+            return "ambiguous", f"{', '.join(rivals)} would fit, too, with a size on its bound"
         return None
 
     def _at_bounds(self) -> list[tuple[str, Refit]]:

@@ -264,21 +264,27 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 
 
 @pytest.mark.parametrize(
-    ("several", "doubt", "word"),
-    [([("a",), ("a", "b")], None, "named"), ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous"),
-     ([("a",), ("b",)], None, "ambiguous"), ([("a",), ("b", "c")], None, "ambiguous"),
-     ([("a",)], None, "named"),
-     ([("a", "b"), ("a", "c")], None, "ambiguous"), ([("a",)], ("unexplained", "why"), "unexplained")],
+    ("several", "doubt", "word", "reason"),
+    [([("a",), ("a", "b")], None, "named", "all that fits has it; "),
+     ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "all that fits has a, but why"),
+     ([("a",), ("b",)], None, "ambiguous", "2 explanations fit"),
+     ([("a",), ("b",)], ("ambiguous", "why"), "ambiguous", "2 explanations fit"),
+     ([("a",), ("b", "c")], None, "ambiguous", "2 explanations fit"),
+     ([("a",)], None, "named", "one explanation fits, no other "),
+     ([("a", "b"), ("a", "c")], None, "ambiguous", "2 explanations fit"),
+     ([("a",)], ("unexplained", "why"), "unexplained", "one explanation fits, but why")],
 )  # fmt: skip
-def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word):
+def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word, reason):
     run = _Run(SimpleNamespace(), 3, False)
     run._doubt = lambda best, kept, promising: doubt
-    run._finish = lambda said, why, best, kept=(): (said, [each.explanation for each in kept])
+    run._finish = lambda said, why, best, kept=(): (said, why, [each.explanation for each in kept])
     kept = [
         SimpleNamespace(explanation=each, is_adequate=True, state=SimpleNamespace(chi2=10.0 - len(each)))
         for each in several
     ]
-    assert run._conclude(kept, []) == (word, several)
+    said, why, told = run._conclude(kept, [])
+    assert (said, told) == (word, several)
+    assert why.startswith(reason)
 
 
 @pytest.mark.parametrize(("word", "over"), [("named", 2), ("ambiguous", 2), ("unexplained", 0)])
