@@ -173,13 +173,14 @@ class _Run:
             return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
         if len(kept) == 1:
             return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
-        why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
-        if all(set(best.explanation) <= set(each.explanation) for each in kept):
-            if doubt is None:
-                why = "all that fits has it; whether one effect more is there these data do not say"
-                return self._finish("named", why, best, tuple(kept))
-            why = f"all that fits has {' + '.join(best.explanation)}, but {doubt[1]}"
-        return self._finish("ambiguous", why, best, tuple(kept))
+        if not all(set(best.explanation) <= set(each.explanation) for each in kept):
+            why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
+            return self._finish("ambiguous", why, best, tuple(kept))
+        has = f"all that fits has {' + '.join(best.explanation)}"
+        if doubt is None:
+            why = f"{has}; whether one effect more is there, these data do not say"
+            return self._finish("named", why, best, tuple(kept))
+        return self._finish("ambiguous", f"{has}, but {doubt[1]}", best, tuple(kept))
 
     def _doubt(self, best: Refit, kept: Sequence[Refit], promising: list[str]) -> tuple[Word, str] | None:
         """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.

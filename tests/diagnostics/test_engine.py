@@ -265,7 +265,7 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 
 @pytest.mark.parametrize(
     ("several", "doubt", "word", "reason"),
-    [([("a",), ("a", "b")], None, "named", "all that fits has it; "),
+    [([("a",), ("a", "b")], None, "named", "all that fits has a; "),
      ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "all that fits has a, but why"),
      ([("a",), ("b",)], None, "ambiguous", "2 explanations fit"),
      ([("a",), ("b",)], ("ambiguous", "why"), "ambiguous", "2 explanations fit"),
