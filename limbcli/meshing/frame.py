@@ -17,12 +17,19 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 FAR_FROM_SKIN = 30.0  # mm from the skin: such a site is a mistake
+# Degrees by which a long axis that was given may leave the skin and yet be the probe's: what hands do (the
+# prior of a tilt). One that leaves it further tells the direction in the skin alone.
+LARGEST_SLOPE_DEG = 10.0
 _HEAD = np.array([0.0, 0.0, 1.0])  # +z of the patient frame (LPS) points to the head
 
 
 @dataclass(frozen=True, eq=False)
 class SiteFrame:
-    """transform_to_model (4, 4): patient LPS to the site's frame; the rest in LPS, mm."""
+    """to_model (4, 4): patient LPS to the site's frame; the rest in LPS, mm.
+
+    slope_deg : of the long axis that was given against the skin's mean plane under the probe; 0 for "axial"
+        and "transverse", which lie in it
+    """
 
     to_model: Array
     skin_point: Array
@@ -30,6 +37,7 @@ class SiteFrame:
     long_axis: Array
     proximal: Array
     moved: float
+    slope_deg: float = 0.0
 
     @property
     def to_patient(self) -> Array:
@@ -53,8 +61,10 @@ def site_frame(
 ) -> SiteFrame:
     """The frame of a site on a mended limb in the patient frame.
 
-    The nearest skin point is the site; the normal is the area-weighted mean over
-    the skin under the probe's footprint; the face's height is that of first touch.
+    The nearest skin point is the site; the face's height is that of first touch. The probe stands upright on
+    the skin: along its area-weighted mean normal over the footprint. A long axis that is given as a vector is
+    kept as it is (it was measured), and the probe is upright across it alone; one that leaves the skin by
+    more than `LARGEST_SLOPE_DEG` is laid into it.
 
     Raises
     ------
@@ -73,13 +83,27 @@ def site_frame(
     for _ in range(4):
         x = probe_axis(long_axis, proximal, normal, where=where)
         normal = _mean_normal(limb.skin, point, normal, x, probe)
-    x = probe_axis(long_axis, proximal, normal, where=where)
+    x, normal, slope_deg = _as_given(long_axis, probe_axis(long_axis, proximal, normal, where=where), normal)
     rotation = np.stack([x, np.cross(normal, x), normal])
     to_model = np.eye(4)
     to_model[:3, :3] = rotation
     to_model[:3, 3] = -rotation @ point
     to_model[2, 3] -= first_touch(limb.skin.moved(to_model), probe)
-    return SiteFrame(to_model, point, normal, x, proximal, distance)
+    return SiteFrame(to_model, point, normal, x, proximal, distance, slope_deg)
+
+
+def _as_given(
+    long_axis: str | tuple[float, float, float], in_skin: Array, normal: Array
+) -> tuple[Array, Array, float]:
+    """Long axis, normal across it, and the slope (deg) of the one that was given against the skin."""
+    if isinstance(long_axis, str):
+        return in_skin, normal, 0.0
+    given = np.asarray(long_axis, float) / np.linalg.norm(long_axis)
+    slope_deg = float(np.degrees(np.arcsin(given @ normal)))
+    if abs(slope_deg) > LARGEST_SLOPE_DEG:
+        return in_skin, normal, slope_deg
+    upright = normal - (normal @ given) * given
+    return given, upright / np.linalg.norm(upright), slope_deg
 
 
 def probe_axis(

@@ -12,7 +12,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.meshing.export import write_vtu
-from limbcli.meshing.frame import skin_point_at
+from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
@@ -240,6 +240,7 @@ def _report(
                 "proximal": frame.proximal,
                 "patient_from_model": frame.to_patient,
                 "site_to_skin_mm": frame.moved,
+                "long_axis_slope_deg": frame.slope_deg,
             },
             "margin_mm": options.margin,
             "size_under_probe_mm": options.sizes.under_probe,
@@ -271,3 +272,8 @@ def _report(
     )
     if frame.moved > MOVED_MM:
         writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")
+    if abs(frame.slope_deg) > LARGEST_SLOPE_DEG:
+        writer.warnings.append(
+            f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is held: "
+            "it was laid into the skin"
+        )

@@ -47,6 +47,28 @@ def test_edge_of_the_probe_can_touch_first(make_tube):
     assert np.hypot(*top[:2]) == pytest.approx(30.0, abs=0.05)
 
 
+@pytest.mark.parametrize("slope_deg", [-9.0, 4.0, 9.0])
+def test_a_long_axis_that_was_measured_is_kept_and_leans_the_probe(leg, slope_deg):
+    upright = site_frame(leg, np.array([0.0, 40.0, 0.0]), "transverse", PROBE)
+    slope = np.radians(slope_deg)
+    held = np.cos(slope) * upright.long_axis + np.sin(slope) * upright.normal
+    frame = site_frame(leg, np.array([0.0, 40.0, 0.0]), tuple(2.5 * held), PROBE)
+    assert frame.long_axis == pytest.approx(held, abs=1e-12)
+    assert frame.slope_deg == pytest.approx(slope_deg, abs=0.05)  # the footprint's mean normal is sampled
+    assert frame.to_model[:3, :3] @ frame.to_model[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
+    assert frame.normal @ upright.normal == pytest.approx(np.cos(slope), abs=1e-3)  # leans no other way
+
+
+def test_a_long_axis_far_out_of_the_skin_tells_a_direction_only(leg):
+    upright = site_frame(leg, np.array([0.0, 40.0, 0.0]), "transverse", PROBE)
+    slope = np.radians(25.0)
+    rough = np.cos(slope) * upright.long_axis + np.sin(slope) * upright.normal
+    frame = site_frame(leg, np.array([0.0, 40.0, 0.0]), tuple(rough), PROBE)
+    assert frame.long_axis == pytest.approx(upright.long_axis, abs=1e-3)
+    assert frame.normal == pytest.approx(upright.normal, abs=1e-3)
+    assert frame.slope_deg == pytest.approx(25.0, abs=0.05)
+
+
 def test_a_vector_is_laid_into_the_skin():
     x = probe_axis((0.0, 1.0, 1.0), np.array([0, 0, 1.0]), np.array([0, 1.0, 0]))
     assert x == pytest.approx([0, 0, 1])

@@ -45,6 +45,11 @@ name = "p2"
 marker = 3
 long_axis = "axial"
 levels = "levels.csv"
+[[site]]
+name = "rough"
+position_mm = [0.0, 29.5, 0.0]
+long_axis = [1.0, 0.5, 0.0]
+levels = "levels.csv"
 """
 
 
@@ -113,6 +118,12 @@ def test_marker_that_was_not_found_is_an_error(folder, out):
     with pytest.raises(CaseError, match="marker 3 was not found") as caught:
         mesh(Case.open(folder), out=out, sites=["p2"])
     assert "position_mm" in caught.value.fix
+
+
+def test_a_long_axis_far_out_of_the_skin_is_told(folder, out):
+    (result,) = mesh(Case.open(folder), out=out, sites=["rough"], size=6.0, far_size=15.0)
+    assert result.data["frame"]["long_axis_slope_deg"] == pytest.approx(26.6, abs=0.1)
+    assert any("leaves the skin by 27 degrees" in each for each in result.warnings)
 
 
 def test_sizes_out_of_range_are_refused(folder, out):
