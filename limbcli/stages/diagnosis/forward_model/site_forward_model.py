@@ -19,7 +19,7 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
-from limbcli.stages.diagnosis.data.noise import BESIDE, LEAST_BESIDE
+from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.changes import only_febio
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
@@ -48,20 +48,20 @@ class SiteForwardModel(Fits):
         self.verify, self.not_simulated = verify, set()
 
     def settle_noise(self) -> None:
-        """Find from the fit without effects how far maps err beside what they do not show.
+        """Find from the fit without effects how far maps and model differ, beside what is not shown and
+        elsewhere.
 
         Raises
         ------
         SolveError, FitError
             If that fit cannot be made.
         """
-        if BESIDE not in self.data.noise.names:
-            return
-        base = self.fit((), {})
-        off = self.data.y - base.prediction
-        self.allow_for(
-            BESIDE, likeliest_share(off, base.jacobian, self.data.noise, BESIDE, least=LEAST_BESIDE)
-        )
+        for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS)):
+            if name not in self.data.noise.names:
+                continue
+            base = self.fit((), {})
+            off = self.data.y - base.prediction
+            self.allow_for(name, likeliest_share(off, base.jacobian, self.data.noise, name, least=least))
 
     # ------------------------------------------------------------ the contract
 

@@ -25,7 +25,7 @@ _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
 _STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
-_MAP_STRAIN = 0.08  # the same of a map's pattern alone: how fast it grows differs between meshes
+_MAP_STRAIN = 0.05  # the same of a map's pattern alone: how fast it grows differs between meshes
 
 
 class ModelErrors:

@@ -1,0 +1,133 @@
+"""What the diagnosis' models err by in maps of wave speed, and the sizes of that error that are likeliest.
+
+    python tests/benchmarks/map_errors.py [--out FOLDER] [--only h05 h13] [--fit]
+
+For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
+its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
+ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
+line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside the
+likelihood of those that stand there. Sites whose bones in the files are not those of FEBio's model are left
+out (see README.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from what_maps_keep import SITES, at_forces  # the file beside this one
+
+from limbcli.case import Case
+from limbcli.effects import EFFECTS
+from limbcli.model import Array, IntArray
+from limbcli.progress import SILENT
+from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.data import noise
+from limbcli.stages.diagnosis.mesh_doubt import model_errors
+from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
+
+SAME_BONES = ["h03", "h05", "h06", "h08", "h09", "h10", "h11", "h13", "h14", "h20", "h23", "h24", "h25"]
+NAMES = ("in parts", "below the face", "fades mm", "near mm", "alike", "in a level", "growth")
+
+
+@dataclass(frozen=True, eq=False)
+class Off:
+    """Ln speed of the model less FEBio's (n,), where and when; rise (n,) : of ln speed over ln depth."""
+
+    off: Array
+    level: IntArray
+    place: Array
+    strain: Array
+    rise: Array
+
+
+def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
+    """A line to print, and the differences."""
+    case, out = Case.open(SITES / site), folder / site
+    if not (out / "mesh").is_dir():
+        segment(case, out=out)
+        mesh(case, out=out)
+    exact = dict(np.load(SITES / "exact" / f"{site}.npz"))
+    effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
+    prepared = prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+    try:
+        prepared.curves.solve_nodes(FIRST_M)
+        curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
+    finally:
+        prepared.close()
+    windows, depth = prepared.book.windows, exact["p1_without_map_depth_mm"][1:]
+    force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
+    theirs = np.array([windows.log_means(each)[0] for each in at_forces(exact, "without", force)])
+    known = np.nan_to_num(curves.log_speed[:, 1:])
+    rise = np.gradient(known, curves.depth, axis=0) * curves.depth[:, None]
+    ours, growth = (
+        np.array([np.interp(force, curves.force, column) for column in table.T]).T
+        for table in (curves.log_speed[:, 1:], rise)
+    )
+    off = ours - theirs[:, 1:]
+    level, part = np.nonzero(np.isfinite(off))
+    spread = " ".join(f"{100 * each:.1f}" for each in np.nanstd(off, axis=1))
+    means = " ".join(f"{100 * each:.1f}" for each in np.nanmean(off, axis=1))
+    ratio = np.interp(depth, curves.depth, curves.force) / force
+    line = f"| {site} | {truth['m']:.1f} | {ratio[1]:.2f} to {ratio[-1]:.2f} | {means} | {spread} |"
+    strain = depth[level] / truth["thickness_mm"]
+    return line, Off(off[level, part], level, windows.middles[part], strain, growth[level, part])
+
+
+def cost(sizes: Array, sites: list[Off]) -> float:
+    """Minus ln likelihood, but for a constant; sizes : by `NAMES`."""
+    in_parts, below, fades, near, alike, in_level, growth = sizes
+    total = 0.0
+    for each in sites:
+        x, z = each.place.T
+        deviation = (in_parts + below * np.exp(-(z - z.min()) / fades)) * each.strain
+        apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+        found = np.exp(-apart / near) * np.outer(deviation, deviation)
+        found += in_level**2 * np.outer(each.strain**2, each.strain**2)
+        found *= alike ** np.abs(np.subtract.outer(each.level, each.level))
+        found += growth**2 * np.outer(each.rise, each.rise) + np.eye(len(x)) * noise._RESOLVED**2
+        factor = cho_factor(found, lower=True)
+        total += 0.5 * each.off @ cho_solve(factor, each.off) + np.log(np.diag(factor[0])).sum()
+    return float(total)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")
+    parser.add_argument("--only", nargs="*", default=SAME_BONES)
+    parser.add_argument("--fit", action="store_true")
+    options = parser.parse_args()
+    truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
+    print("| site | m | force over FEBio's | mean of ln speed, % | spread over the parts, % |\n|-|-|-|-|-|")
+    found = []
+    for truth in truths:
+        if truth["id"] in options.only:
+            line, off = measured(truth["id"], truth, options.out)
+            found.append(off)
+            print(line, flush=True)
+    stands = np.array([
+        noise._IN_PARTS, noise._BELOW_FACE, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._IN_LEVEL,
+        model_errors._MAP_STRAIN,
+    ])  # fmt: skip
+    print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")
+    if options.fit:
+        start = np.log(stands)
+        best = minimize(
+            lambda x: cost(np.minimum(np.exp(x), [np.inf] * 4 + [0.999] + [np.inf] * 2), found),
+            start, method="L-BFGS-B", options={"maxiter": 40, "eps": 1e-3},
+        )  # fmt: skip
+        print(f"likeliest: {-best.fun:.0f}")
+        for name, one, other in zip(NAMES, stands, np.exp(best.x), strict=True):
+            print(f"  {name:15s} {one:.3f} -> {other:.3f}")
+
+
+if __name__ == "__main__":
+    main()
