@@ -13,7 +13,7 @@ from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.reading import Reading
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis.data.noise import ModelError
+from limbcli.stages.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, ModelError
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.changes import logs
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -232,6 +232,35 @@ def of_the_block(measured) -> ModelError:
         for each in (true, fitted)
     ]
     return ModelError("model: block", force[0] - force[1], parts[0] - parts[1])
+
+
+def test_how_far_maps_and_model_differ_is_found_from_the_data(rng):
+    """An error of the speeds that the data do not have, told as that of maps, falls to the least share of it;
+    one of its size in the data stays."""
+    measured = levels(rng)
+    n = len(measured.depth)
+    parts = np.zeros(
+        (n, 1 + reduced.ReducedBook(reduced.block_model(6, 5, 5), np.r_[0.0, 3.0]).windows.n_parts)
+    )
+    parts[:, 0] = 0.4
+    error = ModelError(IN_MAPS, np.zeros(n), parts, correlation=0.0)
+    rough = replace(
+        measured,
+        swe_mean_m_per_s=measured.swe_mean_m_per_s * np.exp(0.4 * np.where(np.arange(n) % 2, 1.0, -1.0)),
+    )
+    shares = []
+    for data in (measured, rough):
+        the_bench = bench(data, errors=[error])
+        before = variance_in_maps(the_bench)
+        the_bench.settle_noise()
+        shares.append(np.sqrt(variance_in_maps(the_bench) / before))
+    assert shares[0] == pytest.approx(LEAST_IN_MAPS, rel=0.05)
+    assert shares[1] > 0.8
+
+
+def variance_in_maps(the_bench: SiteForwardModel) -> float:
+    (part,) = [each for each in the_bench.data.noise.parts if each.name == IN_MAPS]
+    return float(np.trace(part.covariance))
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
 
     Each block is left out in turn, the parameters (the effects' too) are refitted to the rest
     to first order about the full fit, and the block is predicted. A block that holds what tells
-    a parameter, so that the rest predicts it no better than to three deviations, is skipped.
+    a parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
     """
     residual = data.y - fitted.prediction
     covariance = data.noise.covariance

@@ -1,0 +1,42 @@
+"""Predicting what was left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.diagnostics.model.forward_model import Data, Fitted
+from limbcli.diagnostics.model.noise import Noise, NoisePart
+from limbcli.diagnostics.statistical_tests.heldout import held_out_error
+
+N = 30  # data in each of two blocks, of deviation 1
+
+
+def data(rng) -> Data:
+    first = np.arange(2 * N) < N
+    noise = Noise((NoisePart("own", np.eye(2 * N), "repeats"),))
+    y = rng.standard_normal(2 * N)
+    return Data(y, ("map",) * 2 * N, np.arange(2.0 * N), noise, blocks={"first": first, "second": ~first})
+
+
+def fitted(told: Data, jacobian: np.ndarray) -> Fitted:
+    """Least squares: what a full fit leaves."""
+    return Fitted((), jacobian @ np.linalg.lstsq(jacobian, told.y, rcond=None)[0], jacobian, ("c",), {})
+
+
+def test_what_the_rest_tells_well_is_predicted_to_its_own_noise(rng):
+    told = data(rng)
+    found = held_out_error(told, fitted(told, np.ones((2 * N, 1))))
+    assert set(found) == {"first", "second", "all"}
+    assert found["all"] == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize(("grows", "tested"), [(2.0, True), (8.0, False)])
+def test_a_block_that_tells_a_parameter_itself_says_nothing_of_the_model(rng, grows, tested):
+    """A parameter that moves the first block `grows` times as far as the second: known from the second alone
+    to 1 / sqrt(30), the first is predicted to `grows` / sqrt(30) of its own deviation."""
+    column = np.where(np.arange(2 * N) < N, grows, 1.0)[:, None]
+    told = data(rng)
+    found = held_out_error(told, fitted(told, column))
+    assert ("first" in found) == tested
+    assert "second" in found
