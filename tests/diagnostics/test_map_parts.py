@@ -106,7 +106,7 @@ def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
     model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.0, 0.2, 0.3]))
     rows = [Row("map", level, part + 1) for level in range(3) for part in (0, 1, 7)]
     found = np.sqrt(np.diag(model.of_model(rows, 1.0))).reshape(3, 3)
-    assert found[0] == pytest.approx([0.005] * 3)
+    assert np.all(found[0] < 0.002)  # a twentieth of what a part is read to
     assert np.all(found[2] > 1.4 * found[1])
     assert found[1, 0] > found[1, 2]  # more just below the face
     assert np.linalg.eigvalsh(model.of_model(rows, 1.0)).min() > 0
