@@ -5,9 +5,9 @@
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
 ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
-line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside the
-likelihood of those that stand there. Sites whose bones in the files are not those of FEBio's model are left
-out (see README.md).
+line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
+that stand there, whose sizes are meant to be twice as large. Sites whose bones in the files are not those of
+FEBio's model are left out (see README.md).
 """
 
 from __future__ import annotations

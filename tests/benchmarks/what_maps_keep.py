@@ -7,7 +7,7 @@ hidden effect, both free of noise: chi2 of their difference at the forces of its
 
     pixels   in all pixels, each 10 % uncertain and independent;
     parts    in parts of about 4 mm, with the pixels' noise as it is estimated from the site's maps;
-    model    the same with the model's own error in maps added, as a diagnosis has it.
+    model    the same with the model's own error in maps added, half of the largest: what most sites have.
 
 No simulation is made. A reduction that loses more than half of the first is a fault; the third says how much
 can be told with our models.
@@ -32,7 +32,7 @@ from limbcli.stages.diagnosis.data.windows import Windows
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
-PIXEL = 0.1
+PIXEL, SHARE = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def kept(site: str, effect: str, thickness: float) -> Kept | None:
     mean = block_diag(*levels)  # of a level: not known at all
     found = [
         float(np.array(apart) @ np.linalg.solve(covariance + mean, np.array(apart)))
-        for covariance in (pixels, pixels + noise.of_model(rows, 1.0))
+        for covariance in (pixels, pixels + noise.of_model(rows, SHARE))
     ]
     return Kept(site, effect, raw, *found)
 
