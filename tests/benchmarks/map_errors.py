@@ -13,6 +13,7 @@ FEBio's model are left out (see README.md).
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import tomllib
 from dataclasses import dataclass
@@ -21,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from what_maps_keep import SITES, at_forces  # the file beside this one
 
 from limbcli.case import Case
 from limbcli.effects import EFFECTS
@@ -34,6 +34,8 @@ from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 
+SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+SITES = SHARED / "febio-hidden"
 SAME_BONES = ["h03", "h05", "h06", "h08", "h09", "h10", "h11", "h13", "h14", "h20", "h23", "h24", "h25"]
 NAMES = ("in parts", "below the face", "fades mm", "near mm", "alike", "in a level", "growth")
 
@@ -51,6 +53,8 @@ class Off:
 
 def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     """A line to print, and the differences."""
+    from what_maps_keep import at_forces  # the file beside this one
+
     case, out = Case.open(SITES / site), folder / site
     if not (out / "mesh").is_dir():
         segment(case, out=out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import meshio
@@ -44,11 +45,6 @@ levels = "levels.csv"
 name = "p2"
 marker = 3
 long_axis = "axial"
-levels = "levels.csv"
-[[site]]
-name = "rough"
-position_mm = [0.0, 29.5, 0.0]
-long_axis = [1.0, 0.5, 0.0]
 levels = "levels.csv"
 """
 
@@ -120,8 +116,13 @@ def test_marker_that_was_not_found_is_an_error(folder, out):
     assert "position_mm" in caught.value.fix
 
 
-def test_a_long_axis_far_out_of_the_skin_is_told(folder, out):
-    (result,) = mesh(Case.open(folder), out=out, sites=["rough"], size=6.0, far_size=15.0)
+def test_a_long_axis_far_out_of_the_skin_is_told(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "rough")
+    text = CASE.replace('long_axis = "transverse"', "long_axis = [1.0, 0.5, 0.0]")
+    (tmp_path / "rough" / "case.toml").write_text(text)
+    case = Case.open(tmp_path / "rough")
+    segment(case, out=tmp_path / "out")
+    (result,) = mesh(case, out=tmp_path / "out", sites=["p1"], size=6.0, far_size=15.0)
     assert result.data["frame"]["long_axis_slope_deg"] == pytest.approx(26.6, abs=0.1)
     assert any("leaves the skin by 27 degrees" in each for each in result.warnings)
 
@@ -138,8 +139,6 @@ def test_without_segment_it_says_what_to_run(folder, tmp_path):
 
 @pytest.mark.slow
 def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
-    import shutil
-
     shutil.copytree(out / "segment", tmp_path / "segment")
     case = Case.open(folder)
     result = mesh(case, out=tmp_path, sites=["p1"], size=4, far_size=10, fat_layer=4.0, place=(90.0, 60.0))[0]
