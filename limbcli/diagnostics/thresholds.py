@@ -62,6 +62,10 @@ that is more), above which its first force curves are enough to give it up. Chos
 BONES_LOOKED_AT: Final = 0.05
 """p of the fit without effects, below which a limb with other bones is looked at. Convention."""
 
+BONES_ABSORBED: Final = 0.7
+"""Share of the largest error of a model in maps, beyond which it is looked at, too: what is wrong with the
+limb may have gone into that error. Chosen: sites whose bones were right had 0.38 to 0.65 (other tissue 0.9)."""
+
 # ------------------------------------------------ identification: what is refitted
 
 REFIT_BELOW: Final = 0.2

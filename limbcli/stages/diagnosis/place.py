@@ -14,6 +14,7 @@ from limbcli.results import read_result, stage_folder
 from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
 from limbcli.stages.diagnosis.bones.limb_with import limb_with
 from limbcli.stages.diagnosis.bones.questions import OtherBones, questions
+from limbcli.stages.diagnosis.data.noise import IN_MAPS
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared
 
@@ -114,7 +115,8 @@ class PlaceMaker:
         return place
 
     def _questions(self, place: Place) -> list[OtherBones]:
-        """Those worth a simulation: none where the fit without effects leaves nothing."""
+        """Those worth a simulation: none where the fit without effects leaves nothing, and nothing went into
+        the model's error in maps."""
         if not (stage_folder(self.out, "segment") / "segment.json").is_file():
             return []  # no surfaces: the site's own mesh is the working mesh
         try:
@@ -123,7 +125,8 @@ class PlaceMaker:
             place.problems.append(f"whether bones lie elsewhere was not asked: {error.what}")
             return []
         model = place.forward_model
-        if found and not fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT):
+        absorbed = model.shares.get(IN_MAPS, 0.0) > thresholds.BONES_ABSORBED
+        if found and not absorbed and not fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT):
             return []
         return found
 

@@ -38,14 +38,16 @@ class SiteForwardModel(Fits):
     """One site's data against its curves, or several sites' that share the tissue.
 
     not_simulated : explanations whose fit was not simulated as it stands, as the work was spent
+    shares : of parts of the noise, how much of what was assumed was found (`settle_noise`)
     """
 
     not_simulated: set[Explanation]
+    shares: dict[str, float]
 
     def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
         """sites : that share one tuple of effects; verify : simulate what was fitted"""
         super().__init__(sites)
-        self.verify, self.not_simulated = verify, set()
+        self.verify, self.not_simulated, self.shares = verify, set(), {}
 
     def settle_noise(self) -> None:
         """Find from the fit without effects how far maps and model differ, beside what is not shown and
@@ -61,7 +63,9 @@ class SiteForwardModel(Fits):
                 continue
             base = self.fit((), {})
             off = self.data.y - base.prediction
-            self.allow_for(name, likeliest_share(off, base.jacobian, self.data.noise, name, least=least))
+            share = likeliest_share(off, base.jacobian, self.data.noise, name, least=least)
+            self.shares[name] = share
+            self.allow_for(name, share)
 
     # ------------------------------------------------------------ the contract
 
