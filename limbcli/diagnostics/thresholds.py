@@ -64,7 +64,7 @@ BONES_LOOKED_AT: Final = 0.05
 
 BONES_ABSORBED: Final = 0.7
 """Share of the largest error of a model in maps, beyond which it is looked at, too: what is wrong with the
-limb may have gone into that error. Chosen: sites whose bones were right had 0.38 to 0.65 (other tissue 0.9)."""
+limb may have gone into that error. Chosen: where bones were right it was 0.38 to 0.65 (other tissue 0.9)."""
 
 # ------------------------------------------------ identification: what is refitted
 
