@@ -61,6 +61,7 @@ GOAL_S = {"coarse": (2.0, 10.0), "usual": (8.0, 30.0)}
 
 def _effect(name: str, **theta: float) -> Callable[[LimbModel], LimbModel]:
     effect = next(each for each in EFFECTS if each.name == name)
+    assert set(theta) <= set(effect.null), f"{name} has no {sorted(set(theta) - set(effect.null))}"
     return lambda model: effect.apply(model, {**effect.null, **effect.grid[0], **theta})
 
 
@@ -77,8 +78,8 @@ def _resident(model: LimbModel) -> LimbModel:
 
 
 EXTRAS: dict[str, Callable[[LimbModel], LimbModel]] = {
-    "tilt 7": _effect("tilt", tilt_deg=7.0),
-    "tilt 15": _effect("tilt", tilt_deg=15.0),
+    "tilt 7": _effect("tilt", tilt_about_short_axis_deg=7.0),
+    "tilt 15": _effect("tilt", tilt_about_short_axis_deg=15.0),
     "friction 0.3": _effect("friction", friction_coefficient=0.3),
     "skin x 30": _effect("skin-layer", log_skin_ratio=np.log(30.0)),
     "fat / 4": _effect("adipose-layer", log_fat_softness=np.log(4.0)),

@@ -156,7 +156,8 @@ class Newton:
 
     def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
         if stagnation.stalled > 0:
-            stagnation.note(replace(state, hints=self.system.hints(), volumes=()), forces)
+            state = replace(state, hints=self.system.hints(), volumes=())
+        stagnation.note(state, forces)
 
     def least_of(self, stagnation: Stagnation) -> tuple[State, Forces]:
         """The state that left least, with its contact found anew."""

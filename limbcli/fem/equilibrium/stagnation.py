@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from limbcli.fem.motion.state import Forces, State
 
 _SAME = 0.01  # relative difference of residuals that are the same
+_CERTAIN = 12  # residuals in turn after which nothing else is to come
 
 
 @dataclass
@@ -26,9 +27,9 @@ class Stagnation:
     _errors: list[float] = field(default_factory=list)
 
     def note(self, state: State, forces: Forces) -> None:
-        """One more iteration, with the hints of its contact."""
+        """One more iteration, with the hints of its contact where its state may have to do."""
         self._errors.append(forces.error)
-        if forces.worst > 0 and forces.error < self.error:
+        if self.stalled > 0 and forces.worst > 0 and forces.error < self.error:
             self.state, self.error = state, forces.error
 
     @property
@@ -37,8 +38,10 @@ class Stagnation:
 
     @property
     def goes_round(self) -> bool:
-        """Whether the last residuals are those of one or two iterations before, and small enough."""
-        last = self._errors[-4:]
-        if len(last) < 4 or not self.will_do:
-            return False
-        return all(abs(a - b) <= _SAME * a for a, b in zip(last[:2], last[2:], strict=True))
+        """Whether the last residuals are those of two iterations before: four of them where the least will do,
+        else `_CERTAIN`, as a long way may have a slow stretch."""
+        n = 4 if self.will_do else _CERTAIN
+        last = self._errors[-n:]
+        return len(last) == n and all(
+            abs(a - b) <= _SAME * a for a, b in zip(last[:-2], last[2:], strict=True)
+        )

@@ -122,8 +122,8 @@ class _Press:
         """
         end = min(FIRST_PIECE, cap)
         model = self._loaded(end)
-        # points that stick or slip by turns may leave a little more
-        stalled = _STALLED * self.tolerance if model.has_friction else 0.0
+        # points that touch and part, or stick and slip, by turns may leave a little more
+        stalled = _STALLED * self.tolerance
         session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, stalled=stalled)
         try:
             done = session.solve(model, records=True).simulation
