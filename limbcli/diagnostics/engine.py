@@ -194,6 +194,9 @@ class _Run:
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "it leaves something; it may not be all"
+        chance = self._chance_of(best)
+        if chance >= thresholds.NAMED:
+            return "ambiguous", f"as much is found where nothing is missing, once in {1 / chance:.0f} sites"
         if best.fitted.notes:
             return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
@@ -228,6 +231,14 @@ class _Run:
         return (found is not None and found.p_adjusted < thresholds.ALPHA) or self._gain_p(
             refit
         ) < thresholds.ALPHA
+
+    def _chance_of(self, refit: Refit) -> float:
+        """That as much is found by chance: of the first order, or of the refit where that tells far more."""
+        if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
+            return 0.0
+        found = self.family.of(refit.explanation[0])
+        by_gain = min(thresholds.NAMED_BY_GAIN * self._gain_p(refit), 1.0)
+        return by_gain if found is None else min(found.p_adjusted, by_gain)
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.

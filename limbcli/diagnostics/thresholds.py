@@ -151,6 +151,13 @@ LEFT: Final = ALPHA
 """p of what the only explanation leaves, below which it is not named: a name leaves nothing that would be
 detected, or what one effect more explains, which is told beside it."""
 
+NAMED: Final = 0.02
+"""Adjusted p of an effect's own evidence, from which on it is not named though nothing else fits: ALPHA lets
+one limb in twenty with nothing missing come as far. Chosen, after 0.043 had given a limb a wrong name."""
+
+NAMED_BY_GAIN: Final = 10.0
+"""Times that the p of a refit's gain is taken there: it counts on errors that are normal and known. Chosen."""
+
 CLOSED_PERCENTILE: Final = 95.0
 """Per cent of placebos (smooth curves of no meaning) that a named effect must beat. Convention."""
 

@@ -25,6 +25,7 @@ class Parameter:
     shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
         (`null` is `start`), and is fitted from the points of the effect's grid
     natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
+    extent : a shape that says how far the effect reaches: on a bound of it the effect would be another one
     saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
         None: it changes things in proportion
     looked_at : the share of the way from `null` to `start` over which its influence at the null is looked at
@@ -41,10 +42,13 @@ class Parameter:
     natural_bounds: bool = False
     saturates: float | None = None
     looked_at: float = 0.02
+    extent: bool = False
 
     @staticmethod
-    def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:
-        return Parameter(name, start, start, low, high, start, prior, True)
+    def of_shape(
+        name: str, start: float, low: float, high: float, prior: str = "", *, extent: bool = False
+    ) -> Parameter:
+        return Parameter(name, start, start, low, high, start, prior, True, extent=extent)
 
     @property
     def step(self) -> float:
