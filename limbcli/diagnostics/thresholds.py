@@ -156,7 +156,7 @@ NAMED: Final = 0.02
 one limb in twenty with nothing missing come as far. Chosen, after 0.043 had given a limb a wrong name."""
 
 NAMED_BY_GAIN: Final = 10.0
-"""Times that the p of a refit's gain is taken there: it counts on errors that are normal and known. Chosen."""
+"""Times that the p of a refit's gain is taken there: it counts on errors being normal and known. Chosen."""
 
 CLOSED_PERCENTILE: Final = 95.0
 """Per cent of placebos (smooth curves of no meaning) that a named effect must beat. Convention."""

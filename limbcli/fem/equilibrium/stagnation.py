@@ -38,8 +38,8 @@ class Stagnation:
 
     @property
     def goes_round(self) -> bool:
-        """Whether the last residuals are those of two iterations before: four of them where the least will do,
-        else `_CERTAIN`, as a long way may have a slow stretch."""
+        """Whether the last residuals are those of two iterations before: four of them where the least will
+        do, else `_CERTAIN`, as a long way may have a slow stretch."""
         n = 4 if self.will_do else _CERTAIN
         last = self._errors[-n:]
         return len(last) == n and all(
