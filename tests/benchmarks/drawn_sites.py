@@ -1,14 +1,14 @@
 """Sites with a hidden effect, drawn by seed: case folders and truth, to be scored as those that FEBio made.
 
-    python tests/benchmarks/drawn_sites.py --out SET [--first 1] [--count 24] [--size-mm 4] [--twins]
+    python tests/benchmarks/drawn_sites.py --out SET [--first 1] [--count 24] [--margin-mm 57] [--twins]
     python SHARED/febio-hidden/score.py run --limbcli limbcli --cases SET --out OUT
     python SHARED/febio-hidden/score.py table --cases SET --out OUT
 
 What the FEBio study cannot be any more: new. Limbs of OpenLimb (the reference data), places, tissues and
 sizes of effects are drawn from the number alone. Every tissue is simulated with and without what is hidden,
-on another mesh than a diagnosis has, of the whole surfaces, cut 57 mm beyond the probe, with a contact that
-gives less; lighter surfaces are handed over. The probe stands upright on the skin near its middle, its long
-axis level. A wave speed is that of the elements in a slice of 4 mm, under a Gaussian of 3 mm: not the way in
+on another mesh than a diagnosis has, of the whole surfaces, cut 57 mm beyond the probe (110: not at all),
+with a contact that gives less; lighter surfaces are handed over. The probe stands upright on the skin near
+its middle, its long axis level. A wave speed is that of the elements in a slice of 4 mm, under a Gaussian of 3 mm: not the way in
 which a diagnosis reads its own. SET/truth.toml has the form of the study's. The solver is the project's
 own, which agrees with FEBio on the same mesh.
 """
@@ -51,7 +51,7 @@ from limbcli.stages.simulated_subjects.indent import KnownTissue, _Press
 from limbcli.stages.site_model.indentation_model import with_penalty
 
 Change = Callable[[LimbModel], LimbModel]
-MARGIN, PENALTY, FACES = 57.0, 80.0, (8000, 2500)
+PENALTY, FACES = 80.0, (8000, 2500)
 STRAIN, MOST_LEVELS = 0.37, 12
 FORCE_N, DEPTH_MM, LEVEL, PIXEL, TRAVEL_MM, SKIN_BONE_MM = 0.1, 0.3, 0.05, 0.10, 0.05, 0.3
 THICK, EVEN = (30.0, 50.0), 0.7  # mm of tissue under the probe; least of it over that at its centre
@@ -464,11 +464,13 @@ class Place:
     thick: float
 
 
-def place(rng: np.random.Generator, limbs: list[tuple[str, Limb, tuple[float, float]]], size: float) -> Place:
+def place(
+    rng: np.random.Generator, limbs: list[tuple[str, Limb, tuple[float, float]]], size: float, margin: float
+) -> Place:
     """A place whose tissue is as thick as in the study, and about as thick all under the probe."""
     from mesh_sites import PROBE  # the file beside this one
 
-    options = MeshOptions(sizes=Sizes(under_probe=size, far=14.0), margin=MARGIN)
+    options = MeshOptions(sizes=Sizes(under_probe=size, far=14.0), margin=margin)
     for _ in range(40):
         name, limb, _ = limbs[int(rng.integers(len(limbs)))]
         length = np.ptp(limb.skin.points[:, 2])
@@ -505,13 +507,19 @@ def bring(folder: Path, where: Place, channels: str) -> None:
 
 
 def one(
-    number: int, out: Path, limbs: list[tuple[str, Limb, tuple[float, float]]], size: float, *, twin: bool
+    number: int,
+    out: Path,
+    limbs: list[tuple[str, Limb, tuple[float, float]]],
+    size: float,
+    margin: float,
+    *,
+    twin: bool,
 ) -> list[dict]:
     """Case folders, and their entries in truth.toml; twin : also one of the tissue without what is hidden."""
     rng = np.random.default_rng([2026, number])
     kind, channels = KINDS[(number - 1) % len(KINDS)]
     tissue = KnownTissue(rng.uniform(5.5, 10.5), rng.uniform(50.0, 100.0), rng.uniform(2.1, 6.0))
-    where = place(rng, limbs, size)
+    where = place(rng, limbs, size, margin)
     thick = where.thick
     hidden = drawn(kind, rng, thick, tissue.c_kpa)
     deepest = (STRAIN + 0.01) * thick
@@ -550,6 +558,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--count", type=int, default=len(KINDS))
     parser.add_argument("--size-mm", type=float, default=4.0)
+    parser.add_argument("--margin-mm", type=float, default=57.0, help="beyond the probe; 110: the whole limb")
     parser.add_argument("--twins", action="store_true", help="each also without what is hidden")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -560,7 +569,7 @@ def main() -> None:
             continue
         begun = time.perf_counter()
         try:
-            truths = one(number, options.out, limbs, options.size_mm, twin=options.twins)
+            truths = one(number, options.out, limbs, options.size_mm, options.margin_mm, twin=options.twins)
         except LimbError as error:
             print(f"d{number:02d}: {error}", file=sys.stderr, flush=True)
             continue
