@@ -8,9 +8,9 @@ What the FEBio study cannot be any more: new. Limbs of OpenLimb (the reference d
 sizes of effects are drawn from the number alone. Every tissue is simulated with and without what is hidden,
 on another mesh than a diagnosis has, of the whole surfaces, cut 57 mm beyond the probe (110: not at all),
 with a contact that gives less; lighter surfaces are handed over. The probe stands upright on the skin near
-its middle, its long axis level. A wave speed is that of the elements in a slice of 4 mm, under a Gaussian of 3 mm: not the way in
-which a diagnosis reads its own. SET/truth.toml has the form of the study's. The solver is the project's
-own, which agrees with FEBio on the same mesh.
+its middle, its long axis level. A wave speed is that of the elements in a slice of 4 mm, under a Gaussian
+of 3 mm: not the way in which a diagnosis reads its own. SET/truth.toml has the form of the study's. The
+solver is the project's own, which agrees with FEBio on the same mesh.
 """
 
 from __future__ import annotations
