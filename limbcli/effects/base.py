@@ -25,7 +25,7 @@ class Parameter:
     shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
         (`null` is `start`), and is fitted from the points of the effect's grid
     natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
-    extent : a shape that says how far the effect reaches: on a bound of it the effect would be another one
+    extent : a shape that says how far the effect reaches: as large as can be it makes another effect of it
     saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
         None: it changes things in proportion
     looked_at : the share of the way from `null` to `start` over which its influence at the null is looked at

@@ -17,7 +17,8 @@ CASES = [
     ("inclusion", {"log_inclusion_ratio": 1.0, "inclusion_x_mm": 26.0}, ""),  # a place is no size
     ("inclusion", {"log_inclusion_ratio": 3.0}, "higher bound 3"),
     ("inclusion", {"inclusion_radius_mm": 16.0}, "higher bound 16"),  # as wide as the window: no spot
-    ("adipose-layer", {"fat_thickness_mm": 1.5}, "lower bound 1.5"),
+    ("adipose-layer", {"fat_thickness_mm": 20.0}, "higher bound 20"),
+    ("adipose-layer", {"fat_thickness_mm": 1.5}, ""),  # thin: less of it
 ]
 
 

@@ -32,8 +32,8 @@ def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
 def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[str]:
     """What ended on a bound. Null is fair for some of an effect's parameters, but not for all.
 
-    So is a place. An extent on its bound wants to be another: a ball as large as can be is no spot, but a
-    slope or what else the model lacks, of which it fits much with all its parameters.
+    So is a place. An extent as large as can be makes another effect of it: such a ball is no spot, but a slope
+    or what else the model lacks, of which it fits much with all its parameters.
     """
     found = []
     fixed = stuck(x, slots)
@@ -42,9 +42,8 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
         if not fixed[k]:
             continue
         if p.shape:
-            if p.extent:
-                side, bound = ("higher", p.high) if p.high - value < value - p.low else ("lower", p.low)
-                found.append(f"{slot.name} ended on its {side} bound {bound:g}")
+            if p.extent and p.high - value < value - p.low:
+                found.append(f"{slot.name} ended on its higher bound {p.high:g}")
             continue
         if any(
             not fixed[n] and not other.parameter.shape and _same_effect(slot, other, effects)
