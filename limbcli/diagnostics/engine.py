@@ -194,9 +194,8 @@ class _Run:
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "it leaves something; it may not be all"
-        chance = self._chance_of(best)
-        if chance >= thresholds.NAMED:
-            return "ambiguous", f"as much is found where nothing is missing, once in {1 / chance:.0f} sites"
+        if self._chance_of(best, times=thresholds.NAMED_BY_GAIN) >= thresholds.NAMED:
+            return "ambiguous", f"its own evidence is weak for a name (p {self._chance_of(best):.2g})"
         if best.fitted.notes:
             return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
@@ -220,25 +219,21 @@ class _Run:
         ]
 
     def _speaks_for_itself(self, refit: Refit) -> bool:
-        """A name needs evidence of its own: what was found may be that of another, dropped since.
+        """A name needs evidence of its own: what was found may be that of another, dropped since."""
+        return self._chance_of(refit) < thresholds.ALPHA
 
-        Where the fit without effects is grossly wrong, that little of it is left is evidence enough; and so
-        is how much better the refit is, where the first order at no effect shows less of it.
+    def _chance_of(self, refit: Refit, *, times: float = 1.0) -> float:
+        """p of its own evidence: of the first order at no effect, or of the gain of its refit (that p so many
+        `times`), where the first order shows less of it.
+
+        0 for several effects, each of which was needed, and where the fit without effects is grossly wrong:
+        that little of it is left is evidence enough.
         """
-        if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
-            return True
-        found = self.family.of(refit.explanation[0])
-        return (found is not None and found.p_adjusted < thresholds.ALPHA) or self._gain_p(
-            refit
-        ) < thresholds.ALPHA
-
-    def _chance_of(self, refit: Refit) -> float:
-        """That as much is found by chance: of the first order, or of the refit where that tells far more."""
         if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
             return 0.0
         found = self.family.of(refit.explanation[0])
-        by_gain = min(thresholds.NAMED_BY_GAIN * self._gain_p(refit), 1.0)
-        return by_gain if found is None else min(found.p_adjusted, by_gain)
+        of_gain = min(times * self._gain_p(refit), 1.0)
+        return of_gain if found is None else min(found.p_adjusted, of_gain)
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.

@@ -30,16 +30,17 @@ from scipy.optimize import minimize_scalar
 from limbcli.effects import effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.tissue import core, ground_modulus, scaled, tissue_block, with_core
-from limbcli.errors import LimbError
+from limbcli.errors import LimbError, MeshError
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.mending import Limb
+from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
-from limbcli.phantom.case_folder import toml
+from limbcli.phantom.case_folder import PROBE, NoiseLaw, case_table, toml
 from limbcli.progress import SILENT
 from limbcli.shear_waves.from_simulation import ElementStates
 from limbcli.shear_waves.speed import block_speeds
@@ -47,13 +48,15 @@ from limbcli.solvers.base import Simulation
 from limbcli.stages.build_feb import PROBE as PROBE_BODY
 from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide
-from limbcli.stages.simulated_subjects.indent import KnownTissue, _Press
+from limbcli.stages.simulated_subjects.indent import KnownTissue, Press
 from limbcli.stages.site_model.indentation_model import with_penalty
 
 Change = Callable[[LimbModel], LimbModel]
-PENALTY, FACES = 80.0, (8000, 2500)
-STRAIN, MOST_LEVELS = 0.37, 12
-FORCE_N, DEPTH_MM, LEVEL, PIXEL, TRAVEL_MM, SKIN_BONE_MM = 0.1, 0.3, 0.05, 0.10, 0.05, 0.3
+PENALTY, TOLERANCE, FAR, FACES = 80.0, 1e-4, 14.0, (8000, 2500)  # faces of skin and of each bone
+STRAIN, BEYOND, MOST_LEVELS = 0.37, 0.01, 12  # depth over thickness: of the levels, pressed beyond them
+STEPS, AT_LEAST = (2.0, 1.0, 0.5), 7  # N between levels: the largest that gives so many
+LAW, TRAVEL_MM, SKIN_BONE_MM, HOLD = NoiseLaw(), 0.05, 0.3, 20.0
+SHAPE = ProbeShape(PROBE.length, PROBE.width, PROBE.edge_radius)
 THICK, EVEN = (30.0, 50.0), 0.7  # mm of tissue under the probe; least of it over that at its centre
 LATERAL, BELOW = np.arange(-20.0, 20.5), np.arange(2.0, 25.5)
 SLICE, SMOOTHING, N_PLACES = 2.0, 3.0 / 2.355, 30  # half thickness; standard deviation; in an element
@@ -61,44 +64,14 @@ FULL = 2 * SLICE * 2 * np.pi * SMOOTHING**2  # mm3 of tissue that a pixel averag
 # what is hidden, and what is measured: force and depth, beside them means or maps of wave speed
 KINDS = (
     ("none", "map"), ("tilt", "map"), ("inclusion", "map"), ("swe-guided-wave", "map"),
-    ("force-zero", "mean"),
-    ("skin-layer", "map"), ("none", "map"), ("adipose-layer", "map"), ("depth-zero", "map"),
+    ("force-zero", "mean"), ("skin-layer", "map"), ("none", "map"), ("adipose-layer", "map"),
+    ("depth-zero", "map"),
     ("nonlinearity", "map"), ("preload", "map"), ("support-motion", "mean"), ("none", "mean"),
     ("swe-depth-bias", "map"), ("thickness", "map"), ("contraction", "map"), ("swe-time-scale", "map"),
     ("inclusion+force-zero", "map"), ("convex-face", "map"), ("inclusion", "map"), ("anisotropy", "map"),
     ("none", "map"), ("load-cell-saturation", "map"), ("tilt", "map"),
 )  # fmt: skip
 OUTSIDE = ("convex-face", "load-cell-saturation")
-HEAD = """format = 1
-
-[subject]
-id = "{name}"
-limb = "left"
-
-[imaging]
-skin = "surfaces/skin.stl"
-bones = [{bones}]
-
-[probe]
-name = "GE 9L"
-length_mm = 53.0
-width_mm = 14.0
-edge_radius_mm = 3.0
-
-[[site]]
-name = "p1"
-position_mm = [{place}]
-long_axis = {axis}
-levels = "p1/levels.csv"
-{maps}density_kg_per_m3 = 1000.0
-
-[site.noise]
-force_n = 0.1
-depth_mm = 0.3
-swe_level_fraction = 0.05
-swe_pixel_fraction = 0.1
-source = "repeats"
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +194,7 @@ def _convex(out: Hidden, rng: np.random.Generator, thick: float, c_kpa: float) -
     def change(model: LimbModel) -> LimbModel:
         nodes = np.unique(np.concatenate([model.mesh.block(b).cells.ravel() for b in model.bodies[0].blocks]))
         points = model.mesh.points.copy()
-        points[nodes, 2] += sag * (points[nodes, 0] / 26.5) ** 2
+        points[nodes, 2] += sag * (points[nodes, 0] / (PROBE.length / 2)) ** 2
         return replace(model, mesh=replace(model.mesh, points=points))
 
     out.change = change
@@ -298,8 +271,8 @@ def pressed(meshed: LimbModel, tissue: KnownTissue, hidden: Change | None, deepe
         hard = with_penalty(model, PENALTY)
         return hard if hidden is None else hidden(hard)
 
-    press = _Press(meshed, tissue, 1.0, 1e-4, SILENT, change, None)
-    model, found = press.until(2.0 * (MOST_LEVELS - 1) + 3.0, deepest)
+    press = Press(meshed, tissue, 1.0, TOLERANCE, SILENT, change)
+    model, found = press.until(STEPS[0] * (MOST_LEVELS + 1), deepest)
     offset = float(model.info.get("depth_offset_mm", 0.0))
     depth = np.r_[0.0, found.probe_depth(PROBE_BODY) + offset]
     force = np.r_[0.0, found.probe_force(PROBE_BODY)]
@@ -351,7 +324,7 @@ class Record:
 
 def step_for(top: float) -> float:
     """N between levels up to `top`."""
-    return 2.0 if top >= 14 else 1.0 if top >= 7 else 0.5
+    return next((step for step in STEPS if top >= AT_LEAST * step), STEPS[-1])
 
 
 def recorded(plain: Curve, changed: Curve, hidden: Hidden, forces: Array) -> Record:
@@ -372,7 +345,9 @@ def recorded(plain: Curve, changed: Curve, hidden: Hidden, forces: Array) -> Rec
     return Record(read, shown, waves, travel - travel[0] + (shown - depth + depth[0]))
 
 
-def visibility(plain: Curve, changed: Record, hidden: Hidden, thick: float, true_thick: float) -> dict:
+def visibility(
+    plain: Curve, changed: Record, hidden: Hidden, channels: str, thick: float, true_thick: float
+) -> dict:
     """chi2 of what is hidden in the raw readings, after the plain tissue has chosen its c."""
 
     def parts(factor: float) -> dict[str, float]:
@@ -381,11 +356,14 @@ def visibility(plain: Curve, changed: Record, hidden: Hidden, thick: float, true
         rising = np.maximum.accumulate(plain.force) + 1e-6 * np.arange(len(plain.force))
         slope = np.gradient(plain.depth, rising)
         per_n = np.interp(changed.force / factor, plain.force, slope) / factor
-        size = DEPTH_MM**2 + (FORCE_N * np.minimum(per_n, 20.0)) ** 2
+        size = LAW.depth_mm**2 + (LAW.force_n * np.minimum(per_n, 20.0)) ** 2
         apart = (changed.depth - (depth - depth[0]))[1:] ** 2 / size[1:]
         means = np.nanmean(off, axis=(1, 2))
-        pattern = np.nansum(((off - means[:, None, None]) / PIXEL) ** 2)
-        return {"force_depth": apart.sum(), "swe_mean": (means**2).sum() / LEVEL**2, "swe_pattern": pattern}
+        found = {"force_depth": apart.sum(), "swe_mean": (means**2).sum() / LAW.swe_level_fraction**2}
+        if channels == "map":
+            own = (off - means[:, None, None]) / LAW.swe_pixel_fraction
+            found["swe_pattern"] = np.nansum(own**2)
+        return found
 
     best = minimize_scalar(lambda x: sum(parts(np.exp(x)).values()), bounds=(-0.7, 0.7), method="bounded")
     out = {f"refit_{key}": float(value) for key, value in parts(float(np.exp(best.x))).items()}
@@ -402,16 +380,15 @@ def written(
     """levels.csv and maps, with noise."""
     n = len(record.force)
     later = np.arange(n) > 0
-    force = record.force + FORCE_N * rng.standard_normal(n)
-    depth = record.depth + DEPTH_MM * rng.standard_normal(n) * later
-    table = {"force_n": force, "depth_mm": depth, "hold_s": np.full(n, 20.0)}
-    common = 1 + LEVEL * rng.standard_normal(n)
-    own = 1 + PIXEL * rng.standard_normal(record.log_speed.shape)
+    force = record.force + LAW.force_n * rng.standard_normal(n)
+    depth = record.depth + LAW.depth_mm * rng.standard_normal(n) * later
+    table = {"force_n": force, "depth_mm": depth, "hold_s": np.full(n, HOLD)}
+    common = 1 + LAW.swe_level_fraction * rng.standard_normal(n)
+    own = 1 + LAW.swe_pixel_fraction * rng.standard_normal(record.log_speed.shape)
     speed = np.exp(record.log_speed) * common[:, None, None] * own
-    if channels != "force":
-        table["swe_mean_m_per_s"] = np.nanmean(speed, axis=(1, 2))
-        table["swe_sd_m_per_s"] = np.nanstd(speed, axis=(1, 2))
-        table["swe_pixels"] = np.isfinite(speed).sum(axis=(1, 2)).astype(float)
+    table["swe_mean_m_per_s"] = np.nanmean(speed, axis=(1, 2))
+    table["swe_sd_m_per_s"] = np.nanstd(speed, axis=(1, 2))
+    table["swe_pixels"] = np.isfinite(speed).sum(axis=(1, 2)).astype(float)
     if bone is not None:
         table["skin_bone_mm"] = bone - record.depth + SKIN_BONE_MM * rng.standard_normal(n)
     if travel:
@@ -468,9 +445,7 @@ def place(
     rng: np.random.Generator, limbs: list[tuple[str, Limb, tuple[float, float]]], size: float, margin: float
 ) -> Place:
     """A place whose tissue is as thick as in the study, and about as thick all under the probe."""
-    from mesh_sites import PROBE  # the file beside this one
-
-    options = MeshOptions(sizes=Sizes(under_probe=size, far=14.0), margin=margin)
+    options = MeshOptions(sizes=Sizes(under_probe=size, far=FAR), margin=margin)
     for _ in range(40):
         name, limb, _ = limbs[int(rng.integers(len(limbs)))]
         length = np.ptp(limb.skin.points[:, 2])
@@ -478,32 +453,33 @@ def place(
         point = np.round(skin_point_at(limb, angle, height), 2)
         axis = axis_on(limb.skin, point)
         try:
-            made = site_model(limb, tuple(point), tuple(axis), PROBE, options)
+            made = site_model(limb, tuple(point), tuple(axis), SHAPE, options)
         except LimbError as error:
             print(f"  {name} at {angle:.0f} deg, {height:.0f} mm: {error.what}", flush=True)
             continue
         thick, least = skin_bone_distance(made.model), made.checks.thinnest_under_probe_mm
         if thick is not None and least is not None and THICK[0] < thick < THICK[1] and least > EVEN * thick:
             return Place(name, limb, point, axis, made.model, thick)
-    raise SystemExit("40 places drawn, and none of them fit: draw another site")
+    raise MeshError("none of 40 places drawn is thick enough", where="a site's place", fix="draw another")
 
 
 def bring(folder: Path, where: Place, channels: str) -> None:
     """case.toml and surfaces."""
     from openlimb_case import write_stl  # the file beside this one
 
-    bones = where.limb.bones
     (folder / "surfaces").mkdir(parents=True)
-    write_stl(folder / "surfaces" / "skin.stl", lighter(where.limb.skin, FACES[0]))
-    for k, bone in enumerate(bones):
-        write_stl(folder / "surfaces" / f"bone{k}.stl", lighter(bone, FACES[1]))
-    text = HEAD.format(
-        name=folder.name, place=", ".join(f"{v:.2f}" for v in where.point),
-        bones=", ".join(f'"surfaces/bone{k}.stl"' for k in range(len(bones))),
-        axis="[" + ", ".join(f"{v:.4f}" for v in where.axis) + "]" if channels == "map" else '"transverse"',
-        maps='swe_maps = "p1/swe"\n' if channels == "map" else "",
-    )  # fmt: skip
-    (folder / "case.toml").write_text(text)
+    names = ["surfaces/skin.stl", *(f"surfaces/bone{k}.stl" for k in range(len(where.limb.bones)))]
+    for k, (name, body) in enumerate(zip(names, [where.limb.skin, *where.limb.bones], strict=True)):
+        write_stl(folder / name, lighter(body, FACES[min(k, 1)]))
+    site = {
+        "name": "p1", "position_mm": where.point.tolist(), "levels": "p1/levels.csv",
+        "long_axis": where.axis.round(4).tolist() if channels == "map" else "transverse",
+        "density_kg_per_m3": 1000.0, "noise": {**vars(LAW), "source": "repeats"},
+    }  # fmt: skip
+    if channels == "map":
+        site["swe_maps"] = "p1/swe"
+    imaging = {"skin": names[0], "bones": names[1:]}
+    (folder / "case.toml").write_text(toml(case_table(subject_id=folder.name, imaging=imaging, sites=[site])))
 
 
 def one(
@@ -522,7 +498,7 @@ def one(
     where = place(rng, limbs, size, margin)
     thick = where.thick
     hidden = drawn(kind, rng, thick, tissue.c_kpa)
-    deepest = (STRAIN + 0.01) * thick
+    deepest = (STRAIN + BEYOND) * thick
     plain = pressed(where.meshed, tissue, None, deepest)
     changed = plain if hidden.change is None else pressed(where.meshed, tissue, hidden.change, deepest)
     top = min(np.interp(STRAIN * thick, each.depth, each.force) for each in (plain, changed)) - hidden.preload
@@ -537,7 +513,7 @@ def one(
         true_thick = thick * effects.thicker
         travel = "support-motion" in effects.sizes or number % 4 == 1
         written(folder / "p1", record, channels, true_thick if seen else None, travel, rng)
-        shows = visibility(plain, record, effects, thick, true_thick if seen else thick)
+        shows = visibility(plain, record, effects, channels, thick, true_thick if seen else thick)
         np.savez_compressed(out / f"exact-{folder.name}.npz", **vars(record))
         outside = any(each in OUTSIDE for each in effects.sizes)
         found.append({

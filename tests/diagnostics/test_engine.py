@@ -309,8 +309,7 @@ def test_c_and_m_reach_over_all_that_fit_also_beside_a_name(monkeypatch, word, o
 )
 def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, with_one_more, named):
     run = _Run(SimpleNamespace(), 3, False)
-    run._speaks_for_itself = lambda refit: True
-    run._chance_of = lambda refit: 0.0
+    run._chance_of = lambda refit, **how: 0.0
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     fitted = SimpleNamespace(notes=(), at_bound=())
     kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
@@ -330,7 +329,6 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
 ):
     """Its own evidence is that of chance, and its refit tells no more; two effects were each needed."""
     run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
-    run._speaks_for_itself = lambda refit: True
     run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=p))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
@@ -340,7 +338,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     )  # fmt: skip
     doubt = run._doubt(best, [best], [])
     assert (doubt is None) == named
-    assert named or doubt == ("ambiguous", "as much is found where nothing is missing, once in 23 sites")
+    assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
 
 
 def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch):

@@ -16,7 +16,7 @@ from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.progress import SILENT
 from limbcli.shear_waves.pixels import Window
 from limbcli.stages.simulated_subjects.hidden_effects import hide
-from limbcli.stages.simulated_subjects.indent import KnownTissue, _depth, _Press, indent
+from limbcli.stages.simulated_subjects.indent import KnownTissue, Press, _depth, indent
 from tests.stages.block_case import block_model
 
 
@@ -64,7 +64,7 @@ def test_friction_is_pressed_in_even_steps_and_resists() -> None:
     )
     assert len(rubbed.depth) == len(free.depth) == 4
     assert (rubbed.depth[1:] < free.depth[1:]).all()
-    press = _Press(block_model(), KnownTissue(), 1.0, 1e-3, SILENT, hide("friction=0.5").in_model)
+    press = Press(block_model(), KnownTissue(), 1.0, 1e-3, SILENT, hide("friction=0.5").in_model)
     step = press._loaded(3.3).steps[0]
     times = np.diff([0.0, *step_times(step, every=True)])
     assert np.ptp(times) < 1e-9

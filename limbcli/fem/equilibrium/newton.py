@@ -155,9 +155,7 @@ class Newton:
         return replace(state, hints=self.system.hints(), volumes=()), forces
 
     def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
-        if stagnation.stalled > 0:
-            state = replace(state, hints=self.system.hints(), volumes=())
-        stagnation.note(state, forces)
+        stagnation.note(replace(state, hints=self.system.hints(), volumes=()), forces)
 
     def least_of(self, stagnation: Stagnation) -> tuple[State, Forces]:
         """The state that left least, with its contact found anew."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from limbcli.fem.motion.state import Forces, State
 
 _SAME = 0.01  # relative difference of residuals that are the same
-_CERTAIN = 12  # residuals in turn after which nothing else is to come
+_CERTAIN = 12  # residuals in turn after which nothing else is to come; a drag that grows repeats fewer
 
 
 @dataclass
@@ -27,9 +27,9 @@ class Stagnation:
     _errors: list[float] = field(default_factory=list)
 
     def note(self, state: State, forces: Forces) -> None:
-        """One more iteration, with the hints of its contact where its state may have to do."""
+        """One more iteration, with the hints of its contact."""
         self._errors.append(forces.error)
-        if self.stalled > 0 and forces.worst > 0 and forces.error < self.error:
+        if forces.worst > 0 and forces.error < self.error:
             self.state, self.error = state, forces.error
 
     @property

@@ -84,7 +84,7 @@ def indent(
     """
     expected = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
-    press = _Press(model, tissue, spacing, tolerance, progress, change, stretch)
+    press = Press(model, tissue, spacing, tolerance, progress, change, stretch)
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
     if stretch is not None:
@@ -104,7 +104,7 @@ def indent(
 
 
 @dataclass(frozen=True, eq=False)
-class _Press:
+class Press:
     """A site's model with its tissue, to be pressed deeper and deeper."""
 
     meshed: LimbModel

@@ -30,9 +30,9 @@ def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
 
 
 def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[str]:
-    """What ended on a bound. Null is fair for some of an effect's parameters, but not for all.
+    """What ended on a bound. Null is fair for some of an effect's parameters, but not for all; any place is.
 
-    So is a place. An extent as large as can be makes another effect of it: such a ball is no spot, but a
+    An extent as large as can be makes another effect of it: such a ball is no spot, but a
     slope or what else the model lacks, of which it fits much with all its parameters.
     """
     found = []
