@@ -73,6 +73,15 @@ def test_a_mean_whose_region_is_not_known_lies_between_that_of_a_narrow_and_of_a
     assert windows.width_doubt(found) == pytest.approx([(narrow - wide) / 2])
 
 
+def test_speeds_that_a_line_takes_below_zero_are_not_known():
+    windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
+    speed = np.full((4, 4), 2.0)
+    speed[1], speed[2, 0] = -0.1, -5.0
+    found = windows.log_means_of(speed.ravel())
+    assert np.isnan(found[2])
+    assert found[3] == pytest.approx(np.log(2.0))
+
+
 def test_channels_are_those_measured():
     plain = site_data("p1", levels(), StatedNoise(), windows=Windows())
     assert plain.channels == ("force",)

@@ -143,7 +143,7 @@ class Windows:
     def log_means_of(self, speed_m_per_s: Array) -> Array:
         """ln of the mean speed of the whole and of every part (1 + n_parts,), of speeds at `pixels`."""
         table = speed_m_per_s.reshape(self.n_parts, -1)
-        known = np.isfinite(table)
+        known = np.isfinite(table) & (table > 0)  # a line through few elements may end below 0
         counts = known.sum(axis=1)
         total = np.where(known, table, 0.0).sum(axis=1)
         enough = counts >= _SHARE * table.shape[1]
