@@ -11,6 +11,7 @@ from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
 from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis.curves import keys
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
 from limbcli.stages.diagnosis.curves.work import Work
@@ -167,6 +168,16 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, 
     assert again.n_solves == 1
     book.close()
     again.close()
+
+
+def test_curves_that_were_read_otherwise_are_solved_again(block, tmp_path, monkeypatch):
+    def n_kept() -> int:
+        CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE).curves(8.0)
+        return len(list(tmp_path.glob("*-levels.npz")))
+
+    assert [n_kept(), n_kept()] == [1, 1]
+    monkeypatch.setattr(keys, "_READING", keys._READING + 1)
+    assert n_kept() == 2
 
 
 def iterate(work: Work, n: int, *, factors: int = 0) -> None:

@@ -14,6 +14,8 @@ from limbcli.model import Array, LimbModel
 from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
 
+_READING = 2  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
+
 
 def changed_to(*models: LimbModel) -> str:
     """What effects made of the model: an effect that was written anew is solved anew."""
@@ -41,9 +43,10 @@ def fingerprint(
     model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows,
     *, enough_force: float | None = None, lines: Array | None = None,
 ) -> str:  # fmt: skip
-    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read, the end, and
-    lines."""
+    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read and how, the
+    end, and lines."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
+    digest.update(f"read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]
     asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
     digest.update(json.dumps(asked if lines is None else [*asked, plain(lines)]).encode())
