@@ -62,16 +62,21 @@ def test_a_stray_file_is_counted(out: Path, tmp_path: Path):
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 def test_an_orphan_belongs_to_the_family():
     mark = f"test-{os.getpid()}"
-    sleeper = "import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'input()'], stdin=0)"
+    waits = "print('runs', flush=True); input()"
+    sleeper = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {waits!r}], stdin=0)"
     environment = {**os.environ, "LIMBCLI_BENCHMARK": mark}
-    parent = subprocess.Popen([sys.executable, "-c", sleeper], env=environment, stdin=subprocess.PIPE)
+    pipe = subprocess.PIPE
+    parent = subprocess.Popen([sys.executable, "-c", sleeper], env=environment, stdin=pipe, stdout=pipe)
     parent.wait()
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == b"runs\n"  # by the orphan: while it is being started it has no mark
     living = family(mark)
     assert len(living) == 1
     assert parent.pid not in living
     assert min(living.values()) > 1e6
     assert parent.stdin is not None
     parent.stdin.close()
+    parent.stdout.close()
 
 
 def test_kills_cover_the_whole_duration_and_aim_at_children():
