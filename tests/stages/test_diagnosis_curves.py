@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.effects.curves import Curves
+from limbcli.effects.curves import Curves, force_at
 from limbcli.errors import SolveError
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves import keys
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
+from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
@@ -285,7 +286,8 @@ class ThicknessBook:
         log_speed = np.full((3, 61), 0.7 - thinner)
         if thinner:
             log_speed[2, 41] -= 0.4
-        return Curves(np.arange(3.0), np.arange(3.0) + 1.0, log_speed, self.windows.depths, 40.0)
+        force = (np.arange(3.0) + 1.0) * np.exp(-thinner)
+        return Curves(np.arange(3.0), force, log_speed, self.windows.depths, 40.0)
 
 
 def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike():
@@ -300,3 +302,16 @@ def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike
     assert site.curves(book.c, 4.0, ("thickness",), theta, [{}]).log_speed == pytest.approx(
         np.full((3, 61), 0.8), abs=1e-9
     )
+
+
+def test_a_trial_far_beyond_what_an_effect_can_be_still_gives_numbers():
+    book, thickness = ThicknessBook(), effect("thickness")
+    site = SiteCurves(
+        None, book, {"thickness": thickness}, penetration=Penetration(np.r_[0.0, 1.0], np.r_[0.0, 0.1])
+    )
+    site.solve_nodes((4.0, 8.0))
+    site.changes.m = 4.0
+    for change in (-1e4, 1e4):
+        found = site.curves(book.c, 4.0, ("thickness",), {"thickness_change": change}, [{}])
+        assert np.isfinite(found.log_speed).all()
+        assert np.isfinite(force_at(found, np.array([0.5, 5.0]))).all()

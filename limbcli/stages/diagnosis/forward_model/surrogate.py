@@ -29,6 +29,9 @@ from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # solved values of m that are used
+_MOST_CHANGE = (
+    10.0  # of ln force and ln speeds, by effects: beyond it trials of a fit leave the range of numbers
+)
 _OF_NO_EFFECT = 0.1  # of an effect's start: below such a size what a simulation mends is not the effect's
 
 
@@ -118,13 +121,15 @@ class SiteCurves:
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Curves:
         """The surrogate's curves with these values."""
-        depth, values, plain = self._base(m)
+        depth, base, plain = self._base(m)
+        values = base
         sizes = self._sizes(explanation, theta)
         for each in self._repairs.get((explanation, label(points)), ()):
             values = values + each.at(sizes)
         for name, point in zip(explanation, points, strict=True):
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point).at(theta)
+        values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
         log_force, others = values[:, 0], plain.with_columns(values[:, 1:])
         log_speed = others["log_speed"]
         assert log_speed is not None
