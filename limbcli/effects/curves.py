@@ -12,6 +12,7 @@ from limbcli.model import Array
 from limbcli.monotone import Monotone, columns_through
 
 _FAR = 10.0  # of ln depth beyond a curve's ends
+_LARGER = 1e-6  # times: a force that is larger by less is the same, and its logarithm may be
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,9 @@ class Curves:
 
     @cached_property
     def depth_curve(self) -> Monotone:
-        """ln depth over ln force, at depths > 0 whose force is larger than all before."""
-        rising = np.flatnonzero(np.diff(np.maximum.accumulate(self.force), prepend=0.0) > 0)
+        """ln depth over ln force, at depths > 0 whose force is larger than all before, and not by rounding."""
+        highest = np.maximum.accumulate(self.force)
+        rising = np.flatnonzero(np.diff(highest, prepend=0.0) > _LARGER * highest)
         x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))
         if len(rising) < 2:  # too few to tell: force as depth to the power of 1.5, through what there is
             x0, y0 = (x[0], y[0]) if len(rising) else (0.0, 0.0)

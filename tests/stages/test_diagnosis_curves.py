@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves import keys
@@ -315,3 +315,12 @@ def test_a_trial_far_beyond_what_an_effect_can_be_still_gives_numbers():
         found = site.curves(book.c, 4.0, ("thickness",), {"thickness_change": change}, [{}])
         assert np.isfinite(found.log_speed).all()
         assert np.isfinite(force_at(found, np.array([0.5, 5.0]))).all()
+
+
+def test_depth_at_a_force_of_a_curve_that_is_level_but_for_rounding():
+    """Two forces 1e-16 apart have one logarithm, and a slope between them would be infinite."""
+    force = np.array([0.0, 5.0, 500.0, np.nextafter(500.0, 501.0), 900.0])
+    nothing = np.zeros((5, 1))
+    found = depth_at(Curves(np.array([0.0, 2.0, 4.0, 5.0, 6.0]), force, nothing, nothing), force[1:])
+    assert np.log(force[2]) == np.log(force[3])
+    assert found == pytest.approx(np.array([2.0, 4.0, 4.0, 6.0]), rel=1e-9)
