@@ -185,7 +185,8 @@ class _Run:
     def _doubt(self, best: Refit, kept: Sequence[Refit], promising: list[str]) -> tuple[Word, str] | None:
         """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
 
-        What it leaves may be that of one effect more: then an explanation with both leaves nothing.
+        What it leaves may be that of one effect more: then an explanation with both leaves nothing. An m on
+        its bound is a doubt only where it is told there: by a flat fit, the value that is told is another.
         """
         if not self._speaks_for_itself(best):
             return "unexplained", "it is not significant by itself, and what is significant does not fit"
@@ -196,7 +197,7 @@ class _Run:
             return "ambiguous", "it leaves something; it may not be all"
         if self._chance_of(best, times=thresholds.NAMED_BY_GAIN) >= thresholds.NAMED:
             return "ambiguous", f"its own evidence is weak for a name (p {self._chance_of(best):.2g})"
-        if best.fitted.notes:
+        if best.fitted.notes and not Account(self.baseline).estimates(best.fitted, best.state).is_pulled:
             return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:

@@ -49,7 +49,7 @@ class Curves:
 
     @cached_property
     def depth_curve(self) -> Monotone:
-        """ln depth over ln force, at depths > 0 whose force is larger than all before, and not by rounding."""
+        """ln depth over ln force, at depths > 0 whose force exceeds all before by more than rounding."""
         highest = np.maximum.accumulate(self.force)
         rising = np.flatnonzero(np.diff(highest, prepend=0.0) > _LARGER * highest)
         x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))

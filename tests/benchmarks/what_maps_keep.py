@@ -47,14 +47,15 @@ class Kept:
 
 
 def at_forces(exact: dict[str, Array], which: str, force: Array) -> list[SweMap]:
-    """Maps of a record free of noise at these forces (n,) N."""
+    """Maps of a record free of noise at these forces (n,) N; deeper than its last map on by a line, as the
+    readings do."""
     depth = np.interp(force, exact[f"p1_{which}_force_n"], exact[f"p1_{which}_depth_mm"])
     table, known = np.log(exact[f"p1_{which}_map_m_per_s"]), exact[f"p1_{which}_map_depth_mm"]
     x, z = (each.ravel() for each in np.meshgrid(exact["lateral_mm"], exact["below_face_mm"], indexing="ij"))
     found = []
     for d in depth:
         k = int(np.clip(np.searchsorted(known, d) - 1, 0, len(known) - 2))
-        share = np.clip((d - known[k]) / (known[k + 1] - known[k]), 0.0, 1.0)
+        share = max((d - known[k]) / (known[k + 1] - known[k]), 0.0)
         speed = np.exp((1 - share) * table[k] + share * table[k + 1]).ravel()
         inside = np.isfinite(speed)
         found.append(SweMap(x[inside], z[inside], speed[inside]))

@@ -341,14 +341,20 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
 
 
-def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch):
+@pytest.mark.parametrize(("told", "named"), [(20.0, False), (19.0, False), (12.0, True)])
+def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch, told, named):
+    """Unless the fit is so flat that its prior has m inside: then that is the value that is told."""
     fit = toy.Toy.fit
 
     def held(self, explanation, start):
         found = fit(self, explanation, start)
         return replace(found, notes=("m ended on its bound 20",)) if explanation else found
 
+    def reported(self, fitted, *, scale=1.0, besides=None):
+        return Reported({**fitted.values, "m": told}, {**fitted.values, "m": 20.0})
+
     monkeypatch.setattr(toy.Toy, "fit", held)
+    monkeypatch.setattr(toy.Toy, "reported", reported)
     found = run(toy.make(rng, {"offset": 5.0}))
-    assert (found.verdict, found.chosen) == ("ambiguous", ("offset",))
-    assert "m ended on its bound 20" in found.reason
+    assert (found.verdict, found.chosen) == ("named" if named else "ambiguous", ("offset",))
+    assert ("m ended on its bound 20" in found.reason) != named

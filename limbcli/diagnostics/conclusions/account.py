@@ -46,7 +46,7 @@ class Account:
                 stages.append(self._stage(part.fitted, part.state, closing.percentile(part)))
         last = self._stage(refit.fitted, refit.state, closing.percentile(refit))
         others = [
-            self._estimates(each.fitted, each.state)
+            self.estimates(each.fitted, each.state)
             for each in alike if each.explanation != refit.explanation
         ]  # fmt: skip
         if others:
@@ -57,12 +57,13 @@ class Account:
         data = self.baseline.data
         z = (data.y - fitted.prediction) / data.deviation
         rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        estimates = self._estimates(fitted, state)
+        estimates = self.estimates(fitted, state)
         return Shrink(
             fitted.explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), estimates, percentile
         )
 
-    def _estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
+    def estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
+        """Values and intervals that are reported of a fit."""
         scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
         return self.baseline.forward_model.reported(
             fitted, scale=scale, besides=self.baseline.form_error(fitted)

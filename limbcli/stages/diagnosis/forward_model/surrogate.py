@@ -29,6 +29,7 @@ from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # solved values of m that are used
+_ON = 0.25  # of the span of solved values of m: how far beyond them their polynomial is followed
 _MOST_CHANGE = (
     10.0  # of ln force and ln speeds, by effects: beyond it trials of a fit leave the range of numbers
 )
@@ -225,11 +226,38 @@ class SiteCurves:
     def _interpolated(self, m: float) -> tuple[Array, Array, Curves]:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
-        at, total = bend(np.array(nodes)), np.zeros_like(logs(first))
-        for i, node in enumerate(nodes):
-            others = np.delete(at, i)
-            total += np.prod((bend(m) - others) / (at[i] - others)) * logs(self.nodes[node])
+        weights = _weights(bend(np.array(nodes)), float(bend(m)))
+        total = sum(
+            (w * logs(self.nodes[node]) for w, node in zip(weights, nodes, strict=True)),
+            np.zeros_like(logs(first)),
+        )
         return first.depth, total + self._tied(m, total.shape[1]), first
+
+
+def _weights(known: Array, at: float) -> Array:
+    """Of values at `known` (n,), what a polynomial through them has at `at`; from `_ON` of their span beyond
+    them on, the line that it has there: polynomials run away.
+
+    >>> known, squares = np.array([1.0, 2.0, 3.0]), np.array([1.0, 4.0, 9.0])
+    >>> round(float(_weights(known, 2.5) @ squares), 6)
+    6.25
+    >>> round(float(_weights(known, 13.5) @ squares), 6)  # 3.5 squared, and 10 on at its slope of 7
+    82.25
+    """
+    span = float(np.ptp(known))
+    inside = float(np.clip(at, known.min() - _ON * span, known.max() + _ON * span))
+
+    def polynomial(x: float) -> Array:
+        apart = known[:, None] - known[None, :]
+        shares = (x - known[None, :]) / (apart + np.eye(len(known)))
+        np.fill_diagonal(shares, 1.0)
+        return np.asarray(shares.prod(axis=1))
+
+    if inside == at:
+        return polynomial(at)
+    step = 1e-3 * span
+    slope = (polynomial(inside + step) - polynomial(inside - step)) / (2 * step) if span > 0 else 0.0
+    return np.asarray(polynomial(inside) + (at - inside) * slope)
 
 
 def label(points: Sequence[Theta]) -> str:
