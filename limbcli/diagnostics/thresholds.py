@@ -183,6 +183,11 @@ WITHIN: Final = 3.84
 """Deviance above the best within which a parameter's value lies in its interval: 95 %, one parameter.
 Convention (chi2 with one degree of freedom)."""
 
+MAP_DOUBT: Final = 1.35
+"""Times which the intervals of c and m are widened, in ln, where maps tell them: the model's error in maps is
+taken at its likeliest, and by so much what was missed exceeded what was told, root mean square, at sites that
+another solver made (`tests/benchmarks/README.md`). Chosen."""
+
 SIZE_WITHIN: Final = 1.96
 """Deviations of the interval of an effect's size: 95 %. Convention (normal law)."""
 

@@ -68,3 +68,13 @@ def test_an_interval_that_ends_where_the_search_ends_is_open():
     assert found.intervals == {"c_kpa": (0.4, 160.0), "m": (1.0, 4.0)}
     assert found.open == ("m below", "c below", "c above")
     assert told.within({"c_kpa": (0.0, 1e60)}).open == ("m below",)
+
+
+def test_a_wider_interval_has_its_ends_as_much_farther_from_the_value():
+    told = Reported({"c_kpa": 8.0, "m": 4.0, "tilt_deg": 5.0}, {},
+                    {"c_kpa": (4.0, 16.0), "m": (4.0, 19.0), "tilt_deg": (3.0, 7.0)})  # fmt: skip
+    found = told.widened(2.0)
+    assert found.intervals["c_kpa"] == pytest.approx((2.0, 32.0))
+    assert found.intervals["m"] == pytest.approx((4.0, 90.25))
+    assert found.intervals["tilt_deg"] == (3.0, 7.0)
+    assert found.within({"m": (1.0, 20.0)}).open == ("m above",)

@@ -67,15 +67,24 @@ class Reported:
         return replace(self, intervals=ends, open=is_open, over=len(several))
 
     def within(self, limits: Mapping[str, tuple[float, float]]) -> Reported:
-        """Intervals that end at the limits of what was looked at; an end of c there is open."""
+        """Intervals that end at the limits of what was looked at; an end of c or m there is open."""
         ends = dict(self.intervals)
         for name in ends.keys() & limits.keys():
             ends[name] = max(ends[name][0], limits[name][0]), min(ends[name][1], limits[name][1])
-        is_open = list(self.open)
-        for side, k in (("c below", 0), ("c above", 1)):
-            if "c_kpa" in ends and "c_kpa" in limits and ends["c_kpa"][k] == limits["c_kpa"][k]:
-                is_open.append(side)
+        is_open = dict.fromkeys(self.open)
+        for name, letter in zip(TISSUE, ("c", "m"), strict=True):
+            for k, side in enumerate(("below", "above")):
+                if name in ends and name in limits and ends[name][k] == limits[name][k]:
+                    is_open[f"{letter} {side}"] = None
         return replace(self, intervals=ends, open=tuple(is_open))
+
+    def widened(self, times: float) -> Reported:
+        """Intervals of c and m whose ends are `times` as far from the value, in ln."""
+        ends = dict(self.intervals)
+        for name in ends.keys() & set(TISSUE):
+            value, (low, high) = self.values[name], ends[name]
+            ends[name] = min(low, value * (low / value) ** times), max(high, value * (high / value) ** times)
+        return replace(self, intervals=ends)
 
     @property
     def is_pulled(self) -> bool:

@@ -56,29 +56,24 @@ class Candidates:
     family: Family
 
     def promising(self, left_out: dict[str, str]) -> list[str]:
-        """Those near significance, or the nearest where none is, and those that look like one of them; the
-        rest goes into `left_out`.
+        """Those near significance, with the nearest where none is significant, and those that look like one
+        of them; the rest goes into `left_out`.
 
         All, where the fit without effects is grossly wrong: it may have ended anywhere, and what the
         effects do to first order there tells little of what they do.
         """
-        near = [
-            t.name
-            for t in self.family.tests
-            if t.name in self.trials and t.p_adjusted < thresholds.REFIT_BELOW
-        ] or self._nearest()
+        ranks = sorted((t for t in self.family.tests if t.name in self.trials), key=lambda t: t.p_adjusted)
+        near = [t.name for t in ranks if t.p_adjusted < thresholds.REFIT_BELOW]
+        if not any(t.p_adjusted < thresholds.ALPHA for t in ranks):
+            # What a part of the data shows and no candidate does, one may explain that is strong: the first
+            # order tells little of it.
+            near = [t.name for t in ranks[: max(len(near), thresholds.GROWN)]]
         others = [name for name in self.trials if name not in near]
         alike = [name for name in others if is_gross(self.state) or any(self._alike(name, k) for k in near)]
         ranked = sorted([*near, *alike], key=lambda name: -self._statistic(name))
         for name in ranked[thresholds.MAX_REFITS :]:
             left_out[name] = f"not refitted: {thresholds.MAX_REFITS} better candidates were"
         return ranked[: thresholds.MAX_REFITS]
-
-    def _nearest(self) -> list[str]:
-        """What a part of the data shows and no candidate does, one may explain that is strong: the first
-        order tells little of it."""
-        found = sorted((t for t in self.family.tests if t.name in self.trials), key=lambda t: t.p_adjusted)
-        return [t.name for t in found[: thresholds.GROWN]]
 
     def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
         """Explanations by so many effects that are worth a refit."""

@@ -123,7 +123,8 @@ class SiteForwardModel(Fits):
         return self.plausible(fitted, deviance, points)
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Values with their intervals, from the profile over m."""
+        """Values with their intervals, from the profile over m; those of c and m wider where maps tell them
+        (`thresholds.MAP_DOUBT`)."""
         whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
         def walk(m: float, start: Mapping[str, float]) -> Conditional:
@@ -133,6 +134,9 @@ class SiteForwardModel(Fits):
         ln_low, ln_high = (float(each[0]) for each in self.bounds(()))
         limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
         limits["c_kpa"] = kpa_from_mpa(np.exp(ln_low)), kpa_from_mpa(np.exp(ln_high))
+        limits["m"] = M_BOUNDS
+        if IN_MAPS in self.data.noise.names:
+            found = found.widened(thresholds.MAP_DOUBT)
         return found.within(limits)
 
     def verified(self, fitted: Fitted) -> Fitted:
