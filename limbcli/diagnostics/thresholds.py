@@ -215,10 +215,6 @@ that it matters. Chosen."""
 DOUBTFUL: Final = 0.15
 """ln force by which such a doubt, as it enters the noise, makes a verdict doubtful. Chosen."""
 
-PART_STANDS_OUT: Final = 4.0
-"""Restricted ln likelihood by which an error of its own in one part of a map must speak for itself: with
-twenty such parts, one site in twenty has one by chance. Chosen."""
-
 ON_BOUND: Final = 1e-3
 """Share of a parameter's range within which it stands on its bound. Numerical."""
 

@@ -320,21 +320,9 @@ class _Diagnosed:
         ]
         if moved:
             lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
-        lines[2:2] = _told_apart(forward_model.parts_apart.tolist())
         lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
-
-
-def _told_apart(parts: Sequence[Sequence[float]]) -> list[str]:
-    """Of parts of a map that the model does not follow; nothing where there are none."""
-    if not parts:
-        return []
-    where = ", ".join(f"({x:.0f}, {z:.0f})" for x, z in parts)
-    return [
-        f"Beside bone or a hole of the map the model misses the speeds around {where} mm (lateral, below the "
-        "face) in a way of their own; they were given little weight."
-    ]
 
 
 def _best_gain(found: Diagnosis) -> float:

@@ -86,15 +86,9 @@ class Noise:
 
     def with_share(self, name: str, share: float) -> Noise:
         """The part `name` times `share`, as it was estimated; others as they are."""
-        return self.scaled(name, np.full(len(self.covariance), share))
-
-    def scaled(self, name: str, times: Array) -> Noise:
-        """The errors of the part `name` times `times` (n,), as they were estimated; others as they are."""
         return Noise(
             tuple(
-                NoisePart(name, part.covariance * np.outer(times, times), "estimated")
-                if part.name == name
-                else part
+                NoisePart(name, share**2 * part.covariance, "estimated") if part.name == name else part
                 for part in self.parts
             )
         )

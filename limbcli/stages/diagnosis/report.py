@@ -48,9 +48,6 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
             "is_relative": found.relative,
             "parts": site.data.noise.provenance(),
             "scatter_over_stated": found.roughness.ratio if found.roughness else None,
-            "parts_apart": [
-                {"lateral_mm": x, "below_face_mm": z} for x, z in forward_model.parts_apart.tolist()
-            ],
         },
         "channels": list(site.channels),
         "channels_missing": list(site.missing),

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.noise import NoisePart, common, correlated, independent
@@ -41,10 +40,6 @@ IN_MEAN = 0.07  # of the mean speed a unit of strain, where there is no map
 # far less at most sites): at most so much, and how much is found from the data.
 _BESIDE_UNSEEN = 0.15
 BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1
-# Of ln speed a unit of strain in one such part, alike at all levels: at h06 one part beside bone leaves the
-# model by 14 to 33 %, and none of those next to it does. At most so much; none unless the data show it.
-_GROWS = 0.9
-GROWING = "model: maps, growing in a part beside what is not shown"
 _TOUCHES, _WHOLE = 1.5, 0.95  # sides of a part, between middles; share of its pixels
 FEWEST_SMOOTH = 4
 _STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
@@ -112,17 +107,6 @@ class MapNoise:
     def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
         """Covariance (n, n) of the parts that are not whole in their level's map, and of those that touch one
         which is not, or which the model does not show; own (n,) : as in `of_pixels`."""
-        return np.diag(np.where(self._is_beside(rows, own), _BESIDE_UNSEEN**2, 0.0))
-
-    def growing_beside(self, rows: Sequence[Row], own: Array) -> Array:
-        """Covariance (n, n) of those parts by an error that each has by itself and that grows with the
-        strain; own (n,) : as in `of_pixels`."""
-        part, level = _map_places(rows)
-        deviation = np.where(self._is_beside(rows, own), _GROWS * np.abs(self.strain[level]), 0.0)
-        alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
-        return np.asarray((part[:, None] == part) * alike * np.outer(deviation, deviation))
-
-    def _is_beside(self, rows: Sequence[Row], own: Array) -> NDArray[np.bool_]:
         part, level = _map_places(rows)
         n_pixels = np.zeros((len(self.strain), len(self.middles)))
         n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
@@ -130,7 +114,7 @@ class MapNoise:
         reach = _TOUCHES * np.array(self.size)
         near = np.all(np.abs(self.middles[:, None] - self.middles[None]) < reach, axis=2)
         beside = np.any(near[None] & ~whole[:, None, :], axis=2)
-        return np.asarray(beside[level, part])
+        return np.diag(np.where(beside[level, part], _BESIDE_UNSEEN**2, 0.0))
 
 
 def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
@@ -173,7 +157,6 @@ def noise_parts(
             ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
             (IN_MAPS, maps.of_model(mine, map_share), "computed"),
             (BESIDE, maps.beside_unseen(mine, own[is_map]), "assumed"),
-            (GROWING, maps.growing_beside(mine, own[is_map]), "assumed"),
         ):
             whole = np.zeros((len(rows), len(rows)))
             whole[np.ix_(at, at)] = covariance

@@ -63,11 +63,7 @@ class SiteData:
 
     def with_share(self, name: str, share: float) -> SiteData:
         """With so much of what was assumed of the noise part `name`."""
-        return self.with_factors(name, np.full(len(self.data), share))
-
-    def with_factors(self, name: str, times: Array) -> SiteData:
-        """With `times` (n,) of what was assumed of the noise part `name`."""
-        return replace(self, data=replace(self.data, noise=self.data.noise.scaled(name, times)))
+        return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum at the depths that were read.

@@ -15,7 +15,7 @@ from limbcli.effects.base import Effect, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.joint import joined, slices
+from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Book
 from limbcli.stages.diagnosis.forward_model.slots import Slot
@@ -49,13 +49,8 @@ class Predictions:
 
     def allow_for(self, name: str, share: float) -> None:
         """Of the noise part `name` so much of what was assumed, at every site."""
-        self.allow_each(name, np.full(len(self.data), share))
-
-    def allow_each(self, name: str, times: Array) -> None:
-        """Of the noise part `name` `times` (n,) what was assumed."""
-        inside = slices([each.site for each in self.sites])
-        for each, mine in zip(self.sites, inside, strict=True):
-            each.site = each.site.with_factors(name, times[mine])
+        for each in self.sites:
+            each.site = each.site.with_share(name, share)
         self._data = joined([each.site for each in self.sites])
         self.whiten = Whitener.of(self._data.noise.covariance)
 

@@ -11,16 +11,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
 from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
-from limbcli.diagnostics.model.noise_scale import likeliest_factors, likeliest_share
+from limbcli.diagnostics.model.noise_scale import likeliest_share
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
-from limbcli.stages.diagnosis.data.noise import BESIDE, GROWING, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
+from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.changes import only_febio
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
@@ -40,30 +39,25 @@ class SiteForwardModel(Fits):
 
     not_simulated : explanations whose fit was not simulated as it stands, as the work was spent
     shares : of parts of the noise, how much of what was assumed was found (`settle_noise`)
-    parts_apart : of each part of a map that was found to have an error of its own (n, 2) mm where it lies,
-    lateral and below the face
     """
 
     not_simulated: set[Explanation]
     shares: dict[str, float]
-    parts_apart: Array
 
     def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
         """sites : that share one tuple of effects; verify : simulate what was fitted"""
         super().__init__(sites)
         self.verify, self.not_simulated, self.shares = verify, set(), {}
-        self.parts_apart = np.zeros((0, 2))
 
     def settle_noise(self) -> None:
-        """Find from the fit without effects how far maps and model differ, beside what is not shown (first in
-        single parts) and elsewhere.
+        """Find from the fit without effects how far maps and model differ, beside what is not shown and
+        elsewhere.
 
         Raises
         ------
         SolveError, FitError
             If that fit cannot be made.
         """
-        self._settle_growing()
         for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS)):
             if name not in self.data.noise.names:
                 continue
@@ -72,22 +66,6 @@ class SiteForwardModel(Fits):
             share = likeliest_share(off, base.jacobian, self.data.noise, name, least=least)
             self.shares[name] = share
             self.allow_for(name, share)
-
-    def _settle_growing(self) -> None:
-        if GROWING not in self.data.noise.names:
-            return
-        base = self.fit((), {})
-        off, noise = self.data.y - base.prediction, self.data.noise
-        # What stands out is told beside what all such parts have, and that beside what stands out.
-        without = noise.with_share(GROWING, 0.0)
-        share = likeliest_share(off, base.jacobian, without, BESIDE, least=LEAST_BESIDE)
-        beside = noise.with_share(BESIDE, share)
-        found = likeliest_factors(
-            off, base.jacobian, beside, GROWING, self.data.series, gain=thresholds.PART_STANDS_OUT
-        )
-        self.allow_each(GROWING, found)
-        if found.any() and self.data.place is not None:
-            self.parts_apart = np.unique(self.data.place[found > 0], axis=0)
 
     # ------------------------------------------------------------ the contract
 
