@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
 from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
