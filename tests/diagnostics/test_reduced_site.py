@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
@@ -261,6 +262,24 @@ def test_how_far_maps_and_model_differ_is_found_from_the_data(rng):
 def variance_in_maps(the_bench: SiteForwardModel) -> float:
     (part,) = [each for each in the_bench.data.noise.parts if each.name == IN_MAPS]
     return float(np.trace(part.covariance))
+
+
+def test_intervals_of_the_tissue_are_wider_where_maps_tell_it(rng):
+    """By the same factor on either side of the value; what is told besides is as it was."""
+    measured = levels(rng)
+    n, n_parts = (
+        len(measured.depth),
+        reduced.ReducedBook(reduced.block_model(6, 5, 5), [0.0, 3.0]).windows.n_parts,
+    )
+    tiny = ModelError(IN_MAPS, np.zeros(n), np.full((n, 1 + n_parts), 1e-6), correlation=0.0)
+    plain, mapped = (bench(measured, errors=errors) for errors in ([], [tiny]))
+    told = plain.reported(plain.fit((), {}))
+    wider = mapped.reported(mapped.fit((), {}))
+    for name in ("c_kpa", "m"):
+        ends = np.log(np.array(told.intervals[name]) / told.values[name])
+        assert np.log(np.array(wider.intervals[name]) / wider.values[name]) == pytest.approx(
+            thresholds.MAP_DOUBT * ends, rel=1e-2
+        )
 
 
 @pytest.mark.slow
