@@ -47,9 +47,11 @@ def default_out(case_folder: Path) -> Path:
 
 
 def at_most(threads: int) -> int:
-    """So many threads, or as many as the environment's LIMBCLI_THREADS allows, if those are fewer.
+    """So many threads, or as many as the environment allows, if those are fewer: LIMBCLI_THREADS, or, where
+    it says nothing, OMP_NUM_THREADS (of nested levels the first), which is meant for all programs.
 
-    A batch whose processes share the cores sets it for each of them.
+    A batch whose processes share the cores sets both for each of them.
     """
-    allowed = os.environ.get(THREADS, "")
-    return max(1, min(threads, int(allowed))) if allowed.isdigit() else threads
+    said = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
+    allowed = next((int(each) for each in said if each.isdigit()), threads)
+    return max(1, min(threads, allowed))

@@ -21,7 +21,8 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     monkeypatch.setattr("limbcli.solvers.reference.kernels_are_there", lambda: False)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
-    monkeypatch.delenv(THREADS, raising=False)
+    for name in (THREADS, "OMP_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(ahead, "start", lambda module, part: found.append(part))
     return found
 
