@@ -272,4 +272,5 @@ class _Run:
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
             roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
             sizes=sizes_95(baseline.state, self.family, self.facts),
+            refitted_sizes=account.refitted_sizes(self.refits, shrink),
         )  # fmt: skip

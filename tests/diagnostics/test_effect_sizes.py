@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
-from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
+from limbcli.diagnostics.model.forward_model import Direction, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
@@ -69,3 +69,29 @@ def test_where_an_effect_levels_off_its_interval_grows():
     assert ends[1] < 0.2
     open_above = {"friction": {"friction_coefficient": (-0.05, 0.3)}}
     assert reported_sizes(KNOWN, open_above, 8.0)["friction"]["coefficient"] == (0.0, None)
+
+
+def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
+    """c and m beside it, of which m stood on its bound; what the data do not tell has no end."""
+    jacobian = np.column_stack([rng.standard_normal((30, 2)), np.zeros(30)])
+    values = {"c_kpa": 7.0, "m": 20.0, "tilt_about_short_axis_deg": 6.0, "tilt_about_long_axis_deg": 0.5}
+    fitted = Fitted(("tilt",), np.zeros(30), jacobian, ("c",), values, tuple(values)[2:])
+    found = refitted_sizes(fitted, jacobian, 4.0)
+    deviation = 2.0 * np.sqrt(np.linalg.inv(jacobian[:, :2].T @ jacobian[:, :2])[1, 1])
+    low, high = found.intervals["tilt_about_short_axis_deg"]
+    assert (low, high) == pytest.approx((6.0 - 1.96 * deviation, 6.0 + 1.96 * deviation))
+    assert found.intervals["tilt_about_long_axis_deg"] == (-np.inf, np.inf)
+    told = reported_sizes(KNOWN, {}, 8.0, {"tilt": found})["tilt"]
+    assert told["about_short_axis_deg"] == pytest.approx((low, high))
+    assert told["about_long_axis_deg"] == (None, None)
+
+
+def test_a_refit_goes_before_the_first_order_with_its_own_c():
+    first = {
+        "inclusion": {"log_inclusion_ratio": (0.8, 0.9)},
+        "contraction": {"active_stress_per_c": (0.1, 0.2)},
+    }
+    again = {"contraction": RefittedSizes({"c_kpa": 10.0}, {"active_stress_per_c": (0.2, 0.4)})}
+    told = reported_sizes(KNOWN, first, 8.0, again)
+    assert told["contraction"]["t0_kpa"] == pytest.approx((2.0, 4.0))
+    assert told["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(0.8), np.exp(0.9)))

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
+from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
 from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
-from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
@@ -64,10 +65,28 @@ class Account:
 
     def estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
         """Values and intervals that are reported of a fit."""
-        scale = max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
         return self.baseline.forward_model.reported(
-            fitted, scale=scale, besides=self.baseline.form_error(fitted)
+            fitted, scale=self._scale(state), besides=self.baseline.form_error(fitted)
         )
+
+    def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
+        """Of every effect that alone was refitted within its bounds; as in `shrink` where it is there."""
+        found = {}
+        for each in refits.known.values() if refits else ():
+            if len(each.explanation) != 1 or each.fitted.at_bound:
+                continue
+            name, fitted = each.explanation[0], each.fitted
+            told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
+            if told is not None:
+                ends = {k: told.intervals[k] for k in fitted.effect_names if k in told.intervals}
+                found[name] = RefittedSizes(told.values, ends)
+                continue
+            whiten = Whitener.of(self.baseline.data.noise.covariance + self.baseline.form_error(fitted))
+            found[name] = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state))
+        return found
+
+    def _scale(self, state: LinearFit) -> float:
+        return max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
         """Every candidate at a plausible size, the least visible first."""

@@ -1,19 +1,51 @@
 """How large each effect could be when it alone is added: an interval for each of its sizes.
 
-To first order at the fit without effects, the tissue refitted: eta +- 1.96 deviations, within what the
-parameter's sign allows. Where the interval reaches a bound the data leave that side open.
+Of an effect that was refitted, from that refit, on the model with the effect in it: of strong effects the
+first order tells little. Of the others to first order at the fit without effects, the tissue refitted:
+eta +- 1.96 deviations, within what the parameter's sign allows. Where the interval reaches a bound the data
+leave that side open.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.forward_model import Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
 from limbcli.diagnostics.statistical_tests.score import visible_columns
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class RefittedSizes:
+    """Of an effect that alone was refitted: all values there, and the 95 % intervals of its parameters."""
+
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+
+
+def refitted_sizes(fitted: Fitted, jacobian: Array, scale: float) -> RefittedSizes:
+    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 deviations.
+
+    jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
+    the level of the noise is not known, else 1. Infinite where the data do not tell a parameter.
+    """
+    lengths = np.linalg.norm(jacobian, axis=0)
+    seen = lengths > 0
+    spread = np.full(len(lengths), np.inf)
+    columns = jacobian[:, seen] / lengths[seen]
+    inverse = np.linalg.pinv(columns.T @ columns)
+    spread[seen] = np.sqrt(scale * np.maximum(np.diag(inverse), 0.0)) / lengths[seen]
+    intervals = {}
+    for name, each in zip(fitted.effect_names, spread[len(fitted.base_names) :], strict=True):
+        reach = thresholds.SIZE_WITHIN * float(each)
+        intervals[name] = fitted.values[name] - reach, fitted.values[name] + reach
+    return RefittedSizes(fitted.values, intervals)
 
 
 def sizes_95(

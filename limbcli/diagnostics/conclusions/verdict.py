@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
+from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.diagnostics.conclusions.next_measurement import NextStep
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
@@ -49,7 +50,8 @@ class Diagnosis:
     closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
     not_evaluated : candidate -> why
     left_out : refits dropped -> why
-    sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added
+    sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added, to
+    first order; refitted_sizes : by effect, where it alone was refitted, of the parameters' values
     angles : cosines between members of the set and their look-alikes
     """
 
@@ -74,6 +76,7 @@ class Diagnosis:
     seed: int = 0
     held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    refitted_sizes: Mapping[str, RefittedSizes] = field(default_factory=dict)
 
     @property
     def estimates(self) -> Reported:

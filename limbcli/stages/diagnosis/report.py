@@ -18,7 +18,7 @@ from limbcli.effects.base import Effect, Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.sizes import reported_sizes
+from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
@@ -69,7 +69,9 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
             "power_for_its_worst_pair": best[1] if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": reported_sizes(forward_model.effects, found.sizes, found.estimates.values["c_kpa"]),
+        "sizes_95": reported_sizes(
+            forward_model.effects, found.sizes, found.estimates.values["c_kpa"], found.refitted_sizes
+        ),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,
@@ -172,7 +174,8 @@ def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -
     A triangle: all of it lies beyond the frame, or beyond the largest size that is looked for.
     """
     rows = [
-        (f"{name}: {p.name}", _in_plausible_sizes(p, found.sizes[name][p.name]))
+        (f"{name}: {p.name}",
+         _in_plausible_sizes(p, value_ends(p, found.sizes[name], found.refitted_sizes.get(name))))
         for name, effect in effects.items() if name in found.sizes
         for p in effect.sizes if p.name in found.sizes[name]
     ]  # fmt: skip
@@ -197,8 +200,8 @@ def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -
 
 
 def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
-    """An interval of what grows in proportion to the effect, as sizes that are looked for, in order."""
-    low, high = (float(np.clip(p.from_proportional(x), p.low, p.high) - p.null) for x in ends)
+    """An interval of a parameter's value as sizes that are looked for, in order."""
+    low, high = (float(np.clip(x, p.low, p.high) - p.null) for x in ends)
     first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
     return first, last
 

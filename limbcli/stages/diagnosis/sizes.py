@@ -9,12 +9,14 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.effects import poroelasticity
-from limbcli.effects.base import Effect
+from limbcli.effects.base import Effect, Parameter
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]
 _Turn = Callable[[float, float], float]
+_NONE: Mapping[str, RefittedSizes] = {}
 
 
 def _same(value: float, c_kpa: float) -> float:
@@ -74,28 +76,42 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
 }
 
 
+def value_ends(
+    p: Parameter, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
+) -> tuple[float, float]:
+    """The interval of a parameter's value: of its effect's refit, else to first order (where the effect
+    levels off, `Parameter.saturates`, with a larger distance from null); all values where neither has it."""
+    if refitted is not None and p.name in refitted.intervals:
+        return refitted.intervals[p.name]
+    low, high = found.get(p.name, (-np.inf, np.inf))
+    return p.from_proportional(low), p.from_proportional(high)
+
+
 def reported_sizes(
-    effects: Mapping[str, Effect], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
-) -> Sizes:
+    effects: Mapping[str, Effect], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float,
+    refitted: Mapping[str, RefittedSizes] = _NONE,
+) -> Sizes:  # fmt: skip
     """Intervals with the names and units in which they are reported; None: open on that side.
 
-    found : by effect and parameter, the distance from its null value, to first order (where the effect levels
-        off, `Parameter.saturates`, a larger one); effects that are not there are open
+    found : by effect and parameter, the distance from its null value, to first order; effects that are not
+        there are open
+    refitted : by effect, the parameters' values and c where it was refitted; c_kpa : of the others
     """
     sizes: Sizes = {}
     for name, effect in effects.items():
         row: dict[str, Interval] = {}
+        again = refitted.get(name)
+        c = c_kpa if again is None else again.values["c_kpa"]
         for p in effect.sizes:
-            low, high = found.get(name, {}).get(p.name, (-np.inf, np.inf))
-            ends = [p.from_proportional(low), p.from_proportional(high)]
+            ends = value_ends(p, found.get(name, {}), again)
             open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
             inside = [float(np.clip(each, p.low, p.high)) for each in ends]
             label, turn = _REPORTED.get(p.name, (p.name, _same))
             values: list[float | None] = [
-                None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned
+                None if is_open or not np.isfinite(turned := turn(each, c)) else turned
                 for each, is_open in zip(inside, open_ends, strict=True)
             ]
-            if turn(1.0, c_kpa) > turn(2.0, c_kpa):
+            if turn(1.0, c) > turn(2.0, c):
                 values.reverse()
             row[label] = (values[0], values[1])
         sizes[name] = row
