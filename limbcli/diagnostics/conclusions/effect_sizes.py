@@ -1,9 +1,9 @@
 """How large each effect could be when it alone is added: an interval for each of its sizes.
 
-Of an effect that was refitted, from that refit, on the model with the effect in it: of strong effects the
-first order tells little. Of the others to first order at the fit without effects, the tissue refitted:
-eta +- 1.96 deviations, within what the parameter's sign allows. Where the interval reaches a bound the data
-leave that side open.
+To first order at the fit without effects, the tissue refitted: eta +- 1.96 deviations, within what the
+parameter's sign allows. An effect that was refitted has a second one, on the model with the effect in it:
+where the two disagree either may be off, and what is told holds both. Where an interval reaches a bound the
+data leave that side open.
 """
 
 from __future__ import annotations

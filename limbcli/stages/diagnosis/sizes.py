@@ -79,12 +79,17 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
 def value_ends(
     p: Parameter, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
 ) -> tuple[float, float]:
-    """The interval of a parameter's value: of its effect's refit, else to first order (where the effect
-    levels off, `Parameter.saturates`, with a larger distance from null); all values where neither has it."""
-    if refitted is not None and p.name in refitted.intervals:
-        return refitted.intervals[p.name]
+    """The interval of a parameter's value: to first order (farther from null where the effect levels off,
+    `Parameter.saturates`), and as its effect's refit has it; all values where neither has it."""
     low, high = found.get(p.name, (-np.inf, np.inf))
-    return p.from_proportional(low), p.from_proportional(high)
+    ends = p.from_proportional(low), p.from_proportional(high)
+    if refitted is None or p.name not in refitted.intervals:
+        return ends
+    low, high = refitted.intervals[p.name]
+    return (
+        min(low, ends[0]) if np.isfinite(ends[0]) else low,
+        max(high, ends[1]) if np.isfinite(ends[1]) else high,
+    )
 
 
 def reported_sizes(
