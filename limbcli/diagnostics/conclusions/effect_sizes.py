@@ -35,12 +35,7 @@ def refitted_sizes(fitted: Fitted, jacobian: Array, scale: float) -> RefittedSiz
     jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
     the level of the noise is not known, else 1. Infinite where the data do not tell a parameter.
     """
-    lengths = np.linalg.norm(jacobian, axis=0)
-    seen = lengths > 0
-    spread = np.full(len(lengths), np.inf)
-    columns = jacobian[:, seen] / lengths[seen]
-    inverse = np.linalg.pinv(columns.T @ columns)
-    spread[seen] = np.sqrt(scale * np.maximum(np.diag(inverse), 0.0)) / lengths[seen]
+    spread = np.sqrt(scale) * _deviations(jacobian)
     intervals = {}
     for name, each in zip(fitted.effect_names, spread[len(fitted.base_names) :], strict=True):
         reach = thresholds.SIZE_WITHIN * float(each)
@@ -58,13 +53,18 @@ def sizes_95(
 
 def _sizes(state: LinearFit, tested: Tested) -> dict[str, tuple[float, float]]:
     direction, eta = tested.score.direction, tested.score.eta
-    A = visible_columns(state, direction)
-    seen = np.linalg.norm(A, axis=0) > 0
-    spread = np.full(A.shape[1], np.inf)
-    if seen.any():
-        inverse = np.linalg.pinv(A[:, seen].T @ A[:, seen])
-        spread[seen] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    spread = _deviations(visible_columns(state, direction))
     return {
         name: (float(x - thresholds.SIZE_WITHIN * s), float(x + thresholds.SIZE_WITHIN * s))
         for name, x, s in zip(direction.names, eta, spread, strict=True)
     }
+
+
+def _deviations(columns: Array) -> Array:
+    """Of estimates (p,) by least squares, from whitened sensitivities (n, p); infinite where these are 0."""
+    lengths = np.linalg.norm(columns, axis=0)
+    seen = lengths > 0
+    found = np.full(len(lengths), np.inf)
+    unit = columns[:, seen] / lengths[seen]
+    found[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(unit.T @ unit)), 0.0)) / lengths[seen]
+    return found
