@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 
 NAME = "reference"
 _SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
+# Times the tolerance: what will do with friction where iterations no longer lessen the residual. A point that
+# sticks is pushed along the way to its anchor, one that slips along its normal: between the two its pressure
+# jumps, and there may be no equilibrium to the last digits.
+_STALLED_WITH_FRICTION = 100.0
 
 
 @dataclass
@@ -131,6 +135,8 @@ def prepare(
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
+    if model.has_friction:
+        stalled = max(stalled, _STALLED_WITH_FRICTION * tolerance)
     settings = Settings(tolerance=tolerance, linear=linear, threads=at_most(threads), stalled=stalled)
     return Analysis(model, settings, progress)
 

@@ -18,6 +18,7 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, LimbModel, Step, Support
+from limbcli.solvers.reference import prepare
 from limbcli.solvers.session import ReferenceSession
 
 QUICK = Settings(tolerance=1e-8, threads=1)
@@ -160,6 +161,17 @@ def test_derivatives_are_differenced_and_never_taken_as_exact() -> None:
     analysis, end = last(model)
     with pytest.raises(SolveError, match="friction"):
         sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", "c1")])
+
+
+def test_a_residual_that_stands_will_do_with_friction_alone() -> None:
+    """Between stick and slip the pressure of a point jumps: the last digits may have no equilibrium."""
+    for model, expected in ((indented(0.3), 1e-4), (indented(0.0), 0.0)):
+        analysis = prepare(model, threads=1)
+        assert analysis.settings.stalled == pytest.approx(expected)
+        analysis.close()
+    analysis = prepare(indented(0.3), threads=1, stalled=1e-2)
+    assert analysis.settings.stalled == 1e-2
+    analysis.close()
 
 
 def test_a_block_far_from_the_probe_is_left_alone() -> None:
