@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -199,6 +200,24 @@ def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iter
     work.begin(candidate=False)
     iterate(work, 2000, factors=1)  # a session's counts begin anew
     assert work.done == 2000 * 50
+
+
+@pytest.mark.parametrize(
+    ("candidate", "work_at_end"),
+    [(True, 2 * 30 * 40 + 30), (False, 30 * 340)],
+    ids=["candidate", "no effect"],
+)
+def test_levels_beyond_those_needed_take_as_much_work_again(candidate, work_at_end):
+    """Six of eight are needed; the seventh goes on for ever."""
+    work = Work(usual=[20_000])
+    work.begin(candidate=candidate, needed=6 / 8)
+    for k in range(1, 41):
+        work("newton", {"krylov": 20 * k, "step": 1 + k // 8, "n_steps": 8})
+    assert work.done == 30 * 40
+    with contextlib.suppress(SolveError):
+        for k in range(41, 341):
+            work("newton", {"krylov": 20 * k, "step": 7, "n_steps": 8})
+    assert work.done == work_at_end
 
 
 @pytest.mark.parametrize(("n_cells", "iterations"), [(1000, 200), (10_000, 83), (100_000, 50)])

@@ -223,8 +223,9 @@ class CurveBook:
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
         self.work.begin(
-            candidate=limited, has_friction=model.has_friction, fitted=has_fitted_size(ingredients)
-        )
+            candidate=limited, has_friction=model.has_friction, fitted=has_fitted_size(ingredients),
+            needed=self._required / self.n_depths,
+        )  # fmt: skip
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
         try:
             shared = self._shared()

@@ -22,6 +22,7 @@ _PER_ITERATION, _PER_FACTOR = 10, 20
 _TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 3.0, 6.0
 _LEAST_ALLOWED = 1500  # some four seconds on a working mesh
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
+_FOR_MORE = 1.0  # of a candidate's work on the levels that are needed: what the others may take
 # Where the model itself is large or hard: products times cells, of a candidate and of all; a million take a
 # second and a half.
 _MOST_ALLOWED, _MOST_IN_ALL = 25e6, 100e6
@@ -43,10 +44,15 @@ class Work:
     done: int = 0
     _allowed: float = math.inf
     _counted: tuple[int, int] = (0, 0)
+    _needed: float = math.inf
 
-    def begin(self, *, candidate: bool, has_friction: bool = False, fitted: bool = False) -> None:
-        """candidate : it has an effect in it; fitted : its size is that of a fit"""
+    def begin(
+        self, *, candidate: bool, has_friction: bool = False, fitted: bool = False, needed: float = 1.0
+    ) -> None:
+        """candidate : it has an effect in it; fitted : its size is that of a fit; needed : share of the load
+        steps that must be reached"""
         self.done, self._counted = 0, (0, 0)
+        self._needed = needed if candidate else math.inf
         times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
         self._allowed = limit if candidate else self.at_most
@@ -84,6 +90,8 @@ class Work:
             now - before if now >= before else now for now, before in zip(counts, self._counted, strict=True)
         )
         self._counted = counts
+        if facts.get("step", 0) > self._needed * facts.get("n_steps", math.inf):
+            self._needed, self._allowed = math.inf, min(self._allowed, (1.0 + _FOR_MORE) * self.done)
         self.done += _PER_ITERATION + krylov + _PER_FACTOR * factors
         if self.done > self._allowed:
             raise SolveError(
