@@ -184,9 +184,9 @@ WITHIN: Final = 3.84
 Convention (chi2 with one degree of freedom)."""
 
 MAP_DOUBT: Final = 1.35
-"""Times which the intervals of c and m are widened, in ln, where maps tell them: the model's error in maps is
-taken at its likeliest, and by so much what was missed exceeded what was told, root mean square, at sites that
-another solver made (`tests/benchmarks/README.md`). Chosen."""
+"""Times which the intervals of c and m (in ln) and of effects' sizes are widened where maps tell them: the
+model's error in maps is taken at its likeliest, and by so much what was missed of c and m exceeded what was
+told, root mean square, at sites that another solver made (`tests/benchmarks/README.md`). Chosen."""
 
 SIZE_WITHIN: Final = 1.96
 """Deviations of the interval of an effect's size: 95 %. Convention (normal law)."""

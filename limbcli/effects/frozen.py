@@ -23,11 +23,14 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from limbcli.effects.places import Places, Stiffness, cell_means
-from limbcli.effects.tissue import TISSUE
+from limbcli.effects.tissue import TISSUE, tissue_block
 from limbcli.materials import compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.speed import block_speeds
+
+_EVEN = 1e-3  # range of a factor below which nothing goes with it
+_MOST_RISE = 0.7  # of ln speed, by a slope over a stiffness that cells only have in part
 
 
 class Averages(Protocol):
@@ -43,6 +46,18 @@ class SpeedRegion(Protocol):
     """The scanner's region: from speeds at its pixels to ln means of the whole and its parts."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """How ln speed, by the deformation alone, goes with a field's factor: a stiff region is strained less and
+    stiffens less. Cells that it fills in part do so in part, and pixels average them.
+
+    factor (n_cells,) : mean of the field over each cell; slope : of ln speed by it
+    """
+
+    factor: Array
+    slope: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +77,16 @@ class ScannerView:
         """ln mean speeds (n_parts,) of speeds at cells (n_cells,), the law's stiffnesses times fields."""
         return self.with_fields(self.averages(speed_m_per_s), stiffness)
 
-    def with_fields(self, at_pixels: Array, stiffness: Sequence[Stiffness]) -> Array:
-        """The same of speeds at pixels (n_pixels,)."""
+    def with_fields(
+        self, at_pixels: Array, stiffness: Sequence[Stiffness], beside: Beside | None = None
+    ) -> Array:
+        """The same of speeds at pixels (n_pixels,). beside : how speeds go with the fields, at this depth"""
         speed = at_pixels
+        if beside is not None:
+            factor = _product([each(self.places) for each in stiffness])
+            apart = factor - np.nan_to_num(self.averages(beside.factor), nan=1.0)[:, None]
+            rise = np.clip(beside.slope * apart, -_MOST_RISE, _MOST_RISE)
+            return self.region.log_means_of(speed * ((np.sqrt(factor) * np.exp(rise)) @ self.weight))
         for each in stiffness:
             speed = speed * (np.sqrt(each(self.places)) @ self.weight)
         return self.region.log_means_of(speed)
@@ -146,8 +168,63 @@ def frozen_speed(
     stiffness: Sequence[Stiffness] = (),
     *,
     density_kg_per_m3: float,
+    beside: Sequence[Beside] = (),
 ) -> Array:
-    """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation."""
+    """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation.
+
+    beside : at every depth, where the deformation is one with the fields in it (see `speeds_beside`)
+    """
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)
-    rows = [seen.with_fields(row, stiffness) for seen, row in zip(kinematics.seen, speeds, strict=True)]
+    slopes: Sequence[Beside | None] = beside or [None] * len(speeds)
+    rows = [
+        seen.with_fields(row, stiffness, slope)
+        for seen, row, slope in zip(kinematics.seen, speeds, slopes, strict=True)
+    ]
     return np.array(rows).reshape(len(kinematics.depth), -1)
+
+
+def speeds_beside(
+    model: LimbModel, kinematics: SolvedDeformation, without: Sequence[tuple[float, SolvedDeformation]],
+    stiffness: Sequence[Stiffness], *, density_kg_per_m3: float,
+) -> tuple[Beside, ...]:  # fmt: skip
+    """How speeds go with fields of stiffness, at every depth of a deformation with them in it.
+
+    Over the cells that the scanner sees, the change of ln speed by the deformation is fitted by a plane and
+    the fields' factor: the regression of Eshelby's uniform strain in an inclusion (1957, Proc. R. Soc. A 241,
+    376-396) on the part of it in each cell.
+
+    model : without the fields; without : deformations without them on the same cells, and the weight of each
+    Empty where none is on these cells.
+    """
+    same = [(w, each) for w, each in without if len(each.volume) == len(kinematics.volume)]
+    if not same:
+        return ()
+    factor = _product([cell_means(model, each) for each in stiffness])
+    rest = model.mesh.points[tissue_block(model).cells].mean(axis=1)
+    found = []
+    for k, seen in enumerate(kinematics.seen):
+        cells = np.unique(seen.averages.index)
+
+        def ln_speed(F: Array, cells: IntArray = cells) -> Array:
+            speed = block_speeds(model, TISSUE, F[cells], cells, density_kg_per_m3=density_kg_per_m3)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                return np.log(speed)
+
+        change = ln_speed(kinematics.gradient[k])
+        for w, each in same:
+            change = change - w * ln_speed(each.gradient[min(k, len(each.gradient) - 1)])
+        plane = np.column_stack([np.ones(len(cells)), rest[cells][:, [0, 2]], factor[cells] - 1.0])
+        known = np.isfinite(change)
+        root = np.sqrt(kinematics.volume[cells][known])[:, None]
+        slope = 0.0
+        if known.sum() > plane.shape[1] and np.ptp(factor[cells][known]) > _EVEN:
+            slope = float(np.linalg.lstsq(root * plane[known], root[:, 0] * change[known], rcond=None)[0][-1])
+        found.append(Beside(factor, slope))
+    return tuple(found)
+
+
+def _product(fields: Sequence[Array]) -> Array:
+    out = np.ones_like(fields[0])
+    for each in fields:
+        out = out * each
+    return out

@@ -76,7 +76,7 @@ def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
     jacobian = np.column_stack([rng.standard_normal((30, 2)), np.zeros(30)])
     values = {"c_kpa": 7.0, "m": 20.0, "tilt_about_short_axis_deg": 6.0, "tilt_about_long_axis_deg": 0.5}
     fitted = Fitted(("tilt",), np.zeros(30), jacobian, ("c",), values, tuple(values)[2:])
-    found = refitted_sizes(fitted, jacobian, 4.0)
+    found = refitted_sizes(fitted, jacobian, 4.0, np.zeros((30, 30)))
     deviation = 2.0 * np.sqrt(np.linalg.inv(jacobian[:, :2].T @ jacobian[:, :2])[1, 1])
     low, high = found.intervals["tilt_about_short_axis_deg"]
     assert (low, high) == pytest.approx((6.0 - 1.96 * deviation, 6.0 + 1.96 * deviation))
@@ -84,6 +84,27 @@ def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
     told = reported_sizes(KNOWN, {}, 8.0, {"tilt": found})["tilt"]
     assert told["about_short_axis_deg"] == pytest.approx((low, high))
     assert told["about_long_axis_deg"] == (None, None)
+
+
+def test_an_error_of_the_form_widens_what_a_refit_tells_by_its_own_size(rng):
+    """By a fifth of the effect, alike in all data: a fifth of its size."""
+    column = rng.standard_normal(30)
+    values = {"c_kpa": 7.0, "m": 4.0, "log_inclusion_ratio": 1.2}
+    fitted = Fitted(("inclusion",), np.zeros(30), column[:, None], (), values, ("log_inclusion_ratio",))
+    change = 0.2 * 1.2 * column
+    found = refitted_sizes(fitted, column[:, None], 1.0, np.outer(change, change))
+    low, high = found.intervals["log_inclusion_ratio"]
+    assert 0.5 * (low + high) == pytest.approx(1.2)
+    assert high - low == pytest.approx(2 * 1.96 * np.hypot(1 / np.linalg.norm(column), 0.2 * 1.2))
+    doubted = refitted_sizes(fitted, column[:, None], 1.0, np.outer(change, change), 1.5)
+    assert np.ptp(doubted.intervals["log_inclusion_ratio"]) == pytest.approx(1.5 * (high - low))
+
+
+def test_what_a_refit_tells_holds_a_profile_of_the_same_parameters_too():
+    sizes = RefittedSizes({"c_kpa": 9.0}, {"force_zero_n": (0.2, 0.6), "weight_q": (0.1, 0.2)})
+    found = sizes.holding({"force_zero_n": (0.3, 0.9), "m": (2.0, 5.0)})
+    assert found.intervals == {"force_zero_n": (0.2, 0.9), "weight_q": (0.1, 0.2)}
+    assert found.values == sizes.values
 
 
 def test_what_is_told_holds_the_first_order_and_the_refit_with_its_own_c():

@@ -13,7 +13,7 @@ from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_prop
 from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
@@ -70,19 +70,17 @@ class Account:
         )
 
     def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
-        """Of every effect that alone was refitted within its bounds; as in `shrink` where it is there."""
-        found = {}
+        """Of every effect that alone was refitted within its bounds; with what `shrink` tells, where it is
+        there: its profile over m follows bends that the sensitivities do not."""
+        found, whiten, doubt = {}, self.baseline.whiten, self.baseline.forward_model.doubt
         for each in refits.known.values() if refits else ():
             if len(each.explanation) != 1 or each.fitted.at_bound:
                 continue
             name, fitted = each.explanation[0], each.fitted
+            form = whiten(whiten(self.baseline.form_error(fitted)).T)
+            sizes = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state), form, doubt)
             told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
-            if told is not None:
-                ends = {k: told.intervals[k] for k in fitted.effect_names if k in told.intervals}
-                found[name] = RefittedSizes(told.values, ends)
-                continue
-            whiten = Whitener.of(self.baseline.data.noise.covariance + self.baseline.form_error(fitted))
-            found[name] = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state))
+            found[name] = sizes if told is None else sizes.holding(told.intervals)
         return found
 
     def _scale(self, state: LinearFit) -> float:

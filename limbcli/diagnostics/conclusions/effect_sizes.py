@@ -9,7 +9,7 @@ data leave that side open.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,17 +28,33 @@ class RefittedSizes:
     values: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
 
+    def holding(self, others: Mapping[str, tuple[float, float]]) -> RefittedSizes:
+        """With intervals that hold those of the same name, too."""
+        ends = {
+            name: (min(low, others[name][0]), max(high, others[name][1])) if name in others else (low, high)
+            for name, (low, high) in self.intervals.items()
+        }
+        return replace(self, intervals=ends)
 
-def refitted_sizes(fitted: Fitted, jacobian: Array, scale: float) -> RefittedSizes:
-    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 deviations.
+
+def refitted_sizes(
+    fitted: Fitted, jacobian: Array, scale: float, form: Array, doubt: float = 1.0
+) -> RefittedSizes:
+    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 `doubt` deviations.
+
+    The refit weighs the data by their noise alone, and the error of the effect's form only widens what it
+    tells: weights by an error that grows with the effect itself would leave most to the data that show least
+    of it, and find it smaller than it is (Peelle's puzzle; Fruehwirth, Neudecker and Leeb 2012, EPJ Web of
+    Conferences 27:00008).
 
     jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
-    the level of the noise is not known, else 1. Infinite where the data do not tell a parameter.
+    the level of the noise is not known, else 1; form (n, n) : covariance of the form's error, whitened.
+    Infinite where the data do not tell a parameter.
     """
-    spread = np.sqrt(scale) * _deviations(jacobian)
+    spread = _deviations(jacobian, scale * np.eye(len(jacobian)) + form)
     intervals = {}
     for name, each in zip(fitted.effect_names, spread[len(fitted.base_names) :], strict=True):
-        reach = thresholds.SIZE_WITHIN * float(each)
+        reach = doubt * thresholds.SIZE_WITHIN * float(each)
         intervals[name] = fitted.values[name] - reach, fitted.values[name] + reach
     return RefittedSizes(fitted.values, intervals)
 
@@ -60,11 +76,15 @@ def _sizes(state: LinearFit, tested: Tested) -> dict[str, tuple[float, float]]:
     }
 
 
-def _deviations(columns: Array) -> Array:
-    """Of estimates (p,) by least squares, from whitened sensitivities (n, p); infinite where these are 0."""
+def _deviations(columns: Array, covariance: Array | None = None) -> Array:
+    """Of estimates (p,) by least squares, from whitened sensitivities (n, p); infinite where these are 0.
+
+    covariance (n, n) : of the whitened data, where it is not 1
+    """
     lengths = np.linalg.norm(columns, axis=0)
     seen = lengths > 0
     found = np.full(len(lengths), np.inf)
-    unit = columns[:, seen] / lengths[seen]
-    found[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(unit.T @ unit)), 0.0)) / lengths[seen]
+    inverse = np.linalg.pinv(columns[:, seen] / lengths[seen])
+    spread = inverse @ inverse.T if covariance is None else inverse @ covariance @ inverse.T
+    found[seen] = np.sqrt(np.maximum(np.diag(spread), 0.0)) / lengths[seen]
     return found

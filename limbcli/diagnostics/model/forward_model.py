@@ -133,6 +133,11 @@ class ForwardModel(Protocol):
     @property
     def candidates(self) -> Sequence[Facts]: ...
 
+    @property
+    def doubt(self) -> float:
+        """Times which intervals are widened, as errors of the model are taken at their likeliest."""
+        ...
+
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit the model with these effects in it; `start`: first guesses of effect parameters.
 

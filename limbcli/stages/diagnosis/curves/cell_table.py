@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.effects.curves import Curves
-from limbcli.effects.frozen import SolvedDeformation, frozen_speed
+from limbcli.effects.frozen import SolvedDeformation, frozen_speed, speeds_beside
 from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
@@ -50,11 +50,13 @@ class CellTable:
 
     def curves(
         self, model: LimbModel, in_window: LimbModel, kinematics: SolvedDeformation, forces: Array,
-        stiffness: Sequence[Stiffness] = (),
+        stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
     ) -> Curves:  # fmt: skip
         """Forces (N, n) and speeds over depths; in_window: the model as the waves meet it, but for
-        `stiffness`, fields that multiply its stiffnesses."""
-        speeds = frozen_speed(in_window, kinematics, stiffness, density_kg_per_m3=self.density_kg_per_m3)
+        `stiffness`, fields that multiply its stiffnesses; without: see `speeds_beside`."""
+        density = self.density_kg_per_m3
+        beside = speeds_beside(in_window, kinematics, without, stiffness, density_kg_per_m3=density)
+        speeds = frozen_speed(in_window, kinematics, stiffness, density_kg_per_m3=density, beside=beside)
         return Curves(
             kinematics.depth, np.concatenate([[0.0], forces]), speeds, self.windows.depths, thickness(model)
         )

@@ -7,6 +7,7 @@ own mesh was run, the ratio of the two corrects force and speed.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -27,6 +28,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
 from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
 from limbcli.stages.diagnosis.curves.curve_plan import LevelsAt, Reach, Solving
+from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.ingredients import (
     Ingredients,
     fields,
@@ -34,7 +36,7 @@ from limbcli.stages.diagnosis.curves.ingredients import (
     is_numerical,
     touches_loads,
 )
-from limbcli.stages.diagnosis.curves.keys import changed_to, fingerprint
+from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
 from limbcli.stages.diagnosis.curves.store import CurveStore
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -264,9 +266,10 @@ class CurveBook:
             model, np.concatenate([[0.0], result.must_points.depths + offset]), values
         )
         laws = tuple(each for each in ingredients if each[0].stiffness is None)
+        seen = fields(ingredients, waves=True)
         curves = self._table.curves(
-            model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces,
-            fields(ingredients, waves=True),
+            model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces, seen,
+            self._without(m) if seen else (),
         )  # fmt: skip
         if self.borders is not None:
             curves = replace(curves, log_line=self.borders.log_depths(model, result.simulation, found))
@@ -290,6 +293,19 @@ class CurveBook:
             self._tell(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
+
+    def _without(self, m: float) -> list[tuple[float, SolvedDeformation]]:
+        """Deformations without effects at the exponents that every diagnosis solves, and what each counts at
+        this one; those that have an answer."""
+        found = []
+        for first in sorted(FIRST_M):
+            with contextlib.suppress(SolveError):
+                found.append((first, self.kinematics(first)))
+        if len(found) < len(FIRST_M):
+            return [(1.0, each) for _, each in found[:1]]
+        (low, softer), (high, stiffer) = found
+        share = float(np.clip((bend(m) - bend(low)) / (bend(high) - bend(low)), 0.0, 1.0))
+        return [(1.0 - share, softer), (share, stiffer)]
 
     def _elsewhere(self, levels: LevelsAt, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
         """Levels on another mesh, at this model's times of the same depths."""
@@ -350,6 +366,8 @@ class CurveBook:
             [effect.name, {k: round(float(v), 9) for k, v in sorted(theta.items())}]
             for effect, theta in ingredients
         ]
+        if fields(ingredients, waves=True):
+            parts.append(["read", {"fields": READING_OF_FIELDS}])
         text = json.dumps([self._fingerprint, round(m, 9), parts], sort_keys=True)
         if ingredients and text not in self._changed:
             self._changed[text] = changed_to(

@@ -15,6 +15,7 @@ from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
 
 _READING = 2  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
+READING_OF_FIELDS = 2  # the same of those with an effect that is a factor on stiffnesses
 
 
 def changed_to(*models: LimbModel) -> str:

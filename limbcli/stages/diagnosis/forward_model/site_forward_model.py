@@ -84,6 +84,10 @@ class SiteForwardModel(Fits):
             for e in self.effects.values()
         ]  # fmt: skip
 
+    @property
+    def doubt(self) -> float:
+        return thresholds.MAP_DOUBT if IN_MAPS in self.data.noise.names else 1.0
+
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Least squares over c, m and the effects' parameters, at every point of the effects' grids."""
         if not explanation:
@@ -114,9 +118,7 @@ class SiteForwardModel(Fits):
         limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
         limits["c_kpa"] = kpa_from_mpa(np.exp(ln_low)), kpa_from_mpa(np.exp(ln_high))
         limits["m"] = M_BOUNDS
-        if IN_MAPS in self.data.noise.names:
-            found = found.widened(thresholds.MAP_DOUBT)
-        return found.within(limits)
+        return found.widened(self.doubt).within(limits)
 
     def verified(self, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most

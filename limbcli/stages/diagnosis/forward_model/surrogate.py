@@ -21,10 +21,11 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
+from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs, without_spikes
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}

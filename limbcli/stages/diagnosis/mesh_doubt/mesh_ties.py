@@ -17,7 +17,8 @@ from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, bend, own_curves
+from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves
 
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
 # h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
