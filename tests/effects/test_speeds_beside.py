@@ -56,7 +56,7 @@ def test_the_slope_is_that_of_a_strain_in_proportion_to_each_cells_part(speeds_o
     """Beside a plane across the image and what two deformations without it have between them."""
     x, _, z = MIDDLES.T
     part = cell_means(MODEL, stiff) - 1.0
-    low, high = 0.9 + 0.001 * z, 0.7 - 0.002 * z
+    low, high = 0.9 + 0.001 * z, 0.7 - 0.002 * z + 0.02 * part
     base = 0.25 * low + 0.75 * high + 0.01 + 0.0005 * x
     found = speeds_beside(
         MODEL, deformed(base, base - 0.06 * part), [(0.25, deformed(low, low)), (0.75, deformed(high, high))],
