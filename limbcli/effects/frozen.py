@@ -15,6 +15,7 @@ Source: Bonnans & Shapiro 2000, Perturbation Analysis of Optimization Problems, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -29,8 +30,8 @@ from limbcli.materials.energy import program_energy
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.speed import block_speeds
 
-_EVEN = 1e-3  # range of a factor below which nothing goes with it
-_MOST_RISE = 0.7  # of ln speed, by a slope over a stiffness that cells only have in part
+_UNIFORM = 1e-3  # range of the factor over the cells below which no slope is fitted
+_LARGEST_CORRECTION = 0.7  # of ln speed, between a cell's mean factor and that at a place
 
 
 class Averages(Protocol):
@@ -49,11 +50,11 @@ class SpeedRegion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """How ln speed, by the deformation alone, goes with a field's factor: a stiff region is strained less and
-    stiffens less. Cells that it fills in part do so in part, and pixels average them.
+class StrainConcentration:
+    """What a region's other strain does to ln speed: a stiff one is strained less, and stiffens less.
 
-    factor (n_cells,) : mean of the field over each cell; slope : of ln speed by it
+    factor (n_cells,) : mean over each cell of the stiffness' factor, of which pixels average several; slope :
+    of ln speed by it, through the deformation alone
     """
 
     factor: Array
@@ -78,18 +79,21 @@ class ScannerView:
         return self.with_fields(self.averages(speed_m_per_s), stiffness)
 
     def with_fields(
-        self, at_pixels: Array, stiffness: Sequence[Stiffness], beside: Beside | None = None
+        self,
+        at_pixels: Array,
+        stiffness: Sequence[Stiffness],
+        concentration: StrainConcentration | None = None,
     ) -> Array:
-        """The same of speeds at pixels (n_pixels,). beside : how speeds go with the fields, at this depth"""
-        speed = at_pixels
-        if beside is not None:
-            factor = _product([each(self.places) for each in stiffness])
-            apart = factor - np.nan_to_num(self.averages(beside.factor), nan=1.0)[:, None]
-            rise = np.clip(beside.slope * apart, -_MOST_RISE, _MOST_RISE)
-            return self.region.log_means_of(speed * ((np.sqrt(factor) * np.exp(rise)) @ self.weight))
-        for each in stiffness:
-            speed = speed * (np.sqrt(each(self.places)) @ self.weight)
-        return self.region.log_means_of(speed)
+        """The same of speeds at pixels (n_pixels,). concentration : of these fields, at this depth"""
+        if not stiffness:
+            return self.region.log_means_of(at_pixels)
+        factor = np.asarray(math.prod(each(self.places) for each in stiffness))
+        times = np.sqrt(factor)
+        if concentration is not None:
+            mean = np.nan_to_num(self.averages(concentration.factor), nan=1.0)
+            change = concentration.slope * (factor - mean[:, None])
+            times = times * np.exp(np.clip(change, -_LARGEST_CORRECTION, _LARGEST_CORRECTION))
+        return self.region.log_means_of(at_pixels * (times @ self.weight))
 
 
 @dataclass(eq=False)
@@ -152,10 +156,7 @@ def frozen_force(
     stiffness : fields that all of the model's stiffnesses are multiplied with
     """
     energies = kinematics.cell_energies(model)
-    share = np.ones(energies.shape[1])
-    for each in stiffness:
-        share = share * cell_means(model, each)
-    total = energies @ share
+    total = energies @ _cell_factor(model, stiffness, energies.shape[1])
     if not np.isfinite(total).all():
         return np.full(len(kinematics.depth), np.nan)
     curve = CubicSpline(kinematics.depth, total)
@@ -168,26 +169,26 @@ def frozen_speed(
     stiffness: Sequence[Stiffness] = (),
     *,
     density_kg_per_m3: float,
-    beside: Sequence[Beside] = (),
+    concentrations: Sequence[StrainConcentration] = (),
 ) -> Array:
     """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation.
 
-    beside : at every depth, where the deformation is one with the fields in it (see `speeds_beside`)
+    concentrations : at every depth, where the deformation has the fields in it (see `strain_concentrations`)
     """
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)
-    slopes: Sequence[Beside | None] = beside or [None] * len(speeds)
+    each_depth: Sequence[StrainConcentration | None] = concentrations or [None] * len(speeds)
     rows = [
-        seen.with_fields(row, stiffness, slope)
-        for seen, row, slope in zip(kinematics.seen, speeds, slopes, strict=True)
+        seen.with_fields(row, stiffness, concentration)
+        for seen, row, concentration in zip(kinematics.seen, speeds, each_depth, strict=True)
     ]
     return np.array(rows).reshape(len(kinematics.depth), -1)
 
 
-def speeds_beside(
+def strain_concentrations(
     model: LimbModel, kinematics: SolvedDeformation, without: Sequence[tuple[float, SolvedDeformation]],
     stiffness: Sequence[Stiffness], *, density_kg_per_m3: float,
-) -> tuple[Beside, ...]:  # fmt: skip
-    """How speeds go with fields of stiffness, at every depth of a deformation with them in it.
+) -> tuple[StrainConcentration, ...]:  # fmt: skip
+    """Those of fields of stiffness, at every depth of a deformation with them in it.
 
     Over the cells that the scanner sees, the change of ln speed by the deformation is fitted by a plane and
     the fields' factor: the regression of Eshelby's uniform strain in an inclusion (1957, Proc. R. Soc. A 241,
@@ -199,7 +200,7 @@ def speeds_beside(
     same = [(w, each) for w, each in without if len(each.volume) == len(kinematics.volume)]
     if not same:
         return ()
-    factor = _product([cell_means(model, each) for each in stiffness])
+    factor = _cell_factor(model, stiffness, len(kinematics.volume))
     rest = model.mesh.points[tissue_block(model).cells].mean(axis=1)
     found = []
     for k, seen in enumerate(kinematics.seen):
@@ -213,18 +214,17 @@ def speeds_beside(
         change = ln_speed(kinematics.gradient[k])
         for w, each in same:
             change = change - w * ln_speed(each.gradient[min(k, len(each.gradient) - 1)])
-        plane = np.column_stack([np.ones(len(cells)), rest[cells][:, [0, 2]], factor[cells] - 1.0])
+        design = np.column_stack([np.ones(len(cells)), rest[cells][:, [0, 2]], factor[cells] - 1.0])
         known = np.isfinite(change)
         root = np.sqrt(kinematics.volume[cells][known])[:, None]
         slope = 0.0
-        if known.sum() > plane.shape[1] and np.ptp(factor[cells][known]) > _EVEN:
-            slope = float(np.linalg.lstsq(root * plane[known], root[:, 0] * change[known], rcond=None)[0][-1])
-        found.append(Beside(factor, slope))
+        if known.sum() > design.shape[1] and np.ptp(factor[cells][known]) > _UNIFORM:
+            fitted = np.linalg.lstsq(root * design[known], root[:, 0] * change[known], rcond=None)[0]
+            slope = float(fitted[-1])
+        found.append(StrainConcentration(factor, slope))
     return tuple(found)
 
 
-def _product(fields: Sequence[Array]) -> Array:
-    out = np.ones_like(fields[0])
-    for each in fields:
-        out = out * each
-    return out
+def _cell_factor(model: LimbModel, stiffness: Sequence[Stiffness], n_cells: int) -> Array:
+    """(n_cells,) by which all these fields together multiply the stiffnesses of each cell, in the mean."""
+    return np.asarray(math.prod((cell_means(model, each) for each in stiffness), start=np.ones(n_cells)))

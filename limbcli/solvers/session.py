@@ -74,7 +74,8 @@ class ReferenceSession:
     threads : of the linear solver
     linear : "auto", or one of the direct solvers by name
     tolerance : residual over the forces at play, at which a level has converged
-    stalled : residual that will do where iterations no longer lessen it; 0: none beyond the tolerance
+    stalled : residual that will do where iterations no longer lessen it; 0: none beyond the tolerance,
+        or with friction a hundred times it
     body : whose force is meant; by default the body of the first contact
 
     Raises

@@ -102,7 +102,7 @@ def test_an_error_of_the_form_widens_what_a_refit_tells_by_its_own_size(rng):
 
 def test_what_a_refit_tells_holds_a_profile_of_the_same_parameters_too():
     sizes = RefittedSizes({"c_kpa": 9.0}, {"force_zero_n": (0.2, 0.6), "weight_q": (0.1, 0.2)})
-    found = sizes.holding({"force_zero_n": (0.3, 0.9), "m": (2.0, 5.0)})
+    found = sizes.hull_with({"force_zero_n": (0.3, 0.9), "m": (2.0, 5.0)})
     assert found.intervals == {"force_zero_n": (0.2, 0.9), "weight_q": (0.1, 0.2)}
     assert found.values == sizes.values
 

@@ -57,7 +57,7 @@ class Toy:
     failing: str = ""
     roomy: float | None = None  # deviation of a prior that keeps every effect's size near 0
     readings: frozenset[str] = frozenset()  # effects that need no simulation
-    doubt: float = 1.0
+    interval_widening: float = 1.0
 
     @property
     def data(self) -> Data:

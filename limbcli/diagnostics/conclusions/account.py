@@ -72,15 +72,15 @@ class Account:
     def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
         """Of every effect that alone was refitted within its bounds; with what `shrink` tells, where it is
         there: its profile over m follows bends that the sensitivities do not."""
-        found, whiten, doubt = {}, self.baseline.whiten, self.baseline.forward_model.doubt
+        found, whiten, widening = {}, self.baseline.whiten, self.baseline.forward_model.interval_widening
         for each in refits.known.values() if refits else ():
             if len(each.explanation) != 1 or each.fitted.at_bound:
                 continue
             name, fitted = each.explanation[0], each.fitted
             form = whiten(whiten(self.baseline.form_error(fitted)).T)
-            sizes = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state), form, doubt)
+            sizes = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state), form, widening)
             told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
-            found[name] = sizes if told is None else sizes.holding(told.intervals)
+            found[name] = sizes if told is None else sizes.hull_with(told.intervals)
         return found
 
     def _scale(self, state: LinearFit) -> float:

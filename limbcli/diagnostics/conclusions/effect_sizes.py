@@ -28,8 +28,8 @@ class RefittedSizes:
     values: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
 
-    def holding(self, others: Mapping[str, tuple[float, float]]) -> RefittedSizes:
-        """With intervals that hold those of the same name, too."""
+    def hull_with(self, others: Mapping[str, tuple[float, float]]) -> RefittedSizes:
+        """Each interval the smallest that holds both its own and that of the same name there."""
         ends = {
             name: (min(low, others[name][0]), max(high, others[name][1])) if name in others else (low, high)
             for name, (low, high) in self.intervals.items()
@@ -38,14 +38,14 @@ class RefittedSizes:
 
 
 def refitted_sizes(
-    fitted: Fitted, jacobian: Array, scale: float, form: Array, doubt: float = 1.0
+    fitted: Fitted, jacobian: Array, scale: float, form: Array, widening: float = 1.0
 ) -> RefittedSizes:
-    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 `doubt` deviations.
+    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 `widening` deviations.
 
     The refit weighs the data by their noise alone, and the error of the effect's form only widens what it
     tells: weights by an error that grows with the effect itself would leave most to the data that show least
-    of it, and find it smaller than it is (Peelle's puzzle; Fruehwirth, Neudecker and Leeb 2012, EPJ Web of
-    Conferences 27:00008).
+    of it, and find it smaller than it is (Peelle's pertinent puzzle; Fruehwirth, Neudecker and
+    Leeb 2012, EPJ Web of Conferences 27:00008).
 
     jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
     the level of the noise is not known, else 1; form (n, n) : covariance of the form's error, whitened.
@@ -54,7 +54,7 @@ def refitted_sizes(
     spread = _deviations(jacobian, scale * np.eye(len(jacobian)) + form)
     intervals = {}
     for name, each in zip(fitted.effect_names, spread[len(fitted.base_names) :], strict=True):
-        reach = doubt * thresholds.SIZE_WITHIN * float(each)
+        reach = widening * thresholds.SIZE_WITHIN * float(each)
         intervals[name] = fitted.values[name] - reach, fitted.values[name] + reach
     return RefittedSizes(fitted.values, intervals)
 

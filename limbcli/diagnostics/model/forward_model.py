@@ -134,7 +134,7 @@ class ForwardModel(Protocol):
     def candidates(self) -> Sequence[Facts]: ...
 
     @property
-    def doubt(self) -> float:
+    def interval_widening(self) -> float:
         """Times which intervals are widened, as errors of the model are taken at their likeliest."""
         ...
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.effects.curves import Curves
-from limbcli.effects.frozen import SolvedDeformation, frozen_speed, speeds_beside
+from limbcli.effects.frozen import SolvedDeformation, frozen_speed, strain_concentrations
 from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
@@ -53,10 +53,14 @@ class CellTable:
         stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
     ) -> Curves:  # fmt: skip
         """Forces (N, n) and speeds over depths; in_window: the model as the waves meet it, but for
-        `stiffness`, fields that multiply its stiffnesses; without: see `speeds_beside`."""
+        `stiffness`, fields that multiply its stiffnesses; without: see `strain_concentrations`."""
         density = self.density_kg_per_m3
-        beside = speeds_beside(in_window, kinematics, without, stiffness, density_kg_per_m3=density)
-        speeds = frozen_speed(in_window, kinematics, stiffness, density_kg_per_m3=density, beside=beside)
+        concentrations = strain_concentrations(
+            in_window, kinematics, without, stiffness, density_kg_per_m3=density
+        )
+        speeds = frozen_speed(
+            in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
+        )
         return Curves(
             kinematics.depth, np.concatenate([[0.0], forces]), speeds, self.windows.depths, thickness(model)
         )

@@ -269,7 +269,7 @@ class CurveBook:
         seen = fields(ingredients, waves=True)
         curves = self._table.curves(
             model, self.model_with(m, laws, waves=True), kinematics, result.must_points.forces, seen,
-            self._without(m) if seen else (),
+            self._plain_deformations(m) if seen else (),
         )  # fmt: skip
         if self.borders is not None:
             curves = replace(curves, log_line=self.borders.log_depths(model, result.simulation, found))
@@ -294,7 +294,7 @@ class CurveBook:
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
 
-    def _without(self, m: float) -> list[tuple[float, SolvedDeformation]]:
+    def _plain_deformations(self, m: float) -> list[tuple[float, SolvedDeformation]]:
         """Deformations without effects at the exponents that every diagnosis solves, and what each counts at
         this one; those that have an answer."""
         found = []

@@ -85,7 +85,7 @@ class SiteForwardModel(Fits):
         ]  # fmt: skip
 
     @property
-    def doubt(self) -> float:
+    def interval_widening(self) -> float:
         return thresholds.MAP_DOUBT if IN_MAPS in self.data.noise.names else 1.0
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
@@ -118,7 +118,7 @@ class SiteForwardModel(Fits):
         limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
         limits["c_kpa"] = kpa_from_mpa(np.exp(ln_low)), kpa_from_mpa(np.exp(ln_high))
         limits["m"] = M_BOUNDS
-        return found.widened(self.doubt).within(limits)
+        return found.widened(self.interval_widening).within(limits)
 
     def verified(self, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most

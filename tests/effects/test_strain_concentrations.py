@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from limbcli.effects import frozen
-from limbcli.effects.frozen import Beside, ScannerView, SolvedDeformation, frozen_speed, speeds_beside
+from limbcli.effects.frozen import (
+    ScannerView,
+    SolvedDeformation,
+    StrainConcentration,
+    frozen_speed,
+    strain_concentrations,
+)
 from limbcli.effects.places import Places, cell_means
 from tests.diagnostics.reduced import block_model
 
@@ -58,7 +64,7 @@ def test_the_slope_is_that_of_a_strain_in_proportion_to_each_cells_part(speeds_o
     part = cell_means(MODEL, stiff) - 1.0
     low, high = 0.9 + 0.001 * z, 0.7 - 0.002 * z + 0.02 * part
     base = 0.25 * low + 0.75 * high + 0.01 + 0.0005 * x
-    found = speeds_beside(
+    found = strain_concentrations(
         MODEL, deformed(base, base - 0.06 * part), [(0.25, deformed(low, low)), (0.75, deformed(high, high))],
         [stiff], density_kg_per_m3=1000.0,
     )  # fmt: skip
@@ -69,7 +75,7 @@ def test_the_slope_is_that_of_a_strain_in_proportion_to_each_cells_part(speeds_o
 def test_deformations_of_other_cells_tell_nothing(speeds_of_stretch):
     other = SolvedDeformation(np.zeros(1), np.zeros((1, 3, 3, 3)), np.ones(3))
     flat = deformed(np.ones(len(CELLS)))
-    assert speeds_beside(MODEL, flat, [(1.0, other)], [stiff], density_kg_per_m3=1000.0) == ()
+    assert strain_concentrations(MODEL, flat, [(1.0, other)], [stiff], density_kg_per_m3=1000.0) == ()
 
 
 def test_a_pixel_in_a_cell_that_is_filled_in_part_is_read_as_what_is_there(speeds_of_stretch):
@@ -82,6 +88,8 @@ def test_a_pixel_in_a_cell_that_is_filled_in_part_is_read_as_what_is_there(speed
     expected = there + 0.5 * np.log(stiff(SimpleNamespace(at=MIDDLES)))
     plain = frozen_speed(MODEL, deformation, [stiff], density_kg_per_m3=1000.0)[0]
     assert np.abs(plain - expected)[mixed].max() > 0.05
-    beside = [Beside(part + 1.0, -0.05)]
-    found = frozen_speed(MODEL, deformation, [stiff], density_kg_per_m3=1000.0, beside=beside)[0]
+    concentrations = [StrainConcentration(part + 1.0, -0.05)]
+    found = frozen_speed(
+        MODEL, deformation, [stiff], density_kg_per_m3=1000.0, concentrations=concentrations
+    )[0]
     assert found == pytest.approx(expected, abs=1e-9)
