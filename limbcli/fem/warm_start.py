@@ -46,12 +46,19 @@ class WarmStart:
         self._base: Solved | None = None
         self._values: Mapping[Key, float] = {}
 
+    @staticmethod
+    def by(solved: Solved) -> WarmStart:
+        """From these levels alone."""
+        found = WarmStart()
+        found.keep(solved)
+        return found
+
     def keep(self, solved: Solved) -> None:
         self._solved = [*self._solved[-(_KEPT - 1) :], solved]
 
     @property
-    def last(self) -> Solved | None:
-        return self._solved[-1] if self._solved else None
+    def is_empty(self) -> bool:
+        return not self._solved
 
     def at(self, values: Mapping[Key, float]) -> None:
         """Set the parameter values that guesses are wanted for."""

@@ -98,7 +98,10 @@ def cost(sizes: Array, sites: list[Off]) -> float:
         found += in_level**2 * np.outer(each.strain**2, each.strain**2)
         found *= alike ** np.abs(np.subtract.outer(each.level, each.level))
         found += growth**2 * np.outer(each.rise, each.rise) + np.eye(len(x)) * noise._RESOLVED**2
-        factor = cho_factor(found, lower=True)
+        try:
+            factor = cho_factor(found, lower=True)
+        except np.linalg.LinAlgError:  # errors that are all but one another's copies
+            return np.inf
         total += 0.5 * each.off @ cho_solve(factor, each.off) + np.log(np.diag(factor[0])).sum()
     return float(total)
 

@@ -30,7 +30,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.stages.diagnosis.curves.cells import softer_jumps
+from limbcli.stages.diagnosis.curves.lighter_models import softer_jumps
 from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
@@ -167,7 +167,7 @@ class LawCurve:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
         if not self._law.has_fibres:
             return self._session.solve(model, **asked)
-        if self._session.led is not None:
+        if self._session.has_levels:
             with suppress(SolveError):
                 return self._session.solve(self._eased(model), patient=False, **asked)
         self._session.solve(softer_jumps(model))
