@@ -248,7 +248,7 @@ class CurveBook:
                     last=None if m == USUAL_M and not ingredients else hoped,
                     enough_force=self.enough_force,
                     afresh=True,
-                    led_by=self._levels_with(ingredients) if fitted else None,
+                    led_by=self._levels_with(ingredients) if fitted and not model.has_friction else None,
                 )
             finally:
                 self.work.end()
