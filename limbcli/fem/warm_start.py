@@ -57,8 +57,8 @@ class WarmStart:
         self._solved = [*self._solved[-(_KEPT - 1) :], solved]
 
     @property
-    def is_empty(self) -> bool:
-        return not self._solved
+    def last(self) -> Solved | None:
+        return self._solved[-1] if self._solved else None
 
     def at(self, values: Mapping[Key, float]) -> None:
         """Set the parameter values that guesses are wanted for."""

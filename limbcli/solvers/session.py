@@ -199,9 +199,9 @@ class ReferenceSession:
         )
 
     @property
-    def has_levels(self) -> bool:
-        """Whether there are levels of an earlier solve to start from."""
-        return self._warm is not None and not self._warm.is_empty
+    def led(self) -> Solved | None:
+        """The levels of the last solve that leads."""
+        return self._warm.last if self._warm is not None else None
 
     def lead(self, solved: Solved) -> None:
         """Take levels that an earlier session kept as those of a solve of this one."""

@@ -20,10 +20,10 @@ from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.reading import Protocol as ReadProtocol
 from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
-from limbcli.fem.elements.integration_points import IntegrationPoints
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
+from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.curves.ingredients import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 

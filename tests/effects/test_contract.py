@@ -123,7 +123,7 @@ def test_fibres_are_those_of_the_golden_model(base, golden):
 def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     """The map's share of each cell, times volume, is the volume of a layer of that thickness."""
     from limbcli.effects.places import layer_share
-    from limbcli.fem.elements.integration_points import IntegrationPoints
+    from limbcli.solvers.integration_points import IntegrationPoints
 
     share = layer_share(base, 0.0, 1.5)
     corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()

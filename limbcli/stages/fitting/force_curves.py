@@ -167,7 +167,7 @@ class LawCurve:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
         if not self._law.has_fibres:
             return self._session.solve(model, **asked)
-        if self._session.has_levels:
+        if self._session.led is not None:
             with suppress(SolveError):
                 return self._session.solve(self._eased(model), patient=False, **asked)
         self._session.solve(softer_jumps(model))

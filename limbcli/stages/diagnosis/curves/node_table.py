@@ -16,8 +16,8 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.frozen import SolvedDeformation, frozen_speed, strain_concentrations
 from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
-from limbcli.fem.elements.integration_points import IntegrationPoints
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.data.windows import Windows
 
 FILE = "displacements.csv"

@@ -1,4 +1,4 @@
-"""Where cells are integrated: places, deformation gradients and volumes there."""
+"""Where a solved mesh's cells are integrated: places, deformation gradients and volumes there."""
 
 from __future__ import annotations
 

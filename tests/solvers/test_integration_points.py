@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from limbcli.effects.frozen import SolvedDeformation
-from limbcli.fem.elements.integration_points import IntegrationPoints
 from limbcli.shear_waves.speed import block_speeds
+from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.curves.node_table import NodeTable
 from limbcli.stages.diagnosis.data.windows import Windows
 from tests.stages.block_case import block_model
