@@ -1,0 +1,89 @@
+"""c and m out of FEBio's records without noise: what the model's own error makes of them.
+
+    python tests/benchmarks/exact_fits.py [--out FOLDER] [--only h05 h13]
+
+For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and bones
+that are the files': its records without the hidden effect in place of the readings, at the depths that were
+read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
+site: ln of c and m found over the true ones, and the deviance that is left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from map_errors import SAME_BONES, SITES  # the file beside this one
+from what_maps_keep import at_forces  # the same
+
+from limbcli.case import Case
+from limbcli.effects import EFFECTS
+from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.reading import Reading
+from limbcli.progress import SILENT
+from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
+
+
+def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
+    """The site with FEBio's record of it in place of what was read."""
+    exact = dict(np.load(SITES / "exact" / f"{truth['id']}.npz"))
+    depth = exact["p1_without_map_depth_mm"]
+    force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
+    maps = [windows.log_means(each)[0] for each in at_forces(exact, "without", force[1:])]
+    at_rest = np.full(1 + windows.n_parts, 0.5 * np.log(truth["c_kpa"] / 2.0))
+    record = Curves(depth, force, np.array([at_rest, *maps]), windows.depths, truth["thickness_mm"])
+    read = np.minimum(site.protocol.depth, depth[-1])
+    borne = np.maximum(force_at(record, np.maximum(read, 0.0)), 0.0)
+    found = replace(site, protocol=replace(site.protocol, depth=read, force=borne))
+    return replace(found, data=replace(site.data, y=found.predict(record, Reading())))
+
+
+def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
+    """ln of c and of m over the true ones, chi2, number of data."""
+    case, out = Case.open(SITES / truth["id"]), folder / truth["id"]
+    if not (out / "mesh").is_dir():
+        segment(case, out=out)
+        mesh(case, out=out)
+    effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
+    prepared = prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+    try:
+        prepared.curves.site = without_noise(prepared.curves.site, prepared.book.windows, truth)
+        model = SiteForwardModel([prepared.curves])
+        model.settle_noise()
+        found = model.fit((), {})
+        off = model.whiten(model.data.y - found.prediction)
+    finally:
+        prepared.close()
+    ln_c, ln_m = (float(np.log(found.values[name] / truth[name])) for name in ("c_kpa", "m"))
+    return ln_c, ln_m, float(off @ off), len(off)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")
+    parser.add_argument("--only", nargs="*", default=SAME_BONES)
+    options = parser.parse_args()
+    truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
+    print("| site | ln c | ln m | chi2 | data |\n|-|-|-|-|-|")
+    rows = []
+    for truth in (each for each in truths if each["id"] in options.only):
+        rows.append(fitted(truth, options.out))
+        ln_c, ln_m, chi2, n = rows[-1]
+        print(f"| {truth['id']} | {ln_c:.3f} | {ln_m:.3f} | {chi2:.0f} | {n} |", flush=True)
+    ln = np.array(rows)[:, :2]
+    for name, mean, rms in zip(("c", "m"), ln.mean(axis=0), np.sqrt((ln**2).mean(axis=0)), strict=True):
+        print(f"ln {name} found less true: mean {mean:.3f}, root mean square {rms:.3f}")
+    print(f"chi2, sum: {sum(each[2] for each in rows):.0f}")
+
+
+if __name__ == "__main__":
+    main()
