@@ -17,8 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from map_errors import SAME_BONES, SITES  # the file beside this one
-from what_maps_keep import at_forces  # the same
 
 from limbcli.case import Case
 from limbcli.effects import EFFECTS
@@ -35,6 +33,9 @@ from limbcli.stages.segment import segment
 
 def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     """The site with FEBio's record of it in place of what was read."""
+    from map_errors import SITES  # the files beside this one
+    from what_maps_keep import at_forces
+
     exact = dict(np.load(SITES / "exact" / f"{truth['id']}.npz"))
     depth = exact["p1_without_map_depth_mm"]
     force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
@@ -49,6 +50,8 @@ def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
 
 def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
     """ln of c and of m over the true ones, chi2, number of data."""
+    from map_errors import SITES  # the file beside this one
+
     case, out = Case.open(SITES / truth["id"]), folder / truth["id"]
     if not (out / "mesh").is_dir():
         segment(case, out=out)
@@ -68,6 +71,8 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
 
 
 def main() -> None:
+    from map_errors import SAME_BONES, SITES  # the file beside this one
+
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")
     parser.add_argument("--only", nargs="*", default=SAME_BONES)
