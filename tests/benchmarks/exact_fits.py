@@ -18,30 +18,23 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.case import Case
-from limbcli.effects import EFFECTS
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
-from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
-from limbcli.stages.mesh import mesh
-from limbcli.stages.segment import segment
 
 
 def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     """The site with FEBio's record of it in place of what was read."""
-    from map_errors import SITES  # the files beside this one
-    from what_maps_keep import at_forces
+    from map_errors import record_of  # the file beside this one
 
-    exact = dict(np.load(SITES / "exact" / f"{truth['id']}.npz"))
-    depth = exact["p1_without_map_depth_mm"]
-    force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
-    maps = [windows.log_means(each)[0] for each in at_forces(exact, "without", force[1:])]
+    depth, force, ln_speed = record_of(truth["id"], windows)
     at_rest = np.full(1 + windows.n_parts, 0.5 * np.log(truth["c_kpa"] / 2.0))
-    record = Curves(depth, force, np.array([at_rest, *maps]), windows.depths, truth["thickness_mm"])
+    record = Curves(
+        np.r_[0.0, depth], np.r_[0.0, force], np.array([at_rest, *ln_speed]), windows.depths,
+        truth["thickness_mm"],
+    )  # fmt: skip
     read = np.minimum(site.protocol.depth, depth[-1])
     borne = np.maximum(force_at(record, np.maximum(read, 0.0)), 0.0)
     found = replace(site, protocol=replace(site.protocol, depth=read, force=borne))
@@ -50,14 +43,9 @@ def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
 
 def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
     """ln of c and of m over the true ones, chi2, number of data."""
-    from map_errors import SITES  # the file beside this one
+    from map_errors import prepared_site  # the file beside this one
 
-    case, out = Case.open(SITES / truth["id"]), folder / truth["id"]
-    if not (out / "mesh").is_dir():
-        segment(case, out=out)
-        mesh(case, out=out)
-    effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
-    prepared = prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+    prepared = prepared_site(truth["id"], folder)
     try:
         prepared.curves.site = without_noise(prepared.curves.site, prepared.book.windows, truth)
         model = SiteForwardModel([prepared.curves])

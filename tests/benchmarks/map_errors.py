@@ -29,8 +29,9 @@ from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
 from limbcli.stages.diagnosis.data import noise
+from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_doubt import model_errors
-from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
+from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 
@@ -51,25 +52,38 @@ class Off:
     rise: Array
 
 
-def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
-    """A line to print, and the differences."""
-    from what_maps_keep import at_forces  # the file beside this one
-
+def prepared_site(site: str, folder: Path) -> Prepared:
+    """As `diagnose` prepares it; segmented and meshed into `folder` unless it is."""
     case, out = Case.open(SITES / site), folder / site
     if not (out / "mesh").is_dir():
         segment(case, out=out)
         mesh(case, out=out)
-    exact = dict(np.load(SITES / "exact" / f"{site}.npz"))
     effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
-    prepared = prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+    return prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+
+
+def record_of(site: str, windows: Windows) -> tuple[Array, Array, Array]:
+    """FEBio's, without noise and without the hidden effect, where it has maps under load: depth (n,) mm,
+    force (n,) N, ln speed (n, 1 + n_parts)."""
+    from what_maps_keep import at_forces  # the file beside this one
+
+    exact = dict(np.load(SITES / "exact" / f"{site}.npz"))
+    depth = exact["p1_without_map_depth_mm"][1:]
+    force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
+    maps = at_forces(exact, "without", force)
+    return depth, force, np.array([windows.log_means(each)[0] for each in maps])
+
+
+def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
+    """A line to print, and the differences."""
+    prepared = prepared_site(site, folder)
     try:
         prepared.curves.solve_nodes(FIRST_M)
         curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
     finally:
         prepared.close()
-    windows, depth = prepared.book.windows, exact["p1_without_map_depth_mm"][1:]
-    force = np.interp(depth, exact["p1_without_depth_mm"], exact["p1_without_force_n"])
-    theirs = np.array([windows.log_means(each)[0] for each in at_forces(exact, "without", force)])
+    windows = prepared.book.windows
+    depth, force, theirs = record_of(site, windows)
     known = np.nan_to_num(curves.log_speed[:, 1:])
     rise = np.gradient(known, curves.depth, axis=0) * curves.depth[:, None]
     ours, growth = (
