@@ -20,6 +20,7 @@ from limbcli.model import Array
 
 ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no layer tells
 _FEWEST_NEGATIVE = 5
+_FIRST_SIMPLEX = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.3]])  # of ln deviation and ln mean
 _EDGES = 2.0  # root of the four marks, two an image, behind a shortening
 
 
@@ -59,15 +60,19 @@ def gaussian_part(values: Array) -> float:
     scale = float(np.mean(np.abs(values)))
     if scale == 0.0:
         return 0.0
+    relative = values / scale  # so that a search that ends at a tolerance ends alike in any unit
 
     def cost(theta: Array) -> float:
         sigma, mean = np.exp(theta)
         ratio = sigma / mean
         # ln of the density: exponential of mean `mean`, convolved with N(0, sigma^2)
-        logs = -np.log(mean) + 0.5 * ratio**2 - values / mean + log_ndtr(values / sigma - ratio)
+        logs = -np.log(mean) + 0.5 * ratio**2 - relative / mean + log_ndtr(relative / sigma - ratio)
         return -float(logs.mean())
 
-    negative = values[values < 0]
-    start = float(np.sqrt(np.mean(negative**2))) if len(negative) else 0.1 * scale
-    best = minimize(cost, np.log([max(start, 1e-4 * scale), scale]), method="Nelder-Mead")
-    return float(np.exp(best.x[0]))
+    negative = relative[relative < 0]
+    start = float(np.sqrt(np.mean(negative**2))) if len(negative) else 0.1
+    first = np.array([np.log(max(start, 1e-4)), 0.0])
+    best = minimize(cost, first, method="Nelder-Mead", options={
+        "initial_simplex": first + _FIRST_SIMPLEX, "xatol": 1e-4, "fatol": 1e-9,
+    })  # fmt: skip
+    return scale * float(np.exp(best.x[0]))

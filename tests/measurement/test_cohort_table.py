@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from limbcli.measurement.cohort_checks import checked_cohort
@@ -160,10 +160,11 @@ def test_incomplete_rows_are_left_out_and_unknown_columns_told(tmp_path):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.02, 0.3))
+@example(4350445, 0.29419296050523686)  # a search that stopped too soon, elsewhere in another unit
 def test_noise_scales_with_the_marks(seed, sigma):
     rng = np.random.default_rng(seed)
     values = rng.exponential(1.0, 400) + rng.normal(0, sigma, 400)
-    assert gaussian_part(3.0 * values) == pytest.approx(3.0 * gaussian_part(values), rel=0.02)
+    assert gaussian_part(3.0 * values) == pytest.approx(3.0 * gaussian_part(values), rel=1e-9)
 
 
 def test_noise_of_an_edge_is_found_and_borrowed():
