@@ -27,7 +27,7 @@ from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.progress import SILENT, Progress
 
@@ -224,8 +224,8 @@ class _Run:
         return self._chance_of(refit) < thresholds.ALPHA
 
     def _chance_of(self, refit: Refit, *, times: float = 1.0) -> float:
-        """p of its own evidence: of the first order at no effect, or of the gain of its refit (that p so many
-        `times`), where the first order shows less of it.
+        """p of its own evidence: of the first order at no effect, as far as its refit bears that out, or of the
+        gain of its refit (that p so many `times`), where the first order shows less of it.
 
         0 for several effects, each of which was needed, and where the fit without effects is grossly wrong:
         that little of it is left is evidence enough.
@@ -234,7 +234,17 @@ class _Run:
             return 0.0
         found = self.family.of(refit.explanation[0])
         of_gain = min(times * self._gain_p(refit), 1.0)
-        return of_gain if found is None else min(found.p_adjusted, of_gain)
+        return of_gain if found is None else min(self._borne_out(found, refit), of_gain)
+
+    def _borne_out(self, found: Tested, refit: Refit) -> float:
+        """Adjusted p of a first-order score, or of the gain of the refit where that is less: along the tail of
+        chi2, of as many tests."""
+        gain = self.baseline.state.chi2 - refit.state.chi2 + thresholds.SLACK
+        promised, n = found.score.statistic, max(len(found.score.direction.names), 1)
+        if gain >= promised:
+            return found.p_adjusted
+        times = np.exp(chi2_distribution.logsf(max(gain, 0.0), n) - chi2_distribution.logsf(promised, n))
+        return float(-np.expm1(times * np.log1p(-min(found.p_adjusted, 1.0 - 1e-12))))
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.

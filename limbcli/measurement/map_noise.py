@@ -1,9 +1,11 @@
 """How the noise of shear-wave maps is correlated from pixel to pixel: estimated from the maps themselves.
 
-What tissue and load do to a map changes evenly from level to level, noise does not. So half of every level's
-neighbours is taken off it (second differences), and off that its mean: what is left is noise. Its
-autocovariance, over the pairs of pixels at a distance, is that of white noise that a Gaussian smoothed,
-besides a share that was not: r(d) = share exp(-d^2 / (4 s^2)) at d > 0.
+What tissue and load do to a map changes evenly from level to level and from place to place, noise does not. So
+half of every level's neighbours is taken off it (second differences), and within blocks of some 10 mm what a
+surface of the second degree follows. What is left is noise: of independent pixels, or with a share of its
+variance that a Gaussian smoothed, r(d) = share exp(-d^2 / (4 s^2)) at d > 0, if that is likelier by far.
+
+Source: restricted likelihood, Patterson & Thompson 1971, Biometrika 58:545.
 """
 
 from __future__ import annotations
@@ -14,13 +16,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
 
-_FARTHEST = 6.0  # mm, of the distances that are looked at
-_SCALES = np.r_[0.0, np.geomspace(0.3, 4.0, 60)]  # mm, of the smoothing's deviation s
-_FEWEST_LEVELS, _FEWEST_PAIRS = 3, 200
+_BLOCKS = (10.0, 6.0)  # mm, of a block's side: the smaller where maps have gaps
+_MOST, _FEWEST = 14, 4  # pixels along it
+_DEGREE = 2
+_SCALES = np.geomspace(0.3, 3.0, 47)  # mm, of the smoothing's deviation s
+_MOST_SHARE = 0.9999  # values are rounded: some of every pixel's noise is its own
+_FEWEST_LEVELS, _FEWEST_BLOCKS = 3, 10
+_GAIN = 9.2  # of deviance, two parameters: p 0.01
+# Neighbouring second differences are correlated by -2/3, the next but one by 1/6: of as many independent ones
+# deviances would be less by so much.
+_TOGETHER = 1 + 2 * ((2 / 3) ** 2 + (1 / 6) ** 2)
 
 
 @dataclass(frozen=True)
@@ -47,37 +57,26 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     >>> x, z = (each.ravel() for each in np.meshgrid(np.arange(40.0), np.arange(20.0)))
     >>> maps = [SweMap(x, z, np.exp(0.1 * rng.standard_normal(800) + 0.01 * k * z)) for k in range(8)]
     >>> found = pixel_noise(maps, usual=0.2)
-    >>> round(found.deviation, 2), found.smoothing * found.share < 0.1
-    (0.1, True)
+    >>> round(found.deviation, 2), found.smoothing
+    (0.1, 0.0)
     """
     if len(maps) < _FEWEST_LEVELS:
         return PixelNoise(usual)
-    table, lateral, depth = _together(maps)
+    table, pitch = _together(maps)
     left = table[1:-1] - 0.5 * (table[:-2] + table[2:])
     left -= np.nanmedian(left, axis=(1, 2), keepdims=True)
     known = np.isfinite(left)
-    if known.sum() < _FEWEST_PAIRS:
+    if not known.any():
         return PixelNoise(usual)
-    left = np.where(known, np.clip(left, *_within(left[known])), 0.0)
-    variance = float(np.sum(left**2) / known.sum())
-    if variance <= 0.0:
+    left = np.where(known, np.clip(left, *_within(left[known])), np.nan)
+    deviation = float(np.sqrt(np.nanmean(left**2) / 1.5))  # a value and half of its two neighbours
+    if deviation <= 0.0:
         return PixelNoise(usual)
-    distances, values, counts = [], [], []
-    for i in range(int(_FARTHEST / lateral) + 1):
-        for j in range(int(_FARTHEST / depth) + 1):
-            if (i, j) == (0, 0) or np.hypot(i * lateral, j * depth) > _FARTHEST:
-                continue
-            a, b = _shifted(left, i, j)
-            ka, kb = _shifted(known, i, j)
-            n = int((ka & kb).sum())
-            if n >= _FEWEST_PAIRS:
-                distances.append(float(np.hypot(i * lateral, j * depth)))
-                values.append(float(np.sum(a * b)) / n / variance)
-                counts.append(n)
-    deviation = float(np.sqrt(variance / 1.5))  # a value and half of its two neighbours
-    if not distances:
-        return PixelNoise(deviation)
-    return PixelNoise(deviation, *_fitted(np.array(distances), np.array(values), np.array(counts)))
+    for side in _BLOCKS:
+        values, apart, rough = _in_blocks(left, pitch, side)
+        if len(values) >= _FEWEST_BLOCKS and np.ptp(values) > 0:
+            return PixelNoise(deviation, *_likeliest(values @ rough, apart, rough))
+    return PixelNoise(deviation)
 
 
 def _within(values: Array) -> tuple[float, float]:
@@ -86,7 +85,7 @@ def _within(values: Array) -> tuple[float, float]:
     return -4 * spread, 4 * spread
 
 
-def _together(maps: Sequence[SweMap]) -> tuple[Array, float, float]:
+def _together(maps: Sequence[SweMap]) -> tuple[Array, tuple[float, float]]:
     """ln speeds (n_levels, n_lateral, n_depth) on the pixels of all maps, NaN where one has none; and their
     pitches (mm)."""
     x = np.unique(np.round(np.concatenate([each.lateral for each in maps]), 3))
@@ -96,21 +95,59 @@ def _together(maps: Sequence[SweMap]) -> tuple[Array, float, float]:
         i, j = np.searchsorted(x, np.round(each.lateral, 3)), np.searchsorted(z, np.round(each.depth, 3))
         table[level, i, j] = np.log(each.speed_m_per_s)
     pitch = [float(np.median(np.diff(each))) if len(each) > 1 else 1.0 for each in (x, z)]
-    return table, pitch[0], pitch[1]
+    return table, (pitch[0], pitch[1])
 
 
-def _shifted(table: NDArray[Any], i: int, j: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    n, m = table.shape[1:]
-    return table[:, : n - i, : m - j], table[:, i:, j:]
+def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Array, Array, Array]:
+    """Of square blocks about `side` mm wide, those that are whole: values (n_blocks, n_pixels); squared
+    distances (n_pixels, n_pixels) mm2; an orthonormal basis (n_pixels, n) of what no smooth surface follows.
+
+    Of fine maps every second, third, ... pixel in each direction, all of them in turn.
+    """
+    counts, steps = [], []
+    for size, apart in zip(left.shape[1:], pitch, strict=True):
+        along = min(max(round(side / apart), _FEWEST), size)
+        steps.append(-(-along // _MOST))
+        counts.append(along // steps[-1])
+    n_pixels = counts[0] * counts[1]
+    if min(counts) < _FEWEST:
+        return np.zeros((0, n_pixels)), np.zeros((n_pixels, n_pixels)), np.eye(n_pixels)
+    found = [
+        left[:, i0 : i0 + counts[0] * steps[0] : steps[0], j0 : j0 + counts[1] * steps[1] : steps[1]]
+        for i0 in _starts(left.shape[1], counts[0], steps[0])
+        for j0 in _starts(left.shape[2], counts[1], steps[1])
+    ]
+    values = np.concatenate([each.reshape(len(left), -1) for each in found])
+    at = [np.arange(n) * step * apart for n, step, apart in zip(counts, steps, pitch, strict=True)]
+    x, z = (each.ravel() for each in np.meshgrid(*at, indexing="ij"))
+    apart = np.subtract.outer(x, x) ** 2 + np.subtract.outer(z, z) ** 2
+    u, v = (2 * each / each.max() - 1 for each in (x, z))
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    basis, _ = np.linalg.qr(np.column_stack([u**i * v**j for i, j in powers]), mode="complete")
+    return values[np.isfinite(values).all(axis=1)], apart, basis[:, len(powers) :]
 
 
-def _fitted(distance: Array, value: Array, count: Array) -> tuple[float, float]:
-    """Smoothing and share by least squares, a line in the share for each smoothing."""
-    best, found = float(np.sum(count * value**2)), (0.0, 0.0)
-    for s in _SCALES[1:].tolist():
-        shape = np.exp(-(distance**2) / (4 * s**2))
-        share = float(np.clip(np.sum(count * shape * value) / np.sum(count * shape**2), 0.0, 1.0))
-        left = float(np.sum(count * (value - share * shape) ** 2))
-        if left < best:
-            best, found = left, (s, share)
-    return found
+def _starts(size: int, count: int, step: int) -> NDArray[Any]:
+    """First pixels of the blocks along one side, none of which have a pixel in common."""
+    blocks = np.arange(size // (count * step)) * count * step
+    return np.asarray((blocks[:, None] + np.arange(step)).ravel())
+
+
+def _likeliest(values: Array, apart: Array, rough: Array) -> tuple[float, float]:
+    """Smoothing and share by restricted likelihood, the noise's size profiled out; values (n_blocks, n) along
+    `rough`."""
+    n = rough.shape[1]
+    alone = n * float(np.log(np.mean(values**2)))
+    best, found = alone, (0.0, 0.0)
+    for s in _SCALES.tolist():
+        own, vectors = np.linalg.eigh(rough.T @ np.exp(-apart / (4 * s**2)) @ rough)
+        power = np.mean((values @ vectors) ** 2, axis=0)
+
+        def deviance(share: float, own: Array = own, power: Array = power) -> float:
+            each = 1 - share + share * np.maximum(own, 0.0)
+            return float(np.log(each).sum() + n * np.log(np.mean(power / each)))
+
+        share = float(minimize_scalar(deviance, bounds=(0.0, _MOST_SHARE), method="bounded").x)
+        if deviance(share) < best:
+            best, found = deviance(share), (s, share)
+    return found if (alone - best) * len(values) / _TOGETHER > _GAIN else (0.0, 0.0)

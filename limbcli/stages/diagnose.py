@@ -27,7 +27,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.diagnosis.bones.evidence import Stand, compared
-from limbcli.stages.diagnosis.bones.weighing import may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.bones.weighing import doubted, may_be_elsewhere, told_together, weighed
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
@@ -44,7 +44,6 @@ from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
-_BONES_OR_EFFECT = "one effect explains the data, and so does the limb with other bones (see `bones`)"
 
 
 @dataclass(frozen=True)
@@ -256,8 +255,7 @@ class _Diagnosed:
     def _leave(self, found: Diagnosis, place: Place, k: int) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
-        if found.verdict == "named" and any(each.stand == "open" for each in place.bones):
-            found = replace(found, verdict="ambiguous", closed=False, reason=_BONES_OR_EFFECT)
+        found = doubted(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)

@@ -11,7 +11,9 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.stages.diagnosis.bones.weighing import may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.bones.evidence import Evidence
+from limbcli.stages.diagnosis.bones.questions import OtherBones
+from limbcli.stages.diagnosis.bones.weighing import doubted, may_be_elsewhere, told_together, weighed
 
 BASE = Fitted((), np.zeros(1), np.zeros((1, 1)), ("m",), {"m": 1.5})
 
@@ -86,3 +88,20 @@ def test_what_explains_nothing_adds_nothing():
     told = told_together(found("unexplained"), found("named", TILT), "x")
     assert (told.verdict, told.confidence_set) == ("unexplained", ())
     assert "see `bones`" in told.reason
+
+
+WITHOUT = OtherBones("without bone_2", 12.0, left_out=("bone_2",))
+PUT_BACK = OtherBones("with bone_2 put back", 10.0, moved={"bone_2": np.ones(3)})
+
+
+@pytest.mark.parametrize(
+    ("other", "stand", "verdict"),
+    [(WITHOUT, "taken", "named"), (WITHOUT, "open", "ambiguous"), (WITHOUT, "not taken", "named"),
+     (PUT_BACK, "taken", "ambiguous"), (PUT_BACK, "open", "ambiguous"), (PUT_BACK, "not taken", "named")],
+)  # fmt: skip
+def test_no_name_on_a_limb_whose_bones_were_moved(other, stand, verdict):
+    told = doubted(found("named", TILT), [Evidence(other, 50.0, 20, True, stand)])
+    assert told.verdict == verdict
+    assert told.confidence_set == (TILT,)
+    assert ("(see `bones`)" in told.reason) == (verdict == "ambiguous")
+    assert doubted(found("adequate"), [Evidence(other, 50.0, 20, True, stand)]).verdict == "adequate"

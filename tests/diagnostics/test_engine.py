@@ -235,6 +235,13 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
     assert closes_gross(base, left) == closed
 
 
+def judged(p_adjusted, statistic, n_parameters=1):
+    direction = SimpleNamespace(names=("size",) * n_parameters)
+    return SimpleNamespace(
+        p_adjusted=p_adjusted, score=SimpleNamespace(statistic=statistic, direction=direction)
+    )
+
+
 @pytest.mark.parametrize(
     ("before", "after", "gap", "speaks", "needed"),
     [(100.0, 8.0, 5.0, True, True), (100.0, 30.0, 5.0, True, False), (30.0, 5.0, 5.0, True, False),
@@ -246,7 +253,7 @@ def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, gap, s
     one that fits as well as the best."""
     baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
     run = _Run(baseline, 3, False)
-    run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=0.5))
+    run.family = SimpleNamespace(of=lambda name: judged(0.5, 0.0))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
     fitted = SimpleNamespace(effect_names=("size",))
     state = SimpleNamespace(nu=9, chi2=after)
@@ -332,7 +339,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
 ):
     """Its own evidence is that of chance, and its refit tells no more; two effects were each needed."""
     run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
-    run.family = SimpleNamespace(of=lambda name: SimpleNamespace(p_adjusted=p))
+    run.family = SimpleNamespace(of=lambda name: judged(p, 5.0))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     best = SimpleNamespace(
@@ -342,6 +349,21 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     doubt = run._doubt(best, [best], [])
     assert (doubt is None) == named
     assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
+
+
+@pytest.mark.parametrize(
+    ("gained", "p"), [(15.2, 0.0088), (14.8, 0.0088), (20.0, 0.0088), (10.9, 0.057), (0.0, 1.0)]
+)
+def test_a_score_is_evidence_as_far_as_the_refit_bears_it_out(gained, p):
+    """Two parameters: the tail of chi2 falls by e every 2; the first order promised 15.2."""
+    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
+    run.family = SimpleNamespace(of=lambda name: judged(0.0088, 15.2, n_parameters=2))
+    run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 400)}, known={})
+    refit = SimpleNamespace(
+        explanation=("a",), state=SimpleNamespace(nu=98, chi2=100.0 - gained),
+        fitted=SimpleNamespace(effect_names=("size", "shape")),
+    )  # fmt: skip
+    assert run._chance_of(refit, times=10.0) == pytest.approx(p, abs=0.002)
 
 
 @pytest.mark.parametrize(("told", "named"), [(20.0, False), (19.0, False), (12.0, True)])

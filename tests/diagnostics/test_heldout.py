@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.noise import Noise, NoisePart
-from limbcli.diagnostics.statistical_tests.heldout import held_out_error
+from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error
 
 N = 30  # data in each of two blocks, of deviation 1
 
@@ -40,3 +42,23 @@ def test_a_block_that_tells_a_parameter_itself_says_nothing_of_the_model(rng, gr
     found = held_out_error(told, fitted(told, column))
     assert ("first" in found) == tested
     assert "second" in found
+
+
+def test_an_error_that_the_rest_shows_is_not_held_against_the_model(rng):
+    """Both blocks have a gain in common, ten deviations large: off by that, they are predicted from one
+    another to their own noise."""
+    told = data(rng)
+    both = np.ones(2 * N)
+    noise = Noise((*told.noise.parts, NoisePart("gain", 100.0 * np.outer(both, both), "assumed")))
+    shifted = replace(told, y=told.y + 10.0, noise=noise)
+    column = np.linspace(-1.0, 1.0, 2 * N)[:, None]
+    model = Fitted((), np.zeros(2 * N), column, ("m",), {})
+    found = held_out_error(shifted, model)
+    assert found["all"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_blocks_count_by_their_data():
+    before, after = {"force": 1.0, "map": 1.0}, {"force": 1.5, "map": 0.9}
+    masks = {"force": np.arange(100) < 10, "map": np.arange(100) >= 10}
+    assert not fell(before, after)
+    assert fell(before, after, masks)

@@ -135,6 +135,65 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
     assert np.abs(np.log(force(0.0) / plain)).max() < 0.05 * mended
 
 
+def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
+    """Whatever is simulated after it, further off, and with another m."""
+    one = bench(levels(rng), names=("skin-layer",)).sites[0]
+    for m in (2.0, 5.0):
+        one.solve_node(m)
+    skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    solved = [(4.0, 1.0), (4.0, 3.0), (2.5, 2.0)]
+    for m, log_ratio in solved:
+        one.repair(m, skin, {"log_skin_ratio": log_ratio}, point)
+    for m, log_ratio in solved:
+        theta = {"log_skin_ratio": log_ratio}
+        true = one.book.curves(m, ((effect("skin-layer"), {**theta, **point[0]}),))
+        found = one.curves(one.book.c, m, skin, theta, point)
+        assert found.force[1:] == pytest.approx(true.force[1:], rel=1e-6)
+        assert found.log_speed == pytest.approx(true.log_speed, abs=1e-6, nan_ok=True)
+
+
+def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monkeypatch):
+    the_bench = bench(levels(rng), names=("skin-layer",))
+    the_bench.fit((), {})
+    drafted = the_bench.fit(("skin-layer",), {})
+    points, x, visited = the_bench.points(drafted), the_bench._x_of(drafted), []
+    wandering = iter([1.1, 4.0, 0.2, 3.0])
+
+    def best_fit(explanation, points, start, *, besides=(), **how):
+        return 0.0, the_bench._fitted(np.array([*x[:2], next(wandering)]), explanation, points)
+
+    def off(at, explanation, points):
+        visited.append(at[2])
+        return np.array([at[2] - 1.0])
+
+    monkeypatch.setattr(the_bench.sites[0], "repair", lambda *model: None)
+    monkeypatch.setattr(the_bench, "best_fit", best_fit)
+    monkeypatch.setattr(the_bench, "plausible", lambda fitted, deviance, points: fitted)
+    monkeypatch.setattr(the_bench, "_off", off)
+    found = the_bench.verified(the_bench._fitted(np.array([*x[:2], 5.0]), ("skin-layer",), points))
+    assert visited == [5.0, 1.1, 4.0, 0.2]
+    assert found.values["log_skin_ratio"] == pytest.approx(1.1)
+
+
+def test_a_fit_keeps_away_from_what_has_no_answer(rng, monkeypatch):
+    the_bench = bench(levels(rng), names=("skin-layer",))
+    the_bench.fit((), {})
+    predict, beyond = the_bench.predict, 0.5
+
+    def refused(x, explanation, points):
+        if len(x) > 2 and x[2] > beyond:
+            raise SolveError("no answer", where="here", fix="none")
+        return predict(x, explanation, points)
+
+    monkeypatch.setattr(the_bench, "predict", refused)
+    deviance, fitted = the_bench.best_fit(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+    assert fitted.values["log_skin_ratio"] < beyond
+    assert deviance < 1e4
+    beyond = -10.0
+    with pytest.raises(SolveError, match="no answer"):
+        the_bench.best_fit(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+
+
 def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
     """Also where it begins at a large size, whose simulation was a surprise."""
     the_bench = bench(levels(rng), names=("skin-layer",))

@@ -22,7 +22,7 @@ class Closing:
     def is_closed(self, refit: Refit) -> bool:
         data = self.baseline.data
         before, after = held_out_error(data, self.baseline.base), held_out_error(data, refit.fitted)
-        if not fell(before, after) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
+        if not fell(before, after, data.blocks) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
         if len(refit.explanation) == 1:
             return True

@@ -5,42 +5,55 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
+from limbcli.diagnostics.model.linear import Whitener
 from limbcli.model import Array
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
-    """Root mean square of (held-out data - prediction) / deviation, block by block, and over all.
+    """Root mean square of what held-out data are off their prediction by, in deviations of what of them the
+    rest does not tell; block by block, and over all.
 
-    Each block is left out in turn, the parameters (the effects' too) are refitted to the rest
-    to first order about the full fit, and the block is predicted. A block that holds what tells
-    a parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
+    Each block is left out in turn, the parameters (the effects' too) are refitted to the rest to first order
+    about the full fit, and the block is predicted, with what the rest tells of the errors it shares with it:
+    a level's or a scanner's gain is no part of what a model can predict. A block that holds what tells a
+    parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
     """
-    residual = data.y - fitted.prediction
-    covariance = data.noise.covariance
     J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # what a bound holds does not move
+    J = J / np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
+    residual, covariance = data.y - fitted.prediction, data.noise.covariance
     found: dict[str, float] = {}
-    squares: list[Array] = []
+    squares, n_data = 0.0, 0
     for name, mask in _usable(data.blocks, J).items():
         keep = ~mask
-        inverse = np.linalg.inv(covariance[np.ix_(keep, keep)])
-        normal = J[keep].T @ inverse @ J[keep]
+        rest = cho_factor(covariance[np.ix_(keep, keep)], lower=True)
+        known = cho_solve(rest, np.column_stack([covariance[np.ix_(keep, mask)], J[keep], residual[keep]]))
+        of_errors, of_columns, of_residual = np.split(known, [mask.sum(), mask.sum() + J.shape[1]], axis=1)
+        normal = J[keep].T @ of_columns
         spread = np.einsum("ij,jk,ik->i", J[mask], np.linalg.pinv(normal, rcond=1e-14), J[mask])
         if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > thresholds.TOO_WIDE:
             continue
-        step = np.linalg.lstsq(normal, J[keep].T @ inverse @ residual[keep], rcond=1e-14)[0]
-        error = (residual[mask] - J[mask] @ step) / data.deviation[mask]
-        found[name] = float(np.sqrt(np.mean(error**2)))
-        squares.append(error**2)
-    if squares:
-        found["all"] = float(np.sqrt(np.mean(np.concatenate(squares))))
+        step = np.linalg.lstsq(normal, J[keep].T @ of_residual[:, 0], rcond=1e-14)[0]
+        error = residual - J @ step
+        off = error[mask] - of_errors.T @ error[keep]
+        left = covariance[np.ix_(mask, mask)] - covariance[np.ix_(mask, keep)] @ of_errors
+        square = float(np.sum(Whitener.of(left)(off) ** 2))
+        found[name] = float(np.sqrt(square / mask.sum()))
+        squares, n_data = squares + square, n_data + int(mask.sum())
+    if found:
+        found["all"] = float(np.sqrt(squares / n_data))
     return found
 
 
-def fell(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+def fell(
+    before: Mapping[str, float], after: Mapping[str, float], blocks: Mapping[str, Mask] | None = None
+) -> bool:
     """Whether the error fell, over the blocks that both models can predict; True where there are none.
+
+    blocks : the data of each, which count alike; None: the blocks do
 
     >>> fell({"a": 2.0, "b": 1.0, "all": 1.6}, {"a": 1.0, "all": 1.0})
     True
@@ -48,7 +61,9 @@ def fell(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
     both = [name for name in before if name in after and name != "all"]
     if not both:
         return True
-    return sum(after[name] ** 2 for name in both) < sum(before[name] ** 2 for name in both)
+    counts = [1.0 if blocks is None else float(np.sum(blocks[name])) for name in both]
+    gains = [before[name] ** 2 - after[name] ** 2 for name in both]
+    return float(np.dot(counts, gains)) > 0.0
 
 
 def _usable(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:

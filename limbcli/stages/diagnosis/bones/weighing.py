@@ -9,6 +9,13 @@ from typing import Literal
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation
+from limbcli.stages.diagnosis.bones.evidence import Evidence
+
+_BONES_OR_EFFECT = "one effect explains the data, and so does the limb with other bones (see `bones`)"
+_ON_MENDED_LIMB = (
+    "one explanation fits, but on a limb whose bones had to be moved (see `bones`): correct the segmentation "
+    "first"
+)
 
 Outcome = Literal["as segmented", "other bones", "either"]
 
@@ -62,6 +69,18 @@ def told_together(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
         replace(each, estimates=told) if each.explanation == ours.chosen else each for each in ours.shrink
     )
     return replace(ours, verdict="ambiguous", closed=False, reason=reason, confidence_set=both, shrink=shrink)
+
+
+def doubted(found: Diagnosis, bones: Sequence[Evidence]) -> Diagnosis:
+    """No name where a limb with other bones would do as well, nor on one whose bones were moved: where they
+    really are is known to some mm only, and that looks like other effects."""
+    if found.verdict != "named":
+        return found
+    if any(each.stand == "open" for each in bones):
+        return replace(found, verdict="ambiguous", closed=False, reason=_BONES_OR_EFFECT)
+    if any(each.stand == "taken" and each.other.is_repair for each in bones):
+        return replace(found, verdict="ambiguous", closed=False, reason=_ON_MENDED_LIMB)
+    return found
 
 
 def _union(ours: Sequence[Explanation], theirs: Sequence[Explanation]) -> tuple[Explanation, ...]:

@@ -17,7 +17,7 @@ from limbcli.diagnostics.model.estimates import Conditional
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Theta
-from limbcli.errors import FitError
+from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.slots import Slot, on_bounds, stuck
@@ -28,6 +28,7 @@ _QUICK, _FULL = 12, 60  # evaluations of a fit
 _BEHIND, _FAR_BEHIND = 0.5, 10.0  # of the least cost, and more: what is not followed further
 _FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
 _ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
+_NO_ANSWER = 1e3  # deviations
 _NONE: Mapping[str, float] = {}
 
 
@@ -63,9 +64,12 @@ class Fits(Predictions):
 
     def best_fit(
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
-        thorough: bool = True, held: Mapping[str, float] = _NONE,
+        thorough: bool = True, held: Mapping[str, float] = _NONE, besides: Sequence[Array] = (),
     ) -> tuple[float, Fitted]:  # fmt: skip
-        """Least squares from several starts; (deviance, fit). `held`: parameters that stay at a value."""
+        """Least squares from several starts; (deviance, fit).
+
+        held : parameters that stay at a value; besides : x as `predict` takes it, to start from as well
+        """
         slots = self.slots(explanation)
         parameters = [slot.parameter for slot in slots]
         low, high = self._around(held, explanation)
@@ -81,13 +85,16 @@ class Fits(Predictions):
         ends = self._ends_of_parts(explanation, points)
         if (explanation, label(points)) in self._ends and not start:
             starts = []  # it was fitted before, from everywhere
-        plausible = [
-            (2 + k, p.null, _ROOMY * abs(p.typical - p.null)) for k, p in enumerate(parameters) if not p.shape
-        ]
+
+        n_far = sum(not p.shape and p.typical != p.null for p in parameters)
+        problems: list[SolveError] = []
 
         def off(x: Array) -> Array:
-            far = [(x[k] - null) / size for k, null, size in plausible if size > 0]
-            return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
+            try:
+                return self._off(x, explanation, points)
+            except SolveError as error:  # a trial that has no answer: fits keep away from it
+                problems.append(error)
+                return np.full(len(self.data) + n_far, _NO_ANSWER)
 
         def descended(x0: Array, n_most: int) -> Any:
             inside = np.clip(x0, low + 1e-6, high - 1e-6)
@@ -96,13 +103,24 @@ class Fits(Predictions):
                 max_nfev=n_most,
             )  # fmt: skip
 
-        seeds = ends + starts
+        seeds = [*besides, *ends, *starts]
         best = _deepest(descended, seeds) if thorough else descended(seeds[0], _QUICK)
+        if problems and best.cost >= 0.5 * len(self.data) * _NO_ANSWER**2:
+            raise problems[0]
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         if thorough and not held:
             self._ends[explanation, label(points)] = best.x
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
+
+    def _off(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        """What fits make small: whitened residuals, and how far effects are beyond plausible sizes."""
+        far = [
+            (x[2 + k] - p.null) / (_ROOMY * abs(p.typical - p.null))
+            for k, p in enumerate(slot.parameter for slot in self.slots(explanation))
+            if not p.shape and p.typical != p.null
+        ]
+        return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
 
     def _ends_of_parts(self, explanation: Explanation, points: Sequence[Theta]) -> list[Array]:
         """Where this explanation's last fit ended, and those with one effect less, whose fit it cannot be

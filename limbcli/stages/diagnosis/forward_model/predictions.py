@@ -14,6 +14,7 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
+from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
@@ -91,6 +92,12 @@ class Predictions:
             chosen.append(match[0] if match else held[0])
         return chosen
 
+    def _x_of(self, fitted: Fitted) -> Array:
+        """As `predict` takes it."""
+        values = fitted.values
+        sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
+        return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
+
     def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
         """x: ln c, ln m, then the effects' parameters in order."""
         values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
@@ -117,12 +124,31 @@ class Predictions:
         sizes = [1.0, 1.0, *(p.step for p in parameters)]
         columns = []
         for k, size in enumerate(sizes):
-            up, down = x.copy(), x.copy()
-            up[k] += _DIFFERENCE * size
-            down[k] -= _DIFFERENCE * size
-            change = self.predict(up, explanation, points) - self.predict(down, explanation, points)
-            columns.append(change / (2 * _DIFFERENCE * size))
+            step = np.zeros(len(x))
+            step[k] = _DIFFERENCE * size
+            columns.append(self._slope(x, step, explanation, points) / (_DIFFERENCE * size))
         return np.stack(columns, axis=1)
+
+    def _slope(self, x: Array, step: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+        """Change over this step, by central differences; to the side that has an answer, where one has none.
+
+        Raises
+        ------
+        SolveError
+            If neither side has one.
+        """
+        sides, problem = {}, None
+        for sign in (1.0, -1.0):
+            try:
+                sides[sign] = self.predict(x + sign * step, explanation, points)
+            except SolveError as error:
+                problem = error
+        if not sides and problem is not None:
+            raise problem
+        if len(sides) < 2:
+            sides[0.0] = self.predict(x, explanation, points)
+        upper, lower = max(sides), min(sides)
+        return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
 
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]

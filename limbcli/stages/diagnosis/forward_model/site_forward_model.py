@@ -32,6 +32,7 @@ from limbcli.units import kpa_from_mpa
 _SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
 _MAX_NODES = 5
 _MOST_REPAIRS = 4
+_STAYS = 0.1  # deviations of the readings
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
 
 
@@ -122,7 +123,10 @@ class SiteForwardModel(Fits):
 
     def verified(self, fitted: Fitted) -> Fitted:
         """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most
-        twice with several effects, four times with one. As it is where the work is spent."""
+        twice with several effects, four times with one. As it is where the work is spent.
+
+        A fit that does not stay went where the surrogate was wrong: then the best that was solved.
+        """
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
@@ -130,16 +134,21 @@ class SiteForwardModel(Fits):
         if any(each.book.spent for each in self.sites):
             self.not_simulated.add(explanation)
             return fitted
+        points, solved = self.points(fitted), []
         for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
-            points, m = self.points(fitted), round(fitted.values["m"], 4)
+            x = self._x_of(fitted)
+            x[1] = np.log(round(fitted.values["m"], 4))
             for k, each in enumerate(self.sites):
-                each.repair(m, explanation, self.theta(fitted.values, explanation, k), points)
-            before = fitted.prediction
-            deviance, fitted = self.best_fit(explanation, points, {})
+                theta = self.theta(fitted.values, explanation, k)
+                each.repair(float(np.exp(x[1])), explanation, theta, points)
+            before = self.predict(x, explanation, points)
+            solved.append((float(np.sum(self._off(x, explanation, points) ** 2)), x))
+            best = min(solved, key=lambda each: each[0])
+            deviance, fitted = self.best_fit(explanation, points, {}, besides=[best[1]])
             fitted = self.plausible(fitted, deviance, points)
-            if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < 0.1:
-                break
-        return fitted
+            if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < _STAYS:
+                return fitted
+        return self._fitted(best[1], explanation, points)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.effects[name]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,17 +35,21 @@ _MOST_CHANGE = (
     10.0  # of ln force and ln speeds, by effects: beyond it trials of a fit leave the range of numbers
 )
 _OF_NO_EFFECT = 0.1  # of an effect's start: below such a size what a simulation mends is not the effect's
+_FAR_IN_M = 0.3  # of ln m: as far as an effect's start is from none
+_SAME = 1e-9  # squared, of such distances
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
     """What the surrogate missed where a model was simulated, and how much of it holds elsewhere.
 
-    missed : (n, n_columns) of `logs`; sizes : of the effects in that model, in units of their starts
+    missed : (n, n_columns) of `logs`; sizes : of the effects in that model, in units of their starts;
+    ln_m : of its law
     """
 
     missed: Array
     sizes: Mapping[str, float]
+    ln_m: float
 
     def at(self, sizes: Mapping[str, float]) -> Array:
         """In proportion to the effects' sizes, so that a model without them is as it was."""
@@ -53,6 +57,33 @@ class Repair:
         along = sum(size * sizes[name] for name, size in self.sizes.items())
         whole = sum(size**2 for size in self.sizes.values())
         return self.missed * max(0.0, (along + least) / (whole + least))
+
+    def apart(self, sizes: Mapping[str, float], ln_m: float) -> float:
+        """Squared distance to a model, in such units and in those of `_FAR_IN_M`."""
+        return ((ln_m - self.ln_m) / _FAR_IN_M) ** 2 + sum(
+            (sizes[name] - size) ** 2 for name, size in self.sizes.items()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Repairs:
+    """Of one explanation: what is known of its parts, added up, and what its own simulations showed beyond
+    that, each of them kept as it is where it was made, and weighed by its distance between.
+
+    Source: Shepard 1968, Proc 23rd ACM Nat Conf 517 (weights by inverse squared distance).
+    """
+
+    of_parts: tuple[Repairs, ...] = ()
+    solved: tuple[Repair, ...] = ()
+
+    def at(self, sizes: Mapping[str, float], ln_m: float) -> Array | float:
+        total: Array | float = 0.0
+        for part in self.of_parts:
+            total = total + part.at(sizes, ln_m)
+        weights = np.array([1.0 / (each.apart(sizes, ln_m) + _SAME) for each in self.solved])
+        for weight, each in zip(weights / max(weights.sum(), _SAME), self.solved, strict=True):
+            total = total + weight * each.at(sizes)
+        return total
 
 
 class SiteCurves:
@@ -73,7 +104,7 @@ class SiteCurves:
         self.changes = Changes(book, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
-        self._repairs: dict[tuple[Explanation, str], tuple[Repair, ...]] = {}
+        self._repairs: dict[tuple[Explanation, str], Repairs] = {}
 
     def solve_nodes(self, values: Sequence[float]) -> None:
         """Solve at these m, the stiffest law first; what fails is left out, unless all do.
@@ -125,9 +156,9 @@ class SiteCurves:
         """The surrogate's curves with these values."""
         depth, base, plain = self._base(m)
         values = base
-        sizes = self._sizes(explanation, theta)
-        for each in self._repairs.get((explanation, label(points)), ()):
-            values = values + each.at(sizes)
+        known = self._repairs.get((explanation, label(points)))
+        if known is not None:
+            values = values + known.at(self._sizes(explanation, theta), float(np.log(m)))
         for name, point in zip(explanation, points, strict=True):
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point).at(theta)
@@ -165,13 +196,15 @@ class SiteCurves:
         )
         true = logs(self.book.curves(m, solving))
         true = true + self._tied(m, true.shape[1])
+        key = (explanation, label(points))
+        known = self._repairs.get(key, Repairs())
+        self._repairs[key] = replace(known, solved=())
         missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
         missed[0, 0] = 0.0
         if any(effect.new_mesh for effect, _ in solving):
             missed = without_spikes(self.book, missed)
-        key = (explanation, label(points))
-        made = Repair(np.nan_to_num(missed), self._sizes(explanation, theta))
-        self._repairs[key] = (*self._repairs.get(key, ()), made)
+        made = Repair(np.nan_to_num(missed), self._sizes(explanation, theta), float(np.log(m)))
+        self._repairs[key] = replace(known, solved=(*known.solved, made))
 
     def inherit(
         self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
@@ -179,7 +212,7 @@ class SiteCurves:
         """A larger explanation starts with the repair of the one it grew from."""
         known = self._repairs.get((old, label(old_points)))
         if known is not None:
-            self._repairs.setdefault((new, label(points)), known)
+            self._repairs.setdefault((new, label(points)), Repairs((known,)))
 
     def inherit_parts(self, explanation: Explanation, points: Sequence[Theta]) -> None:
         """A larger explanation not solved yet starts with what is known of its parts: the largest one that
@@ -188,15 +221,15 @@ class SiteCurves:
         if n < 2 or (explanation, label(points)) in self._repairs:
             return
         left = set(range(n))
-        total: tuple[Repair, ...] = ()
+        total: tuple[Repairs, ...] = ()
         for size in range(n - 1, 0, -1):
             for part in itertools.permutations(range(n), size):
                 key = (tuple(explanation[k] for k in part), label([points[k] for k in part]))
                 if left.issuperset(part) and key in self._repairs:
-                    total += self._repairs[key]
+                    total += (self._repairs[key],)
                     left -= set(part)
         if total:
-            self._repairs[(explanation, label(points))] = total
+            self._repairs[(explanation, label(points))] = Repairs(total)
 
     # ------------------------------------------------------------
 
