@@ -224,8 +224,8 @@ class _Run:
         return self._chance_of(refit) < thresholds.ALPHA
 
     def _chance_of(self, refit: Refit, *, times: float = 1.0) -> float:
-        """p of its own evidence: of the first order at no effect, as far as its refit bears that out, or of the
-        gain of its refit (that p so many `times`), where the first order shows less of it.
+        """p of its own evidence: of the first order at no effect, as far as its refit bears that out, or of
+        the gain of its refit (that p so many `times`), where the first order shows less of it.
 
         0 for several effects, each of which was needed, and where the fit without effects is grossly wrong:
         that little of it is left is evidence enough.
@@ -237,8 +237,8 @@ class _Run:
         return of_gain if found is None else min(self._borne_out(found, refit), of_gain)
 
     def _borne_out(self, found: Tested, refit: Refit) -> float:
-        """Adjusted p of a first-order score, or of the gain of the refit where that is less: along the tail of
-        chi2, of as many tests."""
+        """Adjusted p of a first-order score, or of the gain of the refit where that is less: along the tail
+        of chi2, of as many tests."""
         gain = self.baseline.state.chi2 - refit.state.chi2 + thresholds.SLACK
         promised, n = found.score.statistic, max(len(found.score.direction.names), 1)
         if gain >= promised:

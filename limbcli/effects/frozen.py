@@ -24,9 +24,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from limbcli.effects.places import Places, Stiffness, cell_means
-from limbcli.effects.tissue import TISSUE, tissue_block
+from limbcli.effects.tissue import TISSUE
 from limbcli.materials import compile_material
-from limbcli.materials.energy import program_energy
+from limbcli.materials.energy import deformation_of, energy_at
+from limbcli.materials.kernel import Deformation
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.speed import block_speeds
 
@@ -35,7 +36,7 @@ _LARGEST_CORRECTION = 0.7  # of ln speed, between a cell's mean factor and that 
 
 
 class Averages(Protocol):
-    """From what cells hold to pixels: (n_cells, ...) -> (n_pixels, ...); index: the cells that count."""
+    """From what points hold to pixels: (n_points, ...) -> (n_pixels, ...); index: the points that count."""
 
     @property
     def index(self) -> IntArray: ...
@@ -53,8 +54,8 @@ class SpeedRegion(Protocol):
 class StrainConcentration:
     """What a region's other strain does to ln speed: a stiff one is strained less, and stiffens less.
 
-    factor (n_cells,) : mean over each cell of the stiffness' factor, of which pixels average several; slope :
-    of ln speed by it, through the deformation alone
+    factor (n_points,) : of the stiffness, at every point its cell's mean, of which pixels average several;
+    slope : of ln speed by it, through the deformation alone
     """
 
     factor: Array
@@ -65,8 +66,8 @@ class StrainConcentration:
 class ScannerView:
     """What the scanner's region shows at one depth.
 
-    averages : from cells to pixels; places (n_pixels, q, 3) : of the unloaded tissue that each pixel
-    averages, with weights (q,)
+    averages : from the tissue's points to pixels; places (n_pixels, n, 3) : of the unloaded tissue that each
+    pixel averages, with weights (n,)
     """
 
     averages: Averages
@@ -75,7 +76,7 @@ class ScannerView:
     region: SpeedRegion
 
     def log_means(self, speed_m_per_s: Array, stiffness: Sequence[Stiffness] = ()) -> Array:
-        """ln mean speeds (n_parts,) of speeds at cells (n_cells,), the law's stiffnesses times fields."""
+        """ln mean speeds (n_parts,) of speeds at points (n_points,), the law's stiffnesses times fields."""
         return self.with_fields(self.averages(speed_m_per_s), stiffness)
 
     def with_fields(
@@ -98,18 +99,26 @@ class ScannerView:
 
 @dataclass(eq=False)
 class SolvedDeformation:
-    """A solved indentation, cell by cell of the tissue's block.
+    """A solved indentation at the q integration points of each cell of the tissue's block.
 
-    depth (n,) mm from 0; gradient (n, n_cells, 3, 3); volume (n_cells,) mm^3; seen : at every depth
+    depth (n,) mm from 0; gradient (n, n_cells, q, 3, 3); rest (n_cells, q, 3) mm : the points, unloaded;
+    volume (n_cells, q) mm^3; seen : at every depth, of the points, cell after cell
     """
 
     depth: Array
     gradient: Array
+    rest: Array
     volume: Array
     seen: tuple[ScannerView, ...] = ()
     _energies: dict[int, Array] = field(default_factory=dict)
     _speeds: dict[int, Array] = field(default_factory=dict)
     _models: list[LimbModel] = field(default_factory=list)
+    _deformations: list[Deformation] = field(default_factory=list)
+
+    @property
+    def cell_of_point(self) -> IntArray:
+        """(n_cells q,) number of the cell that each point is in."""
+        return np.repeat(np.arange(len(self.volume)), self.volume.shape[1])
 
     def cell_energies(self, model: LimbModel) -> Array:
         """Stored energy (n, n_cells) N mm of every cell at every depth; kept for each model."""
@@ -117,9 +126,14 @@ class SolvedDeformation:
             material = compile_material(model.materials[TISSUE], TISSUE)
             program = material.program(len(self.volume), lambda name: 1.0)
             ops: Any = program.ops
+            if not self._deformations:
+                self._deformations.extend(map(deformation_of, self.gradient))
             with np.errstate(over="ignore", invalid="ignore"):  # an exponential law may leave all numbers
                 self._energies[id(model)] = np.array(
-                    [program_energy(ops, program.par, F[:, None])[:, 0] * self.volume for F in self.gradient]
+                    [
+                        (energy_at(ops, program.par, each) * self.volume).sum(axis=1)
+                        for each in self._deformations
+                    ]
                 )
             self._models.append(model)  # its id stays its own
         return self._energies[id(model)]
@@ -135,16 +149,22 @@ class SolvedDeformation:
         """Speeds (n, n_pixels) m/s at every depth; kept for each model."""
         if id(model) not in self._speeds:
             rows = []
-            for F, seen in zip(self.gradient, self.seen, strict=True):
+            for k, seen in enumerate(self.seen):
                 needed = np.unique(seen.averages.index)
-                speed = np.full(len(self.volume), np.nan)
-                speed[needed] = block_speeds(
-                    model, TISSUE, F[needed], needed, density_kg_per_m3=density_kg_per_m3
-                )
+                speed = np.full(self.volume.size, np.nan)
+                speed[needed] = self.point_speeds(k, model, needed, density_kg_per_m3=density_kg_per_m3)
                 rows.append(seen.averages(speed))
             self._speeds[id(model)] = np.array(rows)
             self._models.append(model)
         return self._speeds[id(model)]
+
+    def point_speeds(
+        self, depth_number: int, model: LimbModel, points: IntArray, *, density_kg_per_m3: float
+    ) -> Array:
+        """Speeds (n,) m/s at some of the points, counted cell after cell, at one of the depths."""
+        F = self.gradient[depth_number].reshape(-1, 3, 3)[points]
+        cells = self.cell_of_point[points]
+        return block_speeds(model, TISSUE, F, cells, density_kg_per_m3=density_kg_per_m3)
 
 
 def frozen_force(
@@ -190,35 +210,35 @@ def strain_concentrations(
 ) -> tuple[StrainConcentration, ...]:  # fmt: skip
     """Those of fields of stiffness, at every depth of a deformation with them in it.
 
-    Over the cells that the scanner sees, the change of ln speed by the deformation is fitted by a plane and
+    Over the points that the scanner sees, the change of ln speed by the deformation is fitted by a plane and
     the fields' factor: the regression of Eshelby's uniform strain in an inclusion (1957, Proc. R. Soc. A 241,
     376-396) on the part of it in each cell.
 
     model : without the fields; without : deformations without them on the same cells, and the weight of each
     Empty where none is on these cells.
     """
-    same = [(w, each) for w, each in without if len(each.volume) == len(kinematics.volume)]
+    same = [(w, each) for w, each in without if each.volume.shape == kinematics.volume.shape]
     if not same:
         return ()
-    factor = _cell_factor(model, stiffness, len(kinematics.volume))
-    rest = model.mesh.points[tissue_block(model).cells].mean(axis=1)
+    factor = _cell_factor(model, stiffness, len(kinematics.volume))[kinematics.cell_of_point]
+    rest, volume = kinematics.rest.reshape(-1, 3), kinematics.volume.ravel()
     found = []
     for k, seen in enumerate(kinematics.seen):
-        cells = np.unique(seen.averages.index)
+        points = np.unique(seen.averages.index)
 
-        def ln_speed(F: Array, cells: IntArray = cells) -> Array:
-            speed = block_speeds(model, TISSUE, F[cells], cells, density_kg_per_m3=density_kg_per_m3)
+        def ln_speed(deformation: SolvedDeformation, number: int, points: IntArray = points) -> Array:
+            speed = deformation.point_speeds(number, model, points, density_kg_per_m3=density_kg_per_m3)
             with np.errstate(invalid="ignore", divide="ignore"):
                 return np.log(speed)
 
-        change = ln_speed(kinematics.gradient[k])
+        change = ln_speed(kinematics, k)
         for w, each in same:
-            change = change - w * ln_speed(each.gradient[min(k, len(each.gradient) - 1)])
-        design = np.column_stack([np.ones(len(cells)), rest[cells][:, [0, 2]], factor[cells] - 1.0])
+            change = change - w * ln_speed(each, min(k, len(each.gradient) - 1))
+        design = np.column_stack([np.ones(len(points)), rest[points][:, [0, 2]], factor[points] - 1.0])
         known = np.isfinite(change)
-        root = np.sqrt(kinematics.volume[cells][known])[:, None]
+        root = np.sqrt(volume[points][known])[:, None]
         slope = 0.0
-        if known.sum() > design.shape[1] and np.ptp(factor[cells][known]) > _UNIFORM:
+        if known.sum() > design.shape[1] and np.ptp(factor[points][known]) > _UNIFORM:
             fitted = np.linalg.lstsq(root * design[known], root[:, 0] * change[known], rcond=None)[0]
             slope = float(fitted[-1])
         found.append(StrainConcentration(factor, slope))

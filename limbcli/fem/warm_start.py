@@ -46,6 +46,13 @@ class WarmStart:
         self._base: Solved | None = None
         self._values: Mapping[Key, float] = {}
 
+    @staticmethod
+    def by(solved: Solved) -> WarmStart:
+        """From these levels alone."""
+        found = WarmStart()
+        found.keep(solved)
+        return found
+
     def keep(self, solved: Solved) -> None:
         self._solved = [*self._solved[-(_KEPT - 1) :], solved]
 

@@ -19,9 +19,13 @@ def energy_density(operands: Any, F: Array) -> Array:
 
 def program_energy(ops: IntArray, par: Array, F: Array) -> Array:
     """Sum over the leaves of a program; par (1 or n_cells, n), F (n_cells, n_gauss, 3, 3)."""
+    return energy_at(ops, par, deformation_of(F))
+
+
+def deformation_of(F: Array) -> Deformation:
+    """What every law's energy is of, at F (n_cells, n_gauss, 3, 3)."""
     C = np.swapaxes(F, -1, -2) @ F
-    squares = np.maximum(np.linalg.eigvalsh(C), 1e-300)
-    return _energy(ops, par, Deformation(C, squares, np.linalg.det(F)))
+    return Deformation(C, np.maximum(np.linalg.eigvalsh(C), 1e-300), np.linalg.det(F))
 
 
 def program_energy_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: Array | None = None) -> Array:
@@ -43,12 +47,12 @@ def program_energy_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: 
     J = np.linalg.det(F)
     dJ = J * np.trace(np.linalg.solve(F, dF), axis1=-2, axis2=-1)
     moved = par + 0j if dpar is None else par + h * dpar
-    energy = _energy(ops, moved, Deformation(C + h * dC, squares, J + h * dJ))
+    energy = energy_at(ops, moved, Deformation(C + h * dC, squares, J + h * dJ))
     return np.asarray(np.imag(energy) / abs(h))
 
 
-def _energy(ops: IntArray, par: Any, at: Deformation) -> Array:
-    """Real, or complex for a complex step."""
+def energy_at(ops: IntArray, par: Any, at: Deformation) -> Array:
+    """Density (n_cells, n_gauss) of a program; par (1 or n_cells, n); complex for a complex step."""
     total = np.zeros(at.J.shape, dtype=at.J.dtype)
     for number, off, extra in ops:
         energy = kernel_of(number).energy

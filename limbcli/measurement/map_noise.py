@@ -1,8 +1,8 @@
 """How the noise of shear-wave maps is correlated from pixel to pixel: estimated from the maps themselves.
 
-What tissue and load do to a map changes evenly from level to level and from place to place, noise does not. So
-half of every level's neighbours is taken off it (second differences), and within blocks of some 10 mm what a
-surface of the second degree follows. What is left is noise: of independent pixels, or with a share of its
+What tissue and load do to a map changes evenly from level to level and from place to place, noise does not.
+So half of every level's neighbours is taken off it (second differences), and within blocks of some 10 mm what
+a surface of the second degree follows. What is left is noise: of independent pixels, or with a share of its
 variance that a Gaussian smoothed, r(d) = share exp(-d^2 / (4 s^2)) at d > 0, if that is likelier by far.
 
 Source: restricted likelihood, Patterson & Thompson 1971, Biometrika 58:545.

@@ -8,6 +8,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -50,6 +51,7 @@ class SessionResult:
     must_points : times, depths and forces at the levels
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
+    levels : the states at the levels, which other solves may start from
     differenced : the gradients are central differences of whole solves, because the response
         depends on the way the load went (viscoelastic law, friction, augmented contact)
     """
@@ -59,6 +61,7 @@ class SessionResult:
     force_gradient: Mapping[Parameter, Array] = field(default_factory=dict)
     differenced: bool = False
     field_gradient: Mapping[Parameter, Mapping[str, Table]] = field(default_factory=dict)
+    levels: Solved | None = None
 
 
 class ReferenceSession:
@@ -123,6 +126,7 @@ class ReferenceSession:
         leads: bool = True,
         enough_force: float | None = None,
         afresh: bool = False,
+        led_by: Solved | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2`: the same mesh and load with other material parameters.
 
@@ -144,20 +148,24 @@ class ReferenceSession:
         afresh : nothing of earlier solves is used but the levels of those that lead: the result does not
             depend on what else was solved
         enough_force : N on the body, at which the levels are enough; None: all are solved
+        led_by : start from these levels, not from those of the nearest solve that leads
 
         Raises
         ------
         SolveError
             If a level is not reached; the session can be used further.
         """
-        from limbcli.fem.warm_start import Solved
+        from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
         if wrt and path_dependent(model):
             return self._differenced(model, wrt, records, bool(field_gradients))
         moved = dict(weights or {})
         self._analysis.model = model
-        warm = self._warm_start(model, wrt, moved)
+        values = parameter_values(model, wrt, moved)
+        self._warm = self._warm or WarmStart()
+        led = self._warm if led_by is None else WarmStart.by(led_by)
+        led.at(values)
         if afresh:
             self._analysis.forget()
         started = time.monotonic()
@@ -165,19 +173,19 @@ class ReferenceSession:
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
-            watch, guesses=self._guess, required=required, hoped=hoped, last=last, patient=patient,
+            watch, guesses=partial(self._guess, led), required=required, hoped=hoped, last=last,
+            patient=patient,
             ends=None if enough_force is None else lambda: watch.force() >= enough_force,
         )  # fmt: skip
         self.model = model
+        levels = Solved(
+            values,
+            {s.state.time: s.state for s in snapshots if s.must},
+            watch.slopes,
+            tuple(o.lame for o in self._analysis.system.operands),
+        )
         if leads:
-            warm.keep(
-                Solved(
-                    parameter_values(model, wrt, moved),
-                    {s.state.time: s.state for s in snapshots if s.must},
-                    watch.slopes,
-                    tuple(o.lame for o in self._analysis.system.operands),
-                )
-            )
+            self._warm.keep(levels)
         simulation = self._simulation(snapshots, asked, watch.rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
         points = MustPoints(
@@ -186,7 +194,9 @@ class ReferenceSession:
             simulation.probe_force(self.body)[must],
         )
         gradients = {name: np.array(each) for name, each in watch.forces.items()}
-        return SessionResult(simulation, points, gradients, field_gradient=watch.field_gradient())
+        return SessionResult(
+            simulation, points, gradients, field_gradient=watch.field_gradient(), levels=levels
+        )
 
     @property
     def led(self) -> Solved | None:
@@ -292,20 +302,11 @@ class ReferenceSession:
             linear_solver=self._analysis.newton.linear_name,
         )
 
-    def _guess(self, system: System, time: float) -> State | None:
-        found = self._warm.guess(system, time) if self._warm is not None else None
+    def _guess(self, led: WarmStart, system: System, time: float) -> State | None:
+        found = led.guess(system, time)
         if found is None and self._other is not None:
             found = self._other.guess(system, time)
         return found
-
-    def _warm_start(
-        self, model: LimbModel, wrt: Sequence[Parameter], weights: Mapping[Parameter, Array]
-    ) -> WarmStart:
-        from limbcli.fem.warm_start import WarmStart
-
-        self._warm = self._warm or WarmStart()
-        self._warm.at(parameter_values(model, wrt, weights))
-        return self._warm
 
 
 def _table_differences(up: SessionResult, down: SessionResult, width: float) -> dict[str, Table]:

@@ -23,7 +23,7 @@ from limbcli.errors import SolveError
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
-from limbcli.stages.diagnosis.curves.cells import volumes
+from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.curves.ingredients import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 
@@ -59,7 +59,8 @@ def kinematics(
 ) -> SolvedDeformation:
     """The prescribed deformation: squeezed under the face, tapering beside it and a little in the depth."""
     height = float(-model.mesh.points[:, 2].min())
-    at = model.mesh.points[model.mesh.block("tissue").cells].mean(axis=1)
+    points = IntegrationPoints.of(model.mesh.points, model.mesh.block("tissue"))
+    at = points.rest[:, 0]
     beside = np.exp(-((at[:, 0] / 30) ** 4) - (np.abs(at[:, 1]) / (12 * spread)) ** 3)
     shape = beside * (1.0 + 0.25 * (0.5 + at[:, 2] / height))
     gradients, seen = [], []
@@ -71,7 +72,8 @@ def kinematics(
         gradients.append(F)
         places = at - np.outer((1 + at[:, 2] / height) * beside, [0, 0, d])
         seen.append(windows.seen(model, places, at, F, depth=float(d)))
-    return SolvedDeformation(depth, np.array(gradients), volumes(model), tuple(seen))
+    volume = np.abs(points.volume)
+    return SolvedDeformation(depth, np.array(gradients)[:, :, None], points.rest, volume, tuple(seen))
 
 
 @dataclass

@@ -123,12 +123,13 @@ def test_fibres_are_those_of_the_golden_model(base, golden):
 def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     """The map's share of each cell, times volume, is the volume of a layer of that thickness."""
     from limbcli.effects.places import layer_share
-    from limbcli.stages.diagnosis.curves.cells import volumes
+    from limbcli.solvers.integration_points import IntegrationPoints
 
     share = layer_share(base, 0.0, 1.5)
     corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()
     top = np.ptp(base.mesh.points[corners][:, :2], axis=0)
-    assert share @ volumes(base) == pytest.approx(np.prod(top) * 1.5, rel=0.06)
+    volume = IntegrationPoints.of(base.mesh.points, base.mesh.solid_blocks[0]).volume.sum(axis=1)
+    assert share @ volume == pytest.approx(np.prod(top) * 1.5, rel=0.06)
     theta = {"log_skin_ratio": np.log(0.15 / 0.005), "skin_thickness_mm": 1.5}
     stiff = effect("skin-layer").apply(base, theta).materials["tissue"].parameters["c1"]
     assert isinstance(stiff, ElementMap)

@@ -43,11 +43,12 @@ def stiff(places: Places) -> np.ndarray:
 
 
 def deformed(*stretches: np.ndarray) -> SolvedDeformation:
-    gradient = np.broadcast_to(np.eye(3), (len(stretches), len(CELLS), 3, 3)).copy()
-    gradient[..., 2, 2] = stretches
+    gradient = np.broadcast_to(np.eye(3), (len(stretches), len(CELLS), 1, 3, 3)).copy()
+    gradient[..., 0, 2, 2] = stretches
     view = ScannerView(Every(), Places(MIDDLES[:, None, :], MODEL), np.ones(1), Pixels())
     depth = np.arange(float(len(stretches)))
-    return SolvedDeformation(depth, gradient, np.full(len(CELLS), 2.0), (view,) * len(stretches))
+    volume = np.full((len(CELLS), 1), 2.0)
+    return SolvedDeformation(depth, gradient, MIDDLES[:, None], volume, (view,) * len(stretches))
 
 
 @pytest.fixture
@@ -73,7 +74,7 @@ def test_the_slope_is_that_of_a_strain_in_proportion_to_each_cells_part(speeds_o
 
 
 def test_deformations_of_other_cells_tell_nothing(speeds_of_stretch):
-    other = SolvedDeformation(np.zeros(1), np.zeros((1, 3, 3, 3)), np.ones(3))
+    other = SolvedDeformation(np.zeros(1), np.zeros((1, 3, 1, 3, 3)), np.zeros((3, 1, 3)), np.ones((3, 1)))
     flat = deformed(np.ones(len(CELLS)))
     assert strain_concentrations(MODEL, flat, [(1.0, other)], [stiff], density_kg_per_m3=1000.0) == ()
 

@@ -85,6 +85,22 @@ def test_a_session_that_starts_like_another_leaves_that_ones_guesses_alone():
     assert before[1] < after[1]
 
 
+def test_a_solve_may_be_led_by_levels_of_its_own():
+    """The same answer in fewer iterations, and later solves know nothing of it."""
+    base = punch(depth=2.0)
+    near = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=5.8))
+    asked = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
+    session = ReferenceSession(base, threads=1)
+    first = session.solve()
+    alone, other = (session.solve(each, leads=False, afresh=True) for each in (asked, near))
+    led = session.solve(asked, leads=False, afresh=True, led_by=other.levels)
+    again = session.solve(asked, leads=False, afresh=True)
+    session.close()
+    np.testing.assert_allclose(led.must_points.forces, alone.must_points.forces, rtol=1e-5)
+    counts = np.diff([each.simulation.n_iterations for each in (first, alone, other, led, again)])
+    assert counts[2] < counts[0] == counts[3]
+
+
 def test_levels_after_the_last_that_is_asked_for_are_not_tried():
     session = ReferenceSession(punch(levels=3), threads=1)
     every = session.solve().must_points

@@ -36,8 +36,8 @@ def test_noise_is_found_whatever_the_tissue(rng, smoothing):
 
 
 def test_tissue_whose_pattern_bends_from_level_to_level_is_no_smooth_noise(rng):
-    """Over the pixels of a part it would count many times: 1 % in common adds a seventh to the variance of the
-    mean of 16 pixels with 10 % each."""
+    """Over the pixels of a part it would count many times: 1 % in common adds a seventh to the variance of
+    the mean of 16 pixels with 10 % each."""
     x, z = np.meshgrid(np.arange(-20.0, 21.0), np.arange(2.0, 26.0), indexing="ij")
     shape = np.exp(-((x + 7) ** 2 + (z - 10) ** 2) / 300)
     bent = []

@@ -151,9 +151,9 @@ def test_frozen_force_of_a_uniform_squeeze_is_exact():
     law = ogden_type(c=0.006, f_kappa=100.0, m=2.0)
     depth = np.linspace(0, 4, 17)
     stretch = 1 - depth / 10
-    F = np.array([np.diag([s**-0.5, s**-0.5, s]) for s in stretch])[:, None]
-    volume = np.array([1000.0])
-    found = frozen_force(_model(law, 1), SolvedDeformation(depth, F, volume))
+    F = np.array([np.diag([s**-0.5, s**-0.5, s]) for s in stretch])[:, None, None]
+    rest, volume = np.zeros((1, 1, 3)), np.array([[1000.0]])
+    found = frozen_force(_model(law, 1), SolvedDeformation(depth, F, rest, volume))
     # W = c/8 (sum l^2 + l^-2 - 6), dW/ds = c/8 (2 s - 2 s^-2 - 2 s^-3 + 2), ds/ddepth = -1/10
     s = stretch
     exact = -100.0 * 0.006 / 8 * (2 * s - 2 * s**-2 - 2 * s**-3 + 2)

@@ -25,6 +25,9 @@ from tests.stages import block_case
 ALONE = Solving(threads=1)
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
 THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
+SOFTER = {
+    size: ((effect("nonlinearity"), {"weight_q": size, "second_pair_share": 0.0}),) for size in (0.30, 0.33)
+}  # a fit's sizes, one after the other
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +142,7 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
 
 def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path):
     """Wherever it was stopped: else what was close to a threshold is answered in another way."""
-    asked = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ())]
+    asked = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ()), (5.0, SOFTER[0.30]), (5.1, SOFTER[0.33])]
 
     def solved(folder, n_before: int):
         """Curves and kept deformation by one book, or by two with a stop in between."""
@@ -151,7 +154,7 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
         return curves, gradient, book.work.total
 
     whole_curves, whole_gradient, whole_work = solved(tmp_path / "whole", 0)
-    for n_before in (1, 3):
+    for n_before in (1, 3, 5):
         curves, gradient, work = solved(tmp_path / str(n_before), n_before)
         for found, expected in zip(curves, whole_curves, strict=True):
             np.testing.assert_array_equal(found.force, expected.force)
@@ -160,11 +163,28 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
         assert work == whole_work
 
 
+def test_an_explanation_that_is_fitted_again_is_led_by_its_levels_before(block):
+    """Refits on the model as it stands ask for the same effects at sizes near by."""
+
+    def work_and_force(*sizes: float):
+        book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
+        for m in (8.0, 4.0):
+            book.curves(m)
+        force = [book.curves(5.0, SOFTER[size]).force for size in sizes][-1]
+        book.close()
+        return book.work.done, force
+
+    alone, expected = work_and_force(0.33)
+    led, force = work_and_force(0.30, 0.33)
+    np.testing.assert_allclose(force, expected, rtol=1e-5)
+    assert led < 0.95 * alone
+
+
 @pytest.mark.parametrize("spoil", [Path.unlink, lambda path: path.write_bytes(b"PK\x03\x04 cut off")])
 def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, spoil):
     book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
     book.curves(3.0)
-    for path in tmp_path.glob("*-cells.npz"):
+    for path in tmp_path.glob("*-nodes.npz"):
         spoil(path)
     assert again.kinematics(3.0).gradient == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
     assert again.n_solves == 1

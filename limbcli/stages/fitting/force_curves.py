@@ -30,7 +30,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.stages.diagnosis.curves.cells import softer_jumps
+from limbcli.stages.diagnosis.curves.lighter_models import softer_jumps
 from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE

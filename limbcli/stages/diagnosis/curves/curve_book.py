@@ -25,8 +25,6 @@ from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.diagnosis.curves.cell_table import FILE, CellTable
-from limbcli.stages.diagnosis.curves.cells import fewer_steps, first_cell, softer_jumps
 from limbcli.stages.diagnosis.curves.curve_plan import LevelsAt, Reach, Solving
 from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.ingredients import (
@@ -37,6 +35,8 @@ from limbcli.stages.diagnosis.curves.ingredients import (
     touches_loads,
 )
 from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
+from limbcli.stages.diagnosis.curves.lighter_models import fewer_steps, softer_jumps
+from limbcli.stages.diagnosis.curves.node_table import FILE, NodeTable
 from limbcli.stages.diagnosis.curves.store import CurveStore
 from limbcli.stages.diagnosis.curves.work import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -93,14 +93,13 @@ class CurveBook:
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
-        cells = np.arange(len(model.mesh.solid_blocks[0].cells)) + first_cell(model)
-        self._table = CellTable(cells, windows, density_kg_per_m3)
+        self._table = NodeTable.of(model, windows, density_kg_per_m3)
         model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         followed = () if borders is None else (borders.record(model),)
         self.model = replace(model, records=(*model.records[:1], self._table.record, *followed))
         self.borders = borders
         self.c, self.f_kappa, self.density, self.windows = c, f_kappa, density_kg_per_m3, windows
-        self.work = Work(n_cells=len(cells))
+        self.work = Work(n_cells=len(model.mesh.solid_blocks[0].cells))
         self.beside, self.enough_force = reach.beside, reach.enough_force
         self.kept, self.progress = CurveStore(keep), progress
         self.solving = solving
@@ -115,6 +114,7 @@ class CurveBook:
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # of an earlier run
         self._levels: dict[str, Solved] = {}
+        self._with_effects: dict[tuple[str, ...], str] = {}  # the last that was solved with fitted sizes
         self._times, self._begin = plan.times, reach.begin
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
@@ -180,12 +180,12 @@ class CurveBook:
         return self._plain[m]
 
     def kinematics(self, m: float) -> SolvedDeformation:
-        """The deformation of every tissue cell in the model without effects."""
+        """The tissue's deformation in the model without effects."""
         key = self._key(m, ())
         if key not in self._kinematics:
             curves = self.curves(m)
         if key not in self._kinematics:  # the curves were kept from an earlier run
-            values = self.kept.cells(key)
+            values = self.kept.displacements(key)
             if values is None:
                 self._known[key] = self._solve(key, m, ())
             else:
@@ -224,8 +224,9 @@ class CurveBook:
         hoped = self._required if numerical else self._hoped
         # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
         limited = bool(ingredients) and not numerical
+        fitted = limited and has_fitted_size(ingredients)
         self.work.begin(
-            candidate=limited, has_friction=model.has_friction, fitted=has_fitted_size(ingredients),
+            candidate=limited, has_friction=model.has_friction, fitted=fitted,
             needed=self._required / self.n_depths,
         )  # fmt: skip
         same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
@@ -247,6 +248,7 @@ class CurveBook:
                     last=None if m == USUAL_M and not ingredients else hoped,
                     enough_force=self.enough_force,
                     afresh=True,
+                    led_by=self._levels_with(ingredients) if fitted and not model.has_friction else None,
                 )
             finally:
                 self.work.end()
@@ -257,7 +259,7 @@ class CurveBook:
                 f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
             ) from error
         work = self.work.done
-        table = result.simulation.elements[FILE]
+        table = result.simulation.nodes[FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
         # in the precision that they are kept in: an interrupted diagnosis goes on with the same numbers
@@ -284,10 +286,11 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(work)
             self._kinematics[key] = kinematics
-            self.kept.keep_cells(key, values.astype(np.float32))
-            if session.led is not None:
-                self._levels[key] = session.led
-                self.kept.keep_levels(key, session.led)
+            self.kept.keep_displacements(key, values.astype(np.float32))
+        if result.levels is not None and (fitted or not ingredients):
+            self._levels[key] = result.levels
+            self.kept.keep_levels(key, result.levels)
+            self._with_effects |= {_names(ingredients): key} if fitted else {}
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
@@ -336,6 +339,16 @@ class CurveBook:
         text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
         self.progress.event("note", text=text)
 
+    def _levels_with(self, ingredients: Ingredients) -> Solved | None:
+        """Those of the last solve with these effects at sizes that a fit had found: a fit made again on the
+        model as it stands asks for sizes near by."""
+        key = self._with_effects.get(_names(ingredients))
+        if key is not None and key not in self._levels:
+            levels = self.kept.levels(key)
+            if levels is not None:
+                self._levels[key] = levels
+        return None if key is None else self._levels.get(key)
+
     def _taken_up(self, key: str) -> None:
         """Levels of an earlier run lead later solves as they did there."""
         levels = self.kept.levels(key)
@@ -383,6 +396,12 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(found.work)
             self._taken_up(key)
+        elif has_fitted_size(ingredients) and not is_numerical(ingredients):
+            self._with_effects[_names(ingredients)] = key
         if not is_numerical(ingredients):
             self._tell(m, ingredients, found.n_reached)
         return found.curves
+
+
+def _names(ingredients: Ingredients) -> tuple[str, ...]:
+    return tuple(effect.name for effect, _ in ingredients)

@@ -14,7 +14,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
 
-_READING = 2  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
+_READING = 3  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
 READING_OF_FIELDS = 2  # the same of those with an effect that is a factor on stiffnesses
 
 

@@ -63,9 +63,9 @@ class CurveStore:
                 **lines,  # type: ignore[arg-type]
             )  # fmt: skip
 
-    def cells(self, key: str) -> Array | None:
-        """Places and gradients (n_depths, n_cells, 12) of the tissue's cells at every depth."""
-        path = None if self.folder is None else self.folder / f"{key}-cells.npz"
+    def displacements(self, key: str) -> Array | None:
+        """(n_depths, n_nodes, 3) mm of the tissue's nodes."""
+        path = None if self.folder is None else self.folder / f"{key}-nodes.npz"
         if path is None or not path.is_file():
             return None
         try:
@@ -91,7 +91,7 @@ class CurveStore:
         with atomic_file(self.folder / f"{key}-levels.npz") as path:
             np.savez(path, **solved_arrays(solved))
 
-    def keep_cells(self, key: str, values: NDArray[np.float32]) -> None:
+    def keep_displacements(self, key: str, values: NDArray[np.float32]) -> None:
         if self.folder is not None:
-            with atomic_file(self.folder / f"{key}-cells.npz") as path:
+            with atomic_file(self.folder / f"{key}-nodes.npz") as path:
                 np.savez(path, values=values)

@@ -1,6 +1,8 @@
-"""What a diagnosis reads off a solved table of cells: curves of force and speed, and the deformation.
+"""What a diagnosis reads off solved displacements: curves of force and speed, and the deformation.
 
-A table's values (n_depths, n_cells, 12): middles of the tissue's cells, then their deformation gradients.
+Read at the integration points of each cell, not at its mean: speeds grow faster than in proportion to strain,
+so that those of mean strains are too low, the more the larger the cells.
+A table's values (n_depths, n_nodes, 3): displacements of the tissue's nodes.
 """
 
 from __future__ import annotations
@@ -15,38 +17,43 @@ from limbcli.effects.frozen import SolvedDeformation, frozen_speed, strain_conce
 from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
-from limbcli.stages.diagnosis.curves.cells import centers, volumes
+from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.data.windows import Windows
 
-FILE = "windows.csv"
-_CENTER = ("x", "y", "z")
-_GRADIENT = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
+FILE = "displacements.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class CellTable:
-    """cells : of the tissue, counted over the model"""
+class NodeTable:
+    """nodes : of the tissue"""
 
-    cells: IntArray
+    nodes: IntArray
     windows: Windows
     density_kg_per_m3: float
+
+    @staticmethod
+    def of(model: LimbModel, windows: Windows, density_kg_per_m3: float) -> NodeTable:
+        return NodeTable(np.unique(model.mesh.solid_blocks[0].cells), windows, density_kg_per_m3)
 
     @property
     def record(self) -> LogRecord:
         """What a simulation must write."""
-        return LogRecord("element", (*_CENTER, *_GRADIENT), FILE, self.cells)
+        return LogRecord("node", ("ux", "uy", "uz"), FILE, self.nodes)
 
     def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
-        """The deformation of every tissue cell at these depths (mm, n), the first of them 0."""
-        n = len(self.cells)
-        rest = centers(model, self.cells)
-        F = np.concatenate([np.broadcast_to(np.eye(3), (1, n, 3, 3)), values[:, :, 3:].reshape(-1, n, 3, 3)])
-        places = np.concatenate([rest[None], values[:, :, :3]])
+        """The tissue's deformation at these depths (mm, n), the first of them 0."""
+        points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
+        displacement = np.zeros((len(depth), len(model.mesh.points), 3))
+        displacement[1:, self.nodes] = values
+        rest = points.rest.reshape(-1, 3)
+        F = np.array([points.gradients(u) for u in displacement])
         seen = [
-            self.windows.seen(model, at, rest, gradient, depth=float(d))
-            for at, gradient, d in zip(places, F, depth, strict=True)
+            self.windows.seen(
+                model, points.places(u).reshape(-1, 3), rest, gradient.reshape(-1, 3, 3), depth=float(d)
+            )
+            for u, gradient, d in zip(displacement, F, depth, strict=True)
         ]
-        return SolvedDeformation(depth, F, volumes(model), tuple(seen))
+        return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
 
     def curves(
         self, model: LimbModel, in_window: LimbModel, kinematics: SolvedDeformation, forces: Array,
