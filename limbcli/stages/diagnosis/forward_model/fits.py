@@ -50,6 +50,26 @@ def _guess(slot: Slot, start: Mapping[str, float]) -> float:
     return p.null + start.get(slot.name, 0.0) or p.start
 
 
+class _Trials:
+    """Residuals (n,) of a fit's trials; fits keep away from those that have no answer."""
+
+    def __init__(self, off: Callable[[Array], Array], n: int):
+        self.off, self.n = off, n
+        self.problems: list[SolveError] = []
+
+    def __call__(self, x: Array) -> Array:
+        try:
+            return self.off(x)
+        except SolveError as error:
+            self.problems.append(error)
+            return np.full(self.n, _NO_ANSWER)
+
+    def has_answer(self, x: Array) -> bool:
+        known = len(self.problems)
+        self(x)
+        return len(self.problems) == known
+
+
 class Fits(Predictions):
     """What fits sites that share the tissue and one tuple of effects.
 
@@ -87,14 +107,7 @@ class Fits(Predictions):
             starts = []  # it was fitted before, from everywhere
 
         n_far = sum(not p.shape and p.typical != p.null for p in parameters)
-        problems: list[SolveError] = []
-
-        def off(x: Array) -> Array:
-            try:
-                return self._off(x, explanation, points)
-            except SolveError as error:  # a trial that has no answer: fits keep away from it
-                problems.append(error)
-                return np.full(len(self.data) + n_far, _NO_ANSWER)
+        off = _Trials(lambda x: self._off(x, explanation, points), len(self.data) + n_far)
 
         def descended(x0: Array, n_most: int) -> Any:
             inside = np.clip(x0, low + 1e-6, high - 1e-6)
@@ -103,10 +116,10 @@ class Fits(Predictions):
                 max_nfev=n_most,
             )  # fmt: skip
 
-        seeds = [*besides, *ends, *starts]
+        seeds = [x for x in (*besides, *ends, *starts) if off.has_answer(np.clip(x, low + 1e-6, high - 1e-6))]
+        if not seeds:
+            raise off.problems[0]
         best = _deepest(descended, seeds) if thorough else descended(seeds[0], _QUICK)
-        if problems and best.cost >= 0.5 * len(self.data) * _NO_ANSWER**2:
-            raise problems[0]
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         if thorough and not held:
@@ -190,15 +203,19 @@ class Fits(Predictions):
         def full(z: Array) -> Array:
             return np.array([z[0], np.log(m), *z[1:]])
 
+        off = _Trials(
+            lambda z: whiten(self.data.y - self.predict(full(z), explanation, points)), len(self.data)
+        )
         found = least_squares(
-            lambda z: whiten(self.data.y - self.predict(full(z), explanation, points)),
-            np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
+            off, np.clip(x0, low + 1e-6, high - 1e-6), bounds=(low, high), diff_step=1e-4, max_nfev=15,
             ftol=1e-5, xtol=1e-4,
             x_scale=np.array([0.1, *(s.parameter.step for s in slots)]),
         )  # fmt: skip
         names = ["c_kpa", *(s.name for s in slots)]
-        J = whiten(self._jacobian(full(found.x), explanation, points))[:, free]
-        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
+        spread = np.zeros(len(free))
+        if off.has_answer(found.x):
+            J = whiten(self._jacobian(full(found.x), explanation, points))[:, free]
+            spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)), 0.0))
         values = {**fitted.values, **dict(zip(names, found.x.tolist(), strict=True)), "m": m}
         values["c_kpa"] = float(kpa_from_mpa(float(np.exp(found.x[0]))))
         return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
