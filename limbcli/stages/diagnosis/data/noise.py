@@ -28,8 +28,8 @@ COMMON_GAIN = 0.03
 # The model's error in a map, of ln speed a unit of strain (depth over thickness): in the parts, and more
 # below the face, an exponential in distance (a smoother kernel lets contrasts tell too much) and from level
 # to level; of a level's mean by the square of the strain. Sizes are 1.4 to 3 times the likeliest of tied
-# models against FEBio's without noise at thirteen sites (`tests/benchmarks/map_errors.py`), which differ by as
-# much among themselves; how much of it a site has is found from its data.
+# models against FEBio's without noise at thirteen sites (`tests/benchmarks/map_errors.py`), which differ by
+# as much among themselves; how much of it a site has is found from its data.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.13, 0.106, 6.5, 4.5
 _IN_LEVEL, _ALIKE = 0.24, 0.87  # _ALIKE: from level to level
 _RESOLVED = 0.001  # of a part's ln speed, whatever the strain
