@@ -8,9 +8,9 @@ What the FEBio study cannot be any more: new. Limbs of OpenLimb (the reference d
 sizes of effects are drawn from the number alone. Every tissue is simulated with and without what is hidden,
 on another mesh than a diagnosis has, of the whole surfaces, cut 57 mm beyond the probe (110: not at all),
 with a contact that gives less; lighter surfaces are handed over. The probe stands upright on the skin near
-its middle, its long axis level. A wave speed is that of the elements in a slice of 4 mm, under a Gaussian
-of 3 mm: not the way in which a diagnosis reads its own. SET/truth.toml has the form of the study's. The
-solver is the project's own, which agrees with FEBio on the same mesh.
+its middle, its long axis level. A wave speed is that of places all over the elements in a slice of 4 mm,
+under a Gaussian of 3 mm: not the way in which a diagnosis reads its own. SET/truth.toml has the form of the
+study's. The solver is the project's own, which agrees with FEBio on the same mesh.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from limbcli.effects import effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.tissue import core, ground_modulus, scaled, tissue_block, with_core
 from limbcli.errors import LimbError, MeshError
+from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.meshing.frame import skin_point_at
 from limbcli.meshing.mending import Limb
@@ -42,7 +43,6 @@ from limbcli.model import Array, LimbModel
 from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.case_folder import PROBE, NoiseLaw, case_table, toml
 from limbcli.progress import SILENT
-from limbcli.shear_waves.from_simulation import ElementStates
 from limbcli.shear_waves.speed import block_speeds
 from limbcli.solvers.base import Simulation
 from limbcli.stages.build_feb import PROBE as PROBE_BODY
@@ -280,31 +280,34 @@ def pressed(meshed: LimbModel, tissue: KnownTissue, hidden: Change | None, deepe
 
 
 def speeds_of(model: LimbModel, found: Simulation, depth: Array) -> Array:
-    """m/s (n, lateral, below the face), NaN where little tissue is: each element's, all over it."""
-    states = ElementStates.of(model, found)
-    first = next(iter(found.elements.values())).items
-    cells = np.concatenate([b.cells[:, :4] for b in model.mesh.blocks if b.cells.shape[1] in (4, 10)])
-    corners = cells[states.items]
+    """m/s (n, lateral, below the face), NaN where little tissue is: at places all over each element, of the
+    deformation there."""
+    first = next(iter(found.elements.values())).items  # those that the scanner may show
+    kind = model.mesh.solid_blocks[0].kind
+    cells = np.concatenate([each.cells for each in model.mesh.solid_blocks if each.kind == kind])[first]
     nodes = next(iter(found.nodes.values()))
     moved = np.zeros((len(depth), *model.mesh.points.shape))
     for axis, name in enumerate(("ux", "uy", "uz")):
         moved[1:, nodes.items, axis] = nodes.column(name)
-    shares = np.random.default_rng(0).dirichlet(np.ones(4), N_PLACES)
+    shares = np.random.default_rng(0).dirichlet(np.ones(4), N_PLACES)[:, 1:]
+    chosen = shares, np.full(N_PLACES, 1 / 6 / N_PLACES)
+    slope, _ = reference_gradients(model.mesh.points, cells, kind, chosen)
+    values, _ = shape(kind, shares)
     out = np.full((len(depth), len(LATERAL), len(BELOW)), np.nan)
     for n, d in enumerate(depth):
-        F = states.gradient[n - 1] if n else np.broadcast_to(np.eye(3), states.gradient[0].shape)
-        speed = block_speeds(model, TISSUE, F, first)
-        now = (model.mesh.points + moved[n])[corners]
-        a, b, c, e = np.moveaxis(now, 1, 0)
+        F = np.eye(3) + np.einsum("cni,cqnj->cqij", moved[n][cells], slope, optimize=True)
+        speed = block_speeds(model, TISSUE, F.reshape(-1, 3, 3), np.repeat(first, N_PLACES))
+        now = (model.mesh.points + moved[n])[cells]
+        a, b, c, e = np.moveaxis(now[:, :4], 1, 0)
         volume = np.abs(np.einsum("ij,ij->i", np.cross(b - a, c - a), e - a)) / 6 / N_PLACES
-        at = np.einsum("wk,nkd->nwd", shares, now).reshape(-1, 3)
-        inside = (np.abs(at[:, 1]) <= SLICE) & np.repeat(np.isfinite(speed), N_PLACES)
+        at = np.einsum("wk,nkd->nwd", values, now).reshape(-1, 3)
+        inside = (np.abs(at[:, 1]) <= SLICE) & np.isfinite(speed)
         x, z = at[inside, 0], -d - at[inside, 2]
         size = np.repeat(volume, N_PLACES)[inside]
         ex = np.exp(-0.5 * ((LATERAL[:, None] - x) / SMOOTHING) ** 2)
         ez = np.exp(-0.5 * ((BELOW[:, None] - z) / SMOOTHING) ** 2)
         weight = (ex * size) @ ez.T
-        mean = (ex * size * np.repeat(speed, N_PLACES)[inside]) @ ez.T / np.maximum(weight, 1e-12)
+        mean = (ex * size * speed[inside]) @ ez.T / np.maximum(weight, 1e-12)
         out[n] = np.where(weight > FULL / 2, mean, np.nan)
     return out
 
