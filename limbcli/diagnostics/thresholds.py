@@ -159,7 +159,8 @@ NAMED_BY_GAIN: Final = 10.0
 """Times that the p of a refit's gain is taken there: it counts on errors being normal and known. Chosen."""
 
 CLOSED_PERCENTILE: Final = 95.0
-"""Per cent of placebos (smooth curves of no meaning) that a named effect must beat. Convention."""
+"""Per cent of placebos (smooth curves of no meaning, each the best of as many as there are candidates) that a
+named effect must beat. Convention."""
 
 CLOSED_BY_SEVERAL_PERCENTILE: Final = 99.0
 """The same of several effects, whose placebos are picked from as many combinations. Chosen."""

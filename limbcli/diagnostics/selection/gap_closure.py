@@ -22,13 +22,13 @@ class Closing:
     def is_closed(self, refit: Refit) -> bool:
         data = self.baseline.data
         before, after = held_out_error(data, self.baseline.base), held_out_error(data, refit.fitted)
+        n_effects = len(refit.explanation)
+        if n_effects > thresholds.MOST_NAMED:  # three effects bend to almost any smooth gap
+            return False
         if not fell(before, after, data.blocks) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
-        if len(refit.explanation) == 1:
-            return True
-        if len(refit.explanation) > thresholds.MOST_NAMED:  # three effects bend to almost any smooth gap
-            return False
-        return self._library_percentile(refit) > thresholds.CLOSED_BY_SEVERAL_PERCENTILE
+        asked = thresholds.CLOSED_PERCENTILE if n_effects == 1 else thresholds.CLOSED_BY_SEVERAL_PERCENTILE
+        return self._library_percentile(refit) > asked
 
     def percentile(self, refit: Refit) -> float:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""
@@ -40,7 +40,7 @@ class Closing:
         )  # fmt: skip
 
     def _library_percentile(self, refit: Refit) -> float:
-        """Placebos of an explanation by several effects are picked out of as many combinations as it was."""
+        """Placebos are picked out of as many, or as many combinations, as the explanation was."""
         baseline = self.baseline
         n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), thresholds.MOST_PICKED)
         return library_percentile(

@@ -52,7 +52,7 @@ def library_percentile(
 ) -> float:  # fmt: skip
     """The same with the search counted: each placebo is the best of `n_tried` sets.
 
-    An explanation by several effects is picked out of many combinations; so is its placebo.
+    An effect is picked out of many, one by several out of many combinations; so is its placebo.
     """
     n_libraries, least = 200, 2
     curves = smooth_directions(
