@@ -195,8 +195,9 @@ class _Run:
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "it leaves something; it may not be all"
-        if self._chance_of(best, times=thresholds.NAMED_BY_GAIN) >= thresholds.NAMED:
-            return "ambiguous", f"its own evidence is weak for a name (p {self._chance_of(best):.2g})"
+        chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN)
+        if chance >= thresholds.NAMED:
+            return "ambiguous", f"its own evidence is weak for a name (p {chance:.2g})"
         if best.fitted.notes and not Account(self.baseline).estimates(best.fitted, best.state).is_pulled:
             return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
