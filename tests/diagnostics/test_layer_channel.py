@@ -176,12 +176,19 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     the_bench = SiteForwardModel([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
+    points, true = the_bench.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
+    ended = the_bench._off(the_bench._x_of(found), found.explanation, points)
+    the_bench.sites[0].repair(4.0, found.explanation, true, points)
+    x = np.array([*np.log([0.0065, 4.0]), *(true[slot.name] for slot in the_bench.slots(found.explanation))])
+    at_truth = the_bench._off(x, found.explanation, points)
     book.close()
+    assert ended @ ended < at_truth @ at_truth
     left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
     assert left[0] @ left[0] > left[1] @ left[1] + 15.0
     assert left[1] @ left[1] < 2.0 * len(levels.force) * 3
     # c is free and no wave speed tells it: with 5 % of mesh error the standard error is 0.86.
-    assert found.values["log_fat_softness"] == pytest.approx(1.1, abs=0.6)
+    assert found.values["log_fat_softness"] == pytest.approx(1.1, abs=1.5 * 0.86)
+    assert found.values["fat_thickness_mm"] == pytest.approx(6.0, abs=0.7)
 
 
 def test_curves_carry_lines_beyond_their_end():
