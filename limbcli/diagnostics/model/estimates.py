@@ -199,7 +199,8 @@ def _others(
         reach = [np.sqrt((limit - each.deviance / scale) * scale) * each.deviations[name] for each in inside]
         values = [each.values[name] for each in inside]
         if name == "c_kpa":
-            ends = [v * np.exp(sign * r) for v, r in zip(values, reach, strict=True) for sign in (-1, 1)]
+            with np.errstate(over="ignore"):  # infinite where c is open
+                ends = [v * np.exp(sign * r) for v, r in zip(values, reach, strict=True) for sign in (-1, 1)]
         else:
             ends = [v + sign * r for v, r in zip(values, reach, strict=True) for sign in (-1, 1)]
         found[name] = (float(min(ends)), float(max(ends)))
