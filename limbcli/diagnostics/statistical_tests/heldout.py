@@ -23,7 +23,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
     """
     J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # what a bound holds does not move
-    J = J / np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
+    J = J / np.linalg.norm(J, axis=0)
     residual, covariance = data.y - fitted.prediction, data.noise.covariance
     found: dict[str, float] = {}
     squares, n_data = 0.0, 0
