@@ -1,6 +1,6 @@
-"""Calls of scipy's BLAS from compiled loops that hold no lock.
+"""Calls of scipy's BLAS and LAPACK from compiled loops that hold no lock.
 
-The addresses are those that scipy offers to compiled code (`scipy.linalg.cython_blas`),
+The addresses are those that scipy offers to compiled code (`scipy.linalg.cython_blas`, `cython_lapack`),
 given to the loops as numbers, so that compiled loops can be cached. Matrices are flat
 arrays with an offset and a leading dimension, column after column.
 """
@@ -15,14 +15,17 @@ from numba.extending import get_cython_function_address, intrinsic
 
 from limbcli.model import IntArray
 
-_ROUTINES = ("gemm", "syrk")
-GEMM, SYRK = range(len(_ROUTINES))
+_ROUTINES = (("blas", "gemm"), ("blas", "syrk"), ("blas", "trsm"), ("lapack", "getrf"))
+GEMM, SYRK, TRSM, GETRF = range(len(_ROUTINES))
 
 
 def addresses(single: bool) -> IntArray:
-    """Where the routines are, in the order GEMM, SYRK."""
+    """Where the routines are, in the order GEMM, SYRK, TRSM, GETRF."""
     letter = "s" if single else "d"
-    found = [get_cython_function_address("scipy.linalg.cython_blas", letter + r) for r in _ROUTINES]
+    found = [
+        get_cython_function_address(f"scipy.linalg.cython_{library}", letter + routine)
+        for library, routine in _ROUTINES
+    ]
     return np.array(found)
 
 
@@ -58,35 +61,43 @@ def _table(context, builder, signature, args):  # type: ignore[no-untyped-def]
     return context.make_array(signature.args[0])(context, builder, args[0]).data
 
 
-@intrinsic
-def gemm_nt(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
-    """C (m, n) = alpha A B^T + beta C."""
-    i = types.intp
-    real = a.dtype
-    signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
+def _gemm(turned):  # type: ignore[no-untyped-def]
+    """turned : "T" where B is given as its transpose, else "N"."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
-        arguments = [
-            _letter(builder, "N"),
-            _letter(builder, "T"),
-            _int(builder, m),
-            _int(builder, n),
-            _int(builder, k),
-            _by_address(builder, alpha),
-            _pointer(context, builder, t[5], a, oa),
-            _int(builder, lda),
-            _pointer(context, builder, t[8], b, ob),
-            _int(builder, ldb),
-            _by_address(builder, beta),
-            _pointer(context, builder, t[12], c, oc),
-            _int(builder, ldc),
-        ]
-        _call(builder, _table(context, builder, signature, args), GEMM, arguments)
-        return context.get_dummy_value()
+    def typed(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
+        i = types.intp
+        real = a.dtype
+        signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
 
-    return signature, codegen
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            t = signature.args
+            _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
+            arguments = [
+                _letter(builder, "N"),
+                _letter(builder, turned),
+                _int(builder, m),
+                _int(builder, n),
+                _int(builder, k),
+                _by_address(builder, alpha),
+                _pointer(context, builder, t[5], a, oa),
+                _int(builder, lda),
+                _pointer(context, builder, t[8], b, ob),
+                _int(builder, ldb),
+                _by_address(builder, beta),
+                _pointer(context, builder, t[12], c, oc),
+                _int(builder, ldc),
+            ]
+            _call(builder, _table(context, builder, signature, args), GEMM, arguments)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    return typed
+
+
+# C (m, n) = alpha A B^T + beta C, and alpha A B + beta C
+gemm_nt = intrinsic(_gemm("T"))
+gemm_nn = intrinsic(_gemm("N"))
 
 
 @intrinsic
@@ -111,6 +122,55 @@ def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: 
             _int(builder, ldc),
         ]
         _call(builder, _table(context, builder, signature, args), SYRK, arguments)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def solve_unit_lower(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
+    """B (m, n) = L^-1 B, L the lower triangle of A with ones on its diagonal."""
+    i = types.intp
+    signature = types.void(table, i, i, a, i, i, b, i, i)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        t = signature.args
+        _, m, n, a, oa, lda, b, ob, ldb = args
+        one = context.get_constant(t[3].dtype, 1.0)
+        arguments = [
+            *(_letter(builder, each) for each in "LLNU"),
+            _int(builder, m),
+            _int(builder, n),
+            _by_address(builder, one),
+            _pointer(context, builder, t[3], a, oa),
+            _int(builder, lda),
+            _pointer(context, builder, t[6], b, ob),
+            _int(builder, ldb),
+        ]
+        _call(builder, _table(context, builder, signature, args), TRSM, arguments)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def getrf(typingctx, table, m, n, a, oa, lda, pivots, op):  # type: ignore[no-untyped-def]
+    """LU of A (m, n) in place; pivots[op:] (int32) gets the rows exchanged, counted from 1."""
+    i = types.intp
+    signature = types.void(table, i, i, a, i, i, pivots, i)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        t = signature.args
+        _, m, n, a, oa, lda, pivots, op = args
+        arguments = [
+            _int(builder, m),
+            _int(builder, n),
+            _pointer(context, builder, t[3], a, oa),
+            _int(builder, lda),
+            _pointer(context, builder, t[6], pivots, op),
+            _by_address(builder, ir.Constant(_INT, 0)),
+        ]
+        _call(builder, _table(context, builder, signature, args), GETRF, arguments)
         return context.get_dummy_value()
 
     return signature, codegen

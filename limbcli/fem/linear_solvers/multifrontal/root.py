@@ -1,20 +1,21 @@
 """The last front by itself: its Schur complement, changed and factored again.
 
-What is added to it need not be symmetric: the front is small enough for LAPACK's LU.
+What is added to it need not be symmetric: the front is then small enough for a dense LU.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 from numba import njit
-from scipy.linalg import lapack
 
 from limbcli.fem.linear_solvers.multifrontal import solve
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
 from limbcli.fem.linear_solvers.multifrontal.kept import PAD, make_kept, sizes
+from limbcli.fem.linear_solvers.multifrontal.lu import Lu
 from limbcli.fem.linear_solvers.multifrontal.store import Store
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 from limbcli.fem.linear_solvers.multifrontal.top import Top
@@ -37,9 +38,8 @@ class Root:
         n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
         self._kept = make_kept(self.n, n_tiles, size, store.kind)
         self._made_up, self.is_factored = 0, True
-        self._full = np.empty((self.n, self.n) if kept else (0, 0), dtype=store.kind)
-        self._getrf, self._getrs = lapack.get_lapack_funcs(("getrf", "getrs"), dtype=store.kind)
-        self._lu: tuple[Array, IntArray] | None = None  # of what was made unsymmetric
+        self._lu = Lu(self.n if kept else 0, store.kind, store.blas, top.crew)
+        self._is_unsymmetric = False
         self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
 
     @property
@@ -48,7 +48,7 @@ class Root:
 
     def gathered(self) -> None:
         """Take the gathered front; it is factored when it is needed, as it is or changed."""
-        self._lu, self._made_up, self.is_factored = None, 0, False
+        self._is_unsymmetric, self._made_up, self.is_factored = False, 0, False
         if len(self._unfactored):
             self._unfactored[:] = self.panel
 
@@ -77,7 +77,7 @@ class Root:
     def update(self, addition: sparse.sparray | None) -> None:
         """Factor the Schur complement with a matrix added, symmetric or not."""
         self._need_kept()
-        self._lu = None
+        self._is_unsymmetric = False
         if addition is None:
             self.panel[:] = self._unfactored
             self._made_up, self.is_factored = self._factor(), True
@@ -85,17 +85,23 @@ class Root:
         if addition.shape != (self.n, self.n):
             raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
         scaling = self.store.scaling[self.equations]
-        full = self._full
-        _mirrored(self._unfactored, self.ld, full)
+        full = self._lu.matrix.T
+        middle = self.n - int(self.n / np.sqrt(2.0))  # half of the triangle's area on either side
+        self.top.crew.run(
+            [
+                partial(_mirrored, self._unfactored, self.ld, a, b, full)
+                for a, b in ((0, middle), (middle, self.n))
+            ]
+        )
         added = sparse.csr_array(addition)
         _add(added.indptr, added.indices, added.data, scaling, full)
-        lu, pivots, info = self._getrf(full.T, overwrite_a=True)
-        if info < 0 or not np.isfinite(lu.diagonal()).all():
+        self._lu.factor()
+        pivots = self._lu.matrix.diagonal()
+        if not np.isfinite(pivots).all():
             raise singular("an entry is not finite")
-        small = np.flatnonzero(np.abs(lu.diagonal()) < self.store.tiny)
-        lu[small, small] = self.store.tiny
-        self._lu = lu, pivots
-        self._made_up, self.is_factored = len(small), True
+        small = np.flatnonzero(np.abs(pivots) < self.store.tiny)
+        self._lu.matrix[small, small] = self.store.tiny
+        self._made_up, self._is_unsymmetric, self.is_factored = len(small), True, True
 
     def _need_kept(self) -> None:
         if not len(self._unfactored):
@@ -103,8 +109,8 @@ class Root:
 
     def solve(self, w: Any) -> None:
         """Solve for the root's part of w (n,), scaled and in the order of elimination."""
-        if self._lu is not None:
-            w[self.first :] = self._getrs(*self._lu, w[self.first :], trans=1)[0]
+        if self._is_unsymmetric:
+            w[self.first :] = self._lu.solve(w[self.first :], transposed=True)
             return
         solve.whole(self._kept, self.store.sign[self.first :], w[self.first :], *self._room)
 
@@ -112,12 +118,13 @@ class Root:
 _TILE = 32
 
 
-@njit(cache=True)
-def _mirrored(lower, ld, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _mirrored(lower, ld, first, stop, out):  # type: ignore[no-untyped-def]
+    """Columns first..stop of a lower triangle, and the rows that mirror them."""
     n = len(out)
-    for j0 in range(0, n, _TILE):
+    for j0 in range(first, stop, _TILE):
         for i0 in range(j0, n, _TILE):
-            for j in range(j0, min(j0 + _TILE, n)):
+            for j in range(j0, min(j0 + _TILE, stop)):
                 for i in range(max(i0, j), min(i0 + _TILE, n)):
                     value = lower[i + j * ld]
                     out[i, j] = value
