@@ -25,8 +25,8 @@ Speed = Callable[[Array, NDArray[np.bool_]], Array]
 class Indentation:
     """A simulated indentation, states from first touch on (n_states of them).
 
-    depth mm, force N (n_states,); positions (n_states, n_elements, 3) mm in the site's frame;
-    deformation_gradient (n_states, n_elements, 3, 3)
+    depth mm, force N (n_states,); positions (n_states, n_points, 3) mm of the tissue in the site's frame;
+    deformation_gradient (n_states, n_points, 3, 3)
     borders : mm (n_states, 2) of skin's and fat's lower borders below the skin, where they are followed
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,52 +14,92 @@ from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.pixels import Window, predict_map
 from limbcli.shear_waves.speed import element_speeds
 from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.integration_points import IntegrationPoints
 
-_GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 _MOVED = ("ux", "uy", "uz")
 MEAN_WINDOW = Window(pixel=2.0)
 AT_REST = -1
 
 
 @dataclass(frozen=True, eq=False)
-class ElementStates:
-    """Where a simulation's recorded elements are and how they are deformed.
+class PointStates:
+    """Where the tissue is that a scanner may show, and how it is deformed: at the integration points of the
+    elements that a simulation recorded. Speeds grow faster than in proportion to strain, so that those of an
+    element's mean strain are too low.
 
-    items (n,) : their numbers over all blocks; rest (n, 3) mm : the mean of their corners, unloaded
-    gradient (n_times, n, 3, 3)
+    items (n,) : number of the element, over all blocks, that each point is in; rest (n, 3) mm, unloaded
     """
 
     items: IntArray
     rest: Array
-    gradient: Array
-    _corners: IntArray
-    _moved: Array
+    _points: tuple[IntegrationPoints, ...]
+    _displacements: NodeDisplacements
 
     @staticmethod
-    def of(model: LimbModel, simulation: Simulation) -> ElementStates:
+    def of(model: LimbModel, simulation: Simulation) -> PointStates:
         """
         Raises
         ------
         MeasurementError
-            If the simulation recorded no deformation gradients, or no displacements.
+            If the simulation recorded no elements, or not the displacements of all of their nodes.
         """
-        elements = _with_fields(simulation.elements.values(), _GRADIENT)
-        nodes = _with_fields(simulation.nodes.values(), _MOVED)
-        corners = np.concatenate([_corners(block.cells) for block in model.mesh.blocks])[elements.items]
-        place = np.full(len(model.mesh.points), -1)
-        place[nodes.items] = np.arange(len(nodes.items))
-        gradient = np.stack([elements.column(name) for name in _GRADIENT], axis=-1)
-        return ElementStates(
-            elements.items,
-            model.mesh.points[corners].mean(axis=1),
-            gradient.reshape(*gradient.shape[:2], 3, 3),
-            place[corners],
-            np.stack([nodes.column(name) for name in _MOVED], axis=-1),
-        )
+        elements = _largest(simulation.elements.values())
+        found, items, first = [], [], 0
+        for block in model.mesh.blocks:
+            here = elements.items[(elements.items >= first) & (elements.items < first + len(block.cells))]
+            if len(here):
+                cells = replace(block, cells=block.cells[here - first])
+                found.append(IntegrationPoints.of(model.mesh.points, cells))
+                items.append(np.repeat(here, found[-1].volume.shape[1]))
+            first += len(block.cells)
+        moved = NodeDisplacements.of(simulation.nodes.values(), found, n_points=len(model.mesh.points))
+        rest = np.concatenate([each.rest.reshape(-1, 3) for each in found])
+        return PointStates(np.concatenate(items), rest, tuple(found), moved)
 
-    def positions(self, row: int) -> Array:
-        """Of the elements' middles (n, 3) mm at one of the simulation's times."""
-        return np.asarray(self.rest + self._moved[row][self._corners].mean(axis=1))
+    def at(self, row: int) -> tuple[Array, Array]:
+        """Positions (n, 3) mm and deformation gradients (n, 3, 3) at one of the simulation's times, or
+        AT_REST."""
+        if row == AT_REST:
+            return self.rest, np.broadcast_to(np.eye(3), (len(self.rest), 3, 3))
+        u = self._displacements.at(row)
+        places = [each.places(u).reshape(-1, 3) for each in self._points]
+        gradients = [each.gradients(u).reshape(-1, 3, 3) for each in self._points]
+        return np.concatenate(places), np.concatenate(gradients)
+
+
+@dataclass(frozen=True, eq=False)
+class NodeDisplacements:
+    """Of a simulation, at all nodes of the model: 0 where they were not recorded.
+
+    items (n,) : recorded nodes; values (n_times, n, 3) mm; n_points : of the model
+    """
+
+    items: IntArray
+    values: Array
+    n_points: int
+
+    @staticmethod
+    def of(
+        tables: Iterable[Table], needed: Iterable[IntegrationPoints], *, n_points: int
+    ) -> NodeDisplacements:
+        """
+        Raises
+        ------
+        MeasurementError
+            If no table holds the displacements of all the nodes that are needed.
+        """
+        nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.cells.ravel() for each in needed)]))
+        for each in tables:
+            if set(_MOVED) <= set(each.fields) and np.isin(nodes, each.items).all():
+                values = np.stack([each.column(name) for name in _MOVED], axis=-1)
+                return NodeDisplacements(each.items, values, n_points)
+        raise _not_recorded("the displacements of all nodes")
+
+    def at(self, row: int) -> Array:
+        """(n_points, 3) mm"""
+        u = np.zeros((self.n_points, 3))
+        u[self.items] = self.values[row]
+        return u
 
 
 def level_maps(
@@ -76,20 +116,18 @@ def level_maps(
 
     pixels : for each level those of its measured map (lateral, depth mm), or None for the window's.
     face_depths : (n_times,) mm at which the window hangs, where that is not the probe's (it stands clear)
-    The model's element record must hold the deformation gradient, its node record the displacements.
+    Read at the integration points of the recorded elements, from the recorded displacements of their nodes.
 
     Raises
     ------
     MeasurementError
         If the window holds no tissue at some level.
     """
-    states = ElementStates.of(model, simulation)
+    states = PointStates.of(model, simulation)
     depths, maps = simulation.probe_depth() if face_depths is None else face_depths, []
     for k, row in enumerate(rows):
-        loaded = row != AT_REST
-        depth = float(depths[row]) if loaded else 0.0
-        positions = states.positions(row) if loaded else states.rest
-        F = states.gradient[row] if loaded else np.broadcast_to(np.eye(3), (len(states.rest), 3, 3))
+        depth = float(depths[row]) if row != AT_REST else 0.0
+        positions, F = states.at(int(row))
         own = pixels[k] if pixels is not None else None
         near = _near(positions, depth, window, own)
         speed = element_speeds(model, F[near], states.items[near], density_kg_per_m3=density_kg_per_m3)
@@ -108,29 +146,30 @@ def mean_speeds(
     return np.array([float(each.speed_m_per_s.mean()) for each in maps])
 
 
-def _with_fields(tables: Iterable[Table], fields: tuple[str, ...]) -> Table:
-    for each in tables:
-        if set(fields) <= set(each.fields):
-            return each
-    raise MeasurementError(
-        f"the simulation recorded no {fields[0]} .. {fields[-1]}",
+def _largest(tables: Iterable[Table]) -> Table:
+    """The one with the most elements."""
+    found = max(tables, key=lambda each: len(each.items), default=None)
+    if found is None or not len(found.items):
+        raise _not_recorded("elements")
+    return found
+
+
+def _not_recorded(what: str) -> MeasurementError:
+    return MeasurementError(
+        f"the simulation did not record {what}",
         where="shear-wave prediction",
-        fix="run it again with our templates: they ask for displacements and deformation gradients",
+        fix="run it again with our templates: they ask for elements under the probe, and all displacements",
     )
-
-
-def _corners(cells: IntArray) -> IntArray:
-    return cells[:, np.minimum(np.arange(4), cells.shape[1] - 1)]
 
 
 def _near(
     positions: Array, depth: float, window: Window, pixels: tuple[Array, Array] | None
 ) -> NDArray[np.bool_]:
-    """The elements that some pixel may look at."""
+    """The points that some pixel may look at."""
     half, deep = window.half_width, window.depth_to
     if pixels is not None:
         half, deep = float(np.abs(pixels[0]).max()), float(pixels[1].max())
     reach = 2 * window.smoothing + 6.0
     near = np.abs(positions[:, 0]) <= half + reach
-    near &= np.abs(positions[:, 1]) <= window.elevation + reach
+    near &= np.abs(positions[:, 1]) <= window.slice_reach
     return near & (positions[:, 2] >= -depth - deep - reach)

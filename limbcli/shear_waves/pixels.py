@@ -34,6 +34,11 @@ class Window:
     smoothing: float = 3.0
     elevation: float = 3.0
 
+    @property
+    def slice_reach(self) -> float:
+        """mm to either side of the image plane, as far as pixels average."""
+        return self.elevation + self.smoothing
+
     def pixels(self) -> tuple[Array, Array]:
         """lateral, depth of all pixels, (n_pixels,) each, row by row downwards."""
         n = round(self.half_width / self.pixel)
@@ -110,7 +115,7 @@ def pixel_averages(
     nothing = PixelAverages(
         np.zeros(len(lateral), dtype=np.bool_), np.zeros((0, 1), np.int64), np.zeros((0, 1))
     )
-    near = np.flatnonzero(np.abs(positions[:, 1]) <= window.elevation + window.smoothing)
+    near = np.flatnonzero(np.abs(positions[:, 1]) <= window.slice_reach)
     targets = np.stack([lateral, np.zeros_like(lateral), face_height - depth], axis=1)
     if len(near) < _FEWEST:
         return nothing
@@ -120,8 +125,8 @@ def pixel_averages(
     counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
     count = min(int(np.clip(np.max(counts), _FEWEST, _MOST)), len(points))
     distance, index = tree.query(targets, k=count)
-    spacing = tree.query(points, k=9)[0][:, 8]  # local: meshes are graded
-    reach = np.maximum(spacing[index[:, 0]], window.pixel)
+    spacing = tree.query(points[index[:, 0]], k=9)[0][:, 8]  # local: meshes are graded
+    reach = np.maximum(spacing, window.pixel)
     inside = _surrounded(points, targets, distance, index, reach=reach)
     if not inside.any():
         return nothing

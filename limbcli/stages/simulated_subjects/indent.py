@@ -21,7 +21,7 @@ from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.phantom.simulated import Indentation, Speed, true_levels
 from limbcli.progress import SILENT, Progress
-from limbcli.shear_waves.from_simulation import ElementStates
+from limbcli.shear_waves.from_simulation import AT_REST, PointStates
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import block_speeds, element_speeds
@@ -92,14 +92,15 @@ def indent(
             model, seen, simulation, protocol=protocol, window=window, density_kg_per_m3=density_kg_per_m3
         )
     known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
+    states = PointStates.of(model, simulation)
     return true_levels(
-        _indentation(model, simulation, borders),
+        _indentation(model, simulation, states, borders),
         OgdenTerms.of(known),
         protocol=protocol,
         skin_bone=skin_bone_distance(model),
         window=window,
         density_kg_per_m3=density_kg_per_m3,
-        speed=None if change is None else _speed_of(seen, simulation, density_kg_per_m3),
+        speed=None if change is None else _speed_of(seen, states, density_kg_per_m3),
     )
 
 
@@ -203,17 +204,18 @@ def _levels_in_state(
     rise, _ = skin_rise(model, nodes.items, displacement)
     depth = simulation.probe_depth(PROBE) + rise
     rows = np.r_[0, np.flatnonzero(depth > _TOUCHED)]
-    states = ElementStates.of(model, simulation)
+    states = PointStates.of(model, simulation)
+    positions, gradients = zip(*(states.at(int(row)) for row in rows), strict=True)
 
     def speed(F: Array, near: NDArray[np.bool_]) -> Array:
         return element_speeds(seen, F, states.items[near], density_kg_per_m3=density_kg_per_m3)
 
-    # heights count from first touch, as those of a face
-    positions = np.stack([states.positions(row) for row in rows]) - [0.0, 0.0, rise]
     return true_levels(
         Indentation(
-            np.r_[0.0, depth[rows[1:]]], np.r_[0.0, simulation.probe_force(PROBE)[rows[1:]]], positions,
-            states.gradient[rows],
+            np.r_[0.0, depth[rows[1:]]],
+            np.r_[0.0, simulation.probe_force(PROBE)[rows[1:]]],
+            np.stack(positions) - [0.0, 0.0, rise],  # heights count from first touch, as those of a face
+            np.stack(gradients),
         ),
         None,
         protocol=protocol,
@@ -221,15 +223,14 @@ def _levels_in_state(
         window=window,
         density_kg_per_m3=density_kg_per_m3,
         speed=speed,
-    )  # fmt: skip
+    )
 
 
-def _speed_of(model: LimbModel, simulation: Simulation, density_kg_per_m3: float) -> Speed:
-    """Speeds of the changed law at the recorded elements."""
-    cells = next(iter(simulation.elements.values())).items
+def _speed_of(model: LimbModel, states: PointStates, density_kg_per_m3: float) -> Speed:
+    """Speeds of the changed law at the recorded elements' points."""
 
     def speed(F: Array, near: NDArray[np.bool_]) -> Array:
-        return block_speeds(model, TISSUE, F, cells[near], density_kg_per_m3=density_kg_per_m3)
+        return block_speeds(model, TISSUE, F, states.items[near], density_kg_per_m3=density_kg_per_m3)
 
     return speed
 
@@ -264,17 +265,17 @@ def _depth(model: LimbModel, simulation: Simulation) -> Array:
     return simulation.probe_depth(PROBE) + float(model.info.get("depth_offset_mm", 0.0))
 
 
-def _indentation(model: LimbModel, simulation: Simulation, borders: Array | None) -> Indentation:
-    """States from first touch (at rest) on, as arrays over the recorded elements."""
-    states = ElementStates.of(model, simulation)
-    positions = np.stack([states.positions(row) for row in range(len(states.gradient))])
-    rest, F = states.rest, states.gradient
-    identity = np.broadcast_to(np.eye(3), (1, *F.shape[1:]))
+def _indentation(
+    model: LimbModel, simulation: Simulation, states: PointStates, borders: Array | None
+) -> Indentation:
+    """States from first touch (at rest) on, as arrays over the recorded elements' points."""
+    rows = [AT_REST, *range(len(simulation.times))]
+    positions, gradients = zip(*(states.at(row) for row in rows), strict=True)
     return Indentation(
         depth=np.concatenate([[0.0], _depth(model, simulation)]),
         force=np.concatenate([[0.0], simulation.probe_force(PROBE)]),
-        positions=np.concatenate([rest[None], positions]),
-        deformation_gradient=np.concatenate([identity, F]),
+        positions=np.stack(positions),
+        deformation_gradient=np.stack(gradients),
         borders=None if borders is None else _followed(model, simulation, borders),
     )
 
