@@ -2,7 +2,8 @@
 
 1. Fit the base model; look at what is left (all of it, its parts, along every candidate).
 2. If something is left beyond chance, refit the candidates that could be behind it and
-   those that look like them; keep every explanation that cannot be excluded.
+   those that look like them; keep every explanation that cannot be excluded. Where nothing but candidates
+   stood out, to first order, and no refit bears that out, nothing is found.
 3. One left, or one that all others contain: named, and added. Several: ambiguous. None: pairs, then triples,
    else unexplained.
 4. Show what shrank, what stays invisible, and which measurement would tell the rest apart.
@@ -77,7 +78,13 @@ class _Run:
         self.refits = Refits(baseline, by_name, self.facts, self.not_evaluated, self.left_out)
         candidates = Candidates(baseline.state, by_name, self.family)
         promising = candidates.promising(self.left_out)
-        kept = self._explanations(candidates, promising, self.refits)
+        singles = self.refits.compared(candidates.of_size(1, promising, ()))
+        if self._is_borne_out_by_none(singles):
+            names = ", ".join(each.name for each in self._significant)
+            return self._nothing_found(
+                f"; what stood out to first order ({names}) is not borne out by a refit"
+            )
+        kept = self._explanations(candidates, promising, self.refits, singles)
         return self._conclude(kept, promising)
 
     def _tested(self, trials: list[Trial]) -> Family:
@@ -85,11 +92,33 @@ class _Run:
         parts = baseline.parts(baseline.whiten)
         return baseline.family(baseline.state, [*parts, *trials], relative=baseline.relative)
 
-    def _explanations(self, candidates: Candidates, names: list[str], refits: Refits) -> list[Refit]:
-        """The confidence set of the smallest size that is not empty, and what it may still lack."""
+    @property
+    def _significant(self) -> list[Tested]:
+        return [each for each in self.family.tests if each.p_adjusted < thresholds.ALPHA]
+
+    def _is_borne_out_by_none(self, singles: Sequence[Refit]) -> bool:
+        """Whether all that is significant are effects to first order, none of which gains as much when it is
+        refitted: then nothing is found."""
+        overall = self.family.overall
+        if overall is not None and overall.p_adjusted < thresholds.ALPHA:
+            return False
+        refitted = {each.explanation: each for each in singles}
+        return all(
+            (each.name,) in refitted and self._borne_out(each, refitted[(each.name,)]) >= thresholds.ALPHA
+            for each in self._significant
+        )
+
+    def _explanations(
+        self, candidates: Candidates, names: list[str], refits: Refits, singles: list[Refit]
+    ) -> list[Refit]:
+        """The confidence set of the smallest size that is not empty, and what it may still lack.
+
+        singles : those of one effect, compared
+        """
         for size in range(1, self.max_effects + 1):
-            compared = refits.compared(candidates.of_size(size, names, refits.known.values()))
+            compared = singles
             if size > 1:
+                compared = refits.compared(candidates.of_size(size, names, refits.known.values()))
                 compared = self._with_look_alikes(compared, candidates, refits)
             kept = [each for each in compared if each.in_set and self._each_is_needed(each, refits)]
             kept += [r for r in compared if r.is_close_to(kept) and self._each_is_needed(r, refits)]
@@ -152,14 +181,15 @@ class _Run:
 
     # -------------------------------------------------------------- verdicts
 
-    def _nothing_found(self) -> Diagnosis:
+    def _nothing_found(self, but: str = "") -> Diagnosis:
+        """but : what was looked at and dismissed"""
         if not self.baseline.relative:
-            return self._finish("adequate", "nothing is left beyond the stated noise", None)
+            return self._finish("adequate", f"nothing is left beyond the stated noise{but}", None)
         if self.baseline.data.noise.is_assumed:
             why = "the noise is assumed: the fit cannot be judged in absolute terms, and no shape stands out"
         else:
             why = "the data scatter more than their stated noise; no shape stands out of the scatter"
-        return self._finish("untestable", why, None)
+        return self._finish("untestable", f"{why}{but}", None)
 
     def _conclude(self, kept: list[Refit], promising: list[str]) -> Diagnosis:
         if not kept:
@@ -265,7 +295,8 @@ class _Run:
 
     def _finish(self, word: Word, reason: str, best: Refit | None, kept: tuple[Refit, ...] = ()) -> Diagnosis:
         baseline, account = self.baseline, Account(self.baseline)
-        shown = best or (kept[0] if kept else self.refits.best() if self.refits else None)
+        fits_best = self.refits.best() if self.refits and word == "unexplained" else None
+        shown = best or (kept[0] if kept else fits_best)
         flagged = tuple(
             t.name.removeprefix(PREFIX)
             for t in self.family.tests

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from limbcli.diagnostics.conclusions.sentences import sentences
@@ -270,7 +271,8 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
     barely = SimpleNamespace(explanation=("wave",), in_set=False, is_close_to=lambda kept: member in kept)
     refits = SimpleNamespace(compared=lambda several: [member, barely], known={})
     candidates = SimpleNamespace(of_size=lambda *facts: [])
-    assert run._explanations(candidates, [], refits) == ([member, barely] if adequate else [])
+    kept = run._explanations(candidates, [], refits, refits.compared([]))
+    assert kept == ([member, barely] if adequate else [])
 
 
 @pytest.mark.parametrize(
@@ -364,6 +366,36 @@ def test_a_score_is_evidence_as_far_as_the_refit_bears_it_out(gained, p):
         fitted=SimpleNamespace(effect_names=("size", "shape")),
     )  # fmt: skip
     assert run._chance_of(refit, times=10.0) == pytest.approx(p, abs=0.002)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_what_no_refit_bears_out_is_not_found(seed):
+    """Only the effect's own direction stands out, to first order; a size held near 0 gains too little."""
+    found, held = (
+        run(toy.make(np.random.default_rng(seed), {"guided": 12.0}, roomy=roomy)) for roomy in (None, 0.3)
+    )
+    assert found.verdict == "ambiguous"
+    assert held.verdict == "adequate"
+    assert "to first order (guided)" in held.reason
+    assert not held.confidence_set
+    assert [each.explanation for each in held.shrink] == [()]
+    assert ("guided",) in {each.explanation for each in held.refits}
+
+
+@pytest.mark.parametrize(
+    ("overall", "others", "gained", "nothing"),
+    [(0.5, [], 5.0, True), (0.5, [], 10.0, False), (0.01, [], 5.0, False), (0.5, ["where: maps"], 5.0, False),
+     (0.5, ["not refitted"], 5.0, False)],
+)  # fmt: skip
+def test_all_that_is_significant_must_be_effects_that_gain_too_little(overall, others, gained, nothing):
+    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
+    names = ["a", *others, "far from it"]
+    tests = [judged(p, 10.0) for p in [0.03] * (1 + len(others)) + [0.7]]
+    for name, each in zip(names, tests, strict=True):
+        each.name = name
+    run.family = SimpleNamespace(overall=SimpleNamespace(p_adjusted=overall), tests=tests)
+    single = SimpleNamespace(explanation=("a",), state=SimpleNamespace(chi2=100.0 - gained))
+    assert run._is_borne_out_by_none([single]) is nothing
 
 
 @pytest.mark.parametrize(("told", "named"), [(20.0, False), (19.0, False), (12.0, True)])
