@@ -28,6 +28,8 @@ THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
 SOFTER = {
     size: ((effect("nonlinearity"), {"weight_q": size, "second_pair_share": 0.0}),) for size in (0.30, 0.33)
 }  # a fit's sizes, one after the other
+# where the first order is taken, and a fit's beside it
+TENSED = {size: ((effect("contraction"), {"active_stress_per_c": size}),) for size in (0.30, 0.33)}
 
 
 @pytest.fixture(scope="module")
@@ -163,19 +165,21 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
         assert work == whole_work
 
 
-def test_an_explanation_that_is_fitted_again_is_led_by_its_levels_before(block):
-    """Refits on the model as it stands ask for the same effects at sizes near by."""
+@pytest.mark.parametrize(("before", "again"), [(SOFTER[0.30], SOFTER[0.33]), (TENSED[0.30], TENSED[0.33])])
+def test_an_explanation_that_is_solved_again_is_led_by_its_levels_before(block, before, again):
+    """Refits on the model as it stands ask for the same effects at sizes near by, or near those of the first
+    order."""
 
-    def work_and_force(*sizes: float):
+    def work_and_force(*several):
         book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
         for m in (8.0, 4.0):
             book.curves(m)
-        force = [book.curves(5.0, SOFTER[size]).force for size in sizes][-1]
+        force = [book.curves(5.0, ingredients).force for ingredients in several][-1]
         book.close()
         return book.work.done, force
 
-    alone, expected = work_and_force(0.33)
-    led, force = work_and_force(0.30, 0.33)
+    alone, expected = work_and_force(again)
+    led, force = work_and_force(before, again)
     np.testing.assert_allclose(force, expected, rtol=1e-5)
     assert led < 0.95 * alone
 

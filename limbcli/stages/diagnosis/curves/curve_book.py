@@ -114,7 +114,7 @@ class CurveBook:
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # of an earlier run
         self._levels: dict[str, Solved] = {}
-        self._with_effects: dict[tuple[str, ...], str] = {}  # the last that was solved with fitted sizes
+        self._with_effects: dict[tuple[str, ...], str] = {}  # the last that was solved
         self._times, self._begin = plan.times, reach.begin
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
@@ -287,10 +287,10 @@ class CurveBook:
             self.work.usual.append(work)
             self._kinematics[key] = kinematics
             self.kept.keep_displacements(key, values.astype(np.float32))
-        if result.levels is not None and (fitted or not ingredients):
+        if result.levels is not None and not numerical:
             self._levels[key] = result.levels
             self.kept.keep_levels(key, result.levels)
-            self._with_effects |= {_names(ingredients): key} if fitted else {}
+            self._with_effects |= {_names(ingredients): key} if ingredients else {}
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
@@ -340,8 +340,8 @@ class CurveBook:
         self.progress.event("note", text=text)
 
     def _levels_with(self, ingredients: Ingredients) -> Solved | None:
-        """Those of the last solve with these effects at sizes that a fit had found: a fit made again on the
-        model as it stands asks for sizes near by."""
+        """Those of the last solve with these effects, whatever their sizes: where the first order was taken,
+        then those that a fit had found. A fit made again on the model as it stands asks for sizes near by."""
         key = self._with_effects.get(_names(ingredients))
         if key is not None and key not in self._levels:
             levels = self.kept.levels(key)
@@ -396,7 +396,7 @@ class CurveBook:
         if not ingredients:
             self.work.usual.append(found.work)
             self._taken_up(key)
-        elif has_fitted_size(ingredients) and not is_numerical(ingredients):
+        elif not is_numerical(ingredients):
             self._with_effects[_names(ingredients)] = key
         if not is_numerical(ingredients):
             self._tell(m, ingredients, found.n_reached)
