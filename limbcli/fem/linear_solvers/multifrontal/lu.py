@@ -25,7 +25,7 @@ _PIECES = 3  # that what lies beyond the next panel is done in
 
 
 class Lu:
-    """n : equations; blas : see `blas.addresses`"""
+    """n : equations; kind : of number; blas : of that kind, see `blas.addresses`; crew : who does the work"""
 
     def __init__(self, n: int, kind: Any, blas: IntArray, crew: Crew):
         self.n, self.blas, self.crew = n, blas, crew

@@ -290,7 +290,8 @@ class CurveBook:
         if result.levels is not None and not numerical:
             self._levels[key] = result.levels
             self.kept.keep_levels(key, result.levels)
-            self._with_effects |= {_names(ingredients): key} if ingredients else {}
+            if ingredients:
+                self._with_effects[_names(ingredients)] = key
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
             self._tell(m, ingredients, n_reached)
