@@ -172,7 +172,9 @@ class Case:
         curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
         y = item.see(curves, reading, protocol)
         deviation = item.deviation(protocol, len(y))
-        extra = ExtraMeasurement(name, item.see, y + deviation * self.rng.standard_normal(len(y)), deviation)
+        y = y + deviation * self.rng.standard_normal(len(y))
+        error = None if item.model_error is None else item.model_error(self.curves(self.levels))
+        extra = ExtraMeasurement(name, item.see, y, deviation, error)
         return name, self.diagnose(self.curves(self.levels, extras=[extra]), propose=False)
 
 

@@ -8,7 +8,12 @@ import pytest
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.errors import CaseError
+from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import site_data
+from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.measurement_menu import items, known
+from tests.diagnostics import reduced
+from tests.diagnostics.hidden_cases import COARSE, Case
 
 DEPTH = np.linspace(0, 10, 11)
 CURVES = Curves(DEPTH, 0.2 * DEPTH**1.5, np.zeros((11, 0)), np.zeros(0), 30.0)
@@ -46,3 +51,28 @@ def test_what_cannot_be_is_refused_with_what_can(key, value):
         known({key: value})
     assert caught.value.where == "--measured"
     assert caught.value.fix
+
+
+def test_maps_that_are_proposed_are_known_no_better_than_a_model_shows_them():
+    """The mean of a level is what they are contrasted with; patterns of deformed tissue have a model's error."""
+    site = Case("nothing", {}, 7, COARSE).curves(reduced.measured(np.random.default_rng(7)))
+    maps = next(item for item in items() if item.name == "speed maps")
+    error = maps.model_error(site)
+    n_parts = site.book.windows.n_parts
+    of_level = np.sqrt(np.diag(error)).reshape(-1, n_parts)
+    assert len(of_level) == len(site.site.protocol)
+    assert of_level[0] == pytest.approx(0.001, rel=0.1)
+    assert np.corrcoef(of_level.mean(axis=1), site.site.protocol.depth)[0, 1] > 0.99
+    assert 0.03 < of_level[-1].mean() < 0.1  # beside 0.035 of noise
+    over_level = np.kron(np.eye(len(of_level)), np.ones(n_parts))
+    assert over_level @ error @ over_level.T == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_further_measurement_brings_its_models_error_with_it():
+    levels = reduced.measured(np.random.default_rng(7))
+    error = np.array([[4e-4, 2e-4], [2e-4, 9e-4]])
+    extra = ExtraMeasurement("two", lambda c, r, p: np.zeros(2), np.zeros(2), np.array([0.01, 0.02]), error)
+    site = site_data("p1", levels, reduced.NOISE, windows=Windows(), extras=[extra])
+    at = [k for k, row in enumerate(site.rows) if row.channel == "two"]
+    found = site.data.noise.covariance[np.ix_(at, at)]
+    assert found == pytest.approx(error + np.diag([1e-4, 4e-4]))

@@ -94,15 +94,7 @@ class MapNoise:
     def of_model(self, rows: Sequence[Row], share: float) -> Array:
         """Covariance (n, n) by the model's error; share : times what is usual."""
         part, level = _map_places(rows)
-        x, z = self.middles[part].T
-        strain = np.abs(self.strain[level])
-        size = _IN_PARTS + _BELOW_FACE * np.exp(-(z - self.middles[:, 1].min()) / _FADES_MM)
-        deviation = share * size * strain
-        apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
-        alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
-        near = np.exp(-apart / _NEAR_MM) * np.outer(deviation, deviation)
-        found = alike * (near + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
-        return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
+        return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
 
     def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
         """Covariance (n, n) of the parts that are not whole in their level's map, and of those that touch one
@@ -115,6 +107,24 @@ class MapNoise:
         near = np.all(np.abs(self.middles[:, None] - self.middles[None]) < reach, axis=2)
         beside = np.any(near[None] & ~whole[:, None, :], axis=2)
         return np.diag(np.where(beside[level, part], _BESIDE_UNSEEN**2, 0.0))
+
+
+def maps_model_error(
+    middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
+) -> Array:
+    """Covariance (n, n) of ln speeds in parts of maps by the model's error.
+
+    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : their numbers
+    strain (n,) : depth over thickness; share : times what is usual
+    """
+    x, z = middles[part].T
+    size = _IN_PARTS + _BELOW_FACE * np.exp(-(z - middles[:, 1].min()) / _FADES_MM)
+    deviation = share * size * strain
+    apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+    alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
+    near = np.exp(-apart / _NEAR_MM) * np.outer(deviation, deviation)
+    found = alike * (near + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
+    return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 
 
 def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import StatedNoise
+from limbcli.diagnostics.model.noise import NoisePart
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -33,12 +34,16 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class ExtraMeasurement:
-    """A further measurement: its name, what a model says of it, what was measured and one deviation (n,)."""
+    """A further measurement: its name, what a model says of it, what was measured and one deviation (n,).
+
+    model_error : covariance (n, n) of the model's own error in it; None: none beside the deviation
+    """
 
     name: str
     see: Callable[[Curves, Reading, Protocol], Array]
     y: Array
     deviation: Array
+    model_error: Array | None = None
 
 
 Stacked = tuple[list[Row], list[float], list[float]]
@@ -109,3 +114,15 @@ def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
     rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
     y = [float(value) for each in extras for value in each.y]
     return rows, y, [float(value) for each in extras for value in each.deviation]
+
+
+def extra_noise(extras: Sequence[ExtraMeasurement], rows: Sequence[Row]) -> list[NoisePart]:
+    """The models' own error in them, among all rows."""
+    parts = []
+    for each in extras:
+        if each.model_error is not None:
+            at = np.array([k for k, row in enumerate(rows) if row.channel == each.name])
+            whole = np.zeros((len(rows), len(rows)))
+            whole[np.ix_(at, at)] = each.model_error
+            parts.append(NoisePart(f"model: {each.name}", whole, "computed"))
+    return parts

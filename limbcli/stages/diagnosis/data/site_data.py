@@ -32,6 +32,7 @@ from limbcli.stages.diagnosis.data.noise import (
 from limbcli.stages.diagnosis.data.rows import (
     ExtraMeasurement,
     Row,
+    extra_noise,
     extra_rows,
     force_rows,
     hold_rows,
@@ -175,6 +176,7 @@ def site_data(
         map_share, map_slopes, of_layers,
     )  # fmt: skip
     parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
+    parts += extra_noise(extras, rows)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)

@@ -12,7 +12,9 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
+from limbcli.stages.diagnosis.data.noise import SmoothDepth, maps_model_error
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
+from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
@@ -28,6 +30,7 @@ class Item:
     """A measurement that could be added at a site.
 
     see : what a model says of it (n,); deviation : of the measurement (n,)
+    model_error : covariance (n, n) of the model's own error in it at a site, where it has one of note
     instead_of : the channel that holds it where it was made already
     given : its key for one that is a number of its own (`--measured KEY=VALUE`), and what that says
     """
@@ -39,6 +42,7 @@ class Item:
     instead_of: str = ""
     given: str = ""
     meaning: str = ""
+    model_error: Callable[[SiteCurves], Array] | None = None
 
 
 def _each(value: float) -> Callable[[Protocol, int], Array]:
@@ -73,7 +77,8 @@ def items() -> tuple[Item, ...]:
              lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
         Item("wave speeds", "take a shear-wave mean at every level", _mean, _each(0.05), instead_of="swe"),
         Item("speed maps", "keep the maps, not only their means",
-             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map"),
+             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map",
+             model_error=_error_of_contrast),
     )  # fmt: skip
 
 
@@ -128,6 +133,22 @@ def _contrast(log_speed: Array) -> Array:
     return np.asarray(np.nan_to_num(log_speed[:, 1:] - log_speed[:, :1]).ravel())
 
 
+def _error_of_contrast(site: SiteCurves) -> Array:
+    """Covariance of `_contrast` by the model's error in maps."""
+    protocol, middles = site.site.protocol, site.book.windows.middles
+    strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / _thickness(site)
+    level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))
+    of_parts = maps_model_error(middles, part, strain[level], level)
+    less_mean = np.kron(np.eye(len(protocol)), np.eye(len(middles)) - 1.0 / len(middles))
+    return np.asarray(less_mean @ of_parts @ less_mean.T)
+
+
+def _thickness(site: SiteCurves) -> float:
+    """mm of tissue under the probe, as far as it is known."""
+    found = [curves.thickness for curves in site.nodes.values() if curves.thickness > 0]
+    return found[0] if found else USUAL_THICKNESS
+
+
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force lost in a hold of 60 s at the deepest level, after 1, 10 and 60 s."""
     deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
@@ -167,8 +188,10 @@ def _proposal(forward_model: Fits, fits: Sequence[Fitted], item: Item) -> Propos
         value, jacobian = _seen(forward_model, fitted, forward_model.sites[0], item.see)
         predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
     size = len(next(iter(predictions.values())))
-    deviation = item.deviation(forward_model.site.protocol, size)
-    return Proposal(item.name, item.sentence, predictions, jacobians, np.diag(deviation**2))
+    covariance = np.diag(item.deviation(forward_model.site.protocol, size) ** 2)
+    if item.model_error is not None:
+        covariance = covariance + item.model_error(forward_model.sites[0])
+    return Proposal(item.name, item.sentence, predictions, jacobians, covariance)
 
 
 def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
