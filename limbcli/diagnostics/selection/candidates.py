@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, ForwardModel
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.confidence_set import Refit, best_pairs
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
@@ -29,7 +29,7 @@ def whitened_trials(
         except LimbError as error:
             not_evaluated[name] = error.what
         else:
-            whitened = [Direction(whiten(d.columns), d.signs, d.point, d.names) for d in raw]
+            whitened = [replace(each, columns=whiten(each.columns)) for each in raw]
             if whitened:
                 trials.append(Trial(name, tuple(whitened)))
         progress.event("task", name="candidate " + name, done=k + 1, total=len(facts))
