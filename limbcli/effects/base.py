@@ -99,7 +99,7 @@ class Effect:
     """One candidate missing effect.
 
     needs : channels without which nothing can be said of it: "force", "swe", "map", "travel",
-        "skin-bone", "hold"
+        "skin-bone", "hold"; "bone": one under the probe, in the model
     grid : values of parameters that mean nothing at the null (a time constant, a place), tried in turn;
         of those with a `shape` a fit only begins there
     stiffness : where the effect is a factor on all stiffnesses of the tissue: that factor, over places;
@@ -168,8 +168,13 @@ class Effect:
 
 
 def applied(model: LimbModel, effects: Iterable[tuple[Effect, Theta]], *, waves: bool = False) -> LimbModel:
-    """The model with these effects in it; as the shear waves in the scanner's window meet it, on request."""
-    for effect, theta in effects:
+    """The model with these effects in it, in whatever order they come; as the shear waves in the scanner's
+    window meet it, on request.
+
+    Factors on all stiffnesses come last: the others are told in terms of the tissue's c, and are stiffened
+    and softened with it.
+    """
+    for effect, theta in sorted(effects, key=lambda each: each[0].stiffness is not None):
         change = effect.waves if waves and effect.waves is not None else effect.apply
         model = change(model, theta)
     return model

@@ -43,7 +43,7 @@ class Otherwise:
 
     def __init__(self, name: str):
         self.name = name
-        self.waves = effect(name).waves
+        self.waves, self.stiffness = effect(name).waves, None
 
     def apply(self, model, theta):
         if self.name == "anisotropy":

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
+from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import true_depth
 from limbcli.feb.settings import least_level, schedule
@@ -48,15 +49,16 @@ def write_diagnosed(
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
     theta = forward_model.theta(fitted.values, fitted.explanation, number)
+    added = []
     for name, point in zip(fitted.explanation, forward_model.points(fitted), strict=True):
         each = forward_model.effects[name]
-        model = each.apply(model, {**each.null, **theta, **each.without_onset(point)})
+        added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(
                 f"diagnosed.feb has {name} from the start; in the data it sets in after "
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
-    write_feb(model, writer.file("feb", "diagnosed.feb"), templates)
+    write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
     warning = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
     writer.warnings.extend([warning] if warning else [])
 

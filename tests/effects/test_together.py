@@ -1,0 +1,59 @@
+"""Several effects in one model."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from limbcli.effects import effect
+from limbcli.effects.base import applied
+from limbcli.effects.tissue import TISSUE, core
+from limbcli.model import ElementMap
+from tests.diagnostics.reduced import block_model
+
+FAT = (effect("adipose-layer"), {"log_fat_softness": 1.0, "fat_thickness_mm": 8.0})
+SKIN = (effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5})
+BALL = (
+    effect("inclusion"),
+    {
+        "log_inclusion_ratio": 1.5,
+        "inclusion_x_mm": 0.0,
+        "inclusion_depth_mm": 8.0,
+        "inclusion_radius_mm": 8.0,
+    },
+)
+STEEPER = (effect("nonlinearity"), {"weight_q": 0.5, "second_pair_share": 0.1, "second_exponent": 12.0})
+TENSED = (effect("contraction"), {"active_stress_per_c": 1.0})
+
+
+def ground(model) -> np.ndarray:
+    """c of every cell (n_cells,)."""
+    values = (value for name, value in core(model.materials[TISSUE]).parameters.items() if name in CS)
+    n = len(model.mesh.block("tissue").cells)
+    return sum(np.broadcast_to(v.values if isinstance(v, ElementMap) else float(v), n) for v in values)
+
+
+CS = tuple(f"c{k}" for k in range(1, 7))
+
+
+@pytest.mark.parametrize(
+    ("layered", "other"), itertools.product((FAT, SKIN, BALL), (STEEPER, TENSED)), ids=lambda e: e[0].name
+)
+def test_stiffer_and_softer_places_keep_their_ratio_beside_any_other_effect(layered, other):
+    """The mean of c over all cells, put into every cell, had taken them away."""
+    model = block_model()
+    alone = ground(applied(model, [layered]))
+    both, turned = applied(model, [layered, other]), applied(model, [other, layered])
+    assert np.ptp(alone) > 1e-3
+    assert ground(both) == pytest.approx(alone)
+    assert ground(turned) == pytest.approx(alone)
+
+
+def test_what_is_told_in_terms_of_c_is_of_the_tissues_c():
+    """Tension of once c beside fat is as it is without, but for the fat itself."""
+    model = block_model()
+    tension = applied(model, [FAT, TENSED]).materials[TISSUE].parts[1].parameters["T0"].values
+    assert tension.max() == pytest.approx(0.006)
+    assert tension.min() == pytest.approx(0.006 / np.e, rel=0.02)
