@@ -19,7 +19,6 @@ from scipy.stats import chi2 as chi2_distribution
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.account import Account
-from limbcli.diagnostics.conclusions.effect_sizes import sizes_95
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
 from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
@@ -313,6 +312,6 @@ class _Run:
             next_steps=account.next_steps(kept, self.not_evaluated) if self.propose else (),
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
             roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
-            sizes=sizes_95(baseline.state, self.family, self.facts),
+            sizes=account.sizes_95(self.family, self.facts),
             refitted_sizes=account.refitted_sizes(self.refits, shrink),
         )  # fmt: skip

@@ -35,7 +35,13 @@ from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
 from limbcli.stages.diagnosis.place import Place, PlaceMaker
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
-from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture, sizes_picture
+from limbcli.stages.diagnosis.report import (
+    candidates_picture,
+    diagnosis_json,
+    gap_picture,
+    sizes_of,
+    sizes_picture,
+)
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
@@ -285,7 +291,7 @@ class _Diagnosed:
             writer.summary.extend(repeated["sentences"] if repeated else ())
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
-            sizes_picture(found, forward_model.effects, writer.file("sizes", "sizes.png"))
+            sizes_picture(found, sizes_of(forward_model, mine.curves.site), writer.file("sizes", "sizes.png"))
             write_diagnosed(
                 found, forward_model, mine, writer, out=place.out, number=k, templates=self.options.templates
             )

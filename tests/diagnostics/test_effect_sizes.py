@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
+from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.model.forward_model import Direction, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import EFFECTS
+from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes
+from tests.diagnostics import toy
 
 KNOWN = {each.name: each for each in EFFECTS if each.kind != "numerical"}
+SLOTS = {name: [Slot(p.name, p) for p in each.sizes] for name, each in KNOWN.items()}
 
 
 def found(size: float, deviation: float = 1.0):
@@ -43,7 +47,7 @@ def test_sizes_are_told_by_their_usual_names_and_units():
         "contraction": {"active_stress_per_c": (-0.1, 0.3)},
         "adipose-layer": {"log_fat_softness": (0.5, 1.2)},
     }
-    estimates = reported_sizes(KNOWN, given, 8.0)
+    estimates = reported_sizes(SLOTS, given, 8.0)
     assert estimates["swe-guided-wave"]["f_c_hz"] == pytest.approx((100 / 0.4**0.5, 100 / 0.1**0.5))
     assert estimates["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(-0.5), np.e))
     assert estimates["contraction"]["t0_kpa"] == pytest.approx((0.0, 2.4))
@@ -51,7 +55,7 @@ def test_sizes_are_told_by_their_usual_names_and_units():
 
 
 def test_what_the_data_leave_open_has_no_end():
-    estimates = reported_sizes(KNOWN, {"depth-zero": {"depth_zero_mm": (-9.0, 1.0)}}, 8.0)
+    estimates = reported_sizes(SLOTS, {"depth-zero": {"depth_zero_mm": (-9.0, 1.0)}}, 8.0)
     assert estimates["depth-zero"]["d0_mm"] == (None, 1.0)
     assert estimates["tilt"]["about_long_axis_deg"] == (None, None)
     assert estimates["friction"]["coefficient"] == (0.0, None)
@@ -64,11 +68,11 @@ def test_where_an_effect_levels_off_its_interval_grows():
     for value in (0.02, 0.2, 0.9):
         assert mu.from_proportional(mu.proportional(value)) == pytest.approx(value)
     ends = tuple(mu.proportional(each) for each in (0.1, 0.5))
-    estimates = reported_sizes(KNOWN, {"friction": {"friction_coefficient": ends}}, 8.0)
+    estimates = reported_sizes(SLOTS, {"friction": {"friction_coefficient": ends}}, 8.0)
     assert estimates["friction"]["coefficient"] == pytest.approx((0.1, 0.5))
     assert ends[1] < 0.2
     open_above = {"friction": {"friction_coefficient": (-0.05, 0.3)}}
-    assert reported_sizes(KNOWN, open_above, 8.0)["friction"]["coefficient"] == (0.0, None)
+    assert reported_sizes(SLOTS, open_above, 8.0)["friction"]["coefficient"] == (0.0, None)
 
 
 def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
@@ -81,7 +85,7 @@ def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
     low, high = found.intervals["tilt_about_short_axis_deg"]
     assert (low, high) == pytest.approx((6.0 - 1.96 * deviation, 6.0 + 1.96 * deviation))
     assert found.intervals["tilt_about_long_axis_deg"] == (-np.inf, np.inf)
-    told = reported_sizes(KNOWN, {}, 8.0, {"tilt": found})["tilt"]
+    told = reported_sizes(SLOTS, {}, 8.0, {"tilt": found})["tilt"]
     assert told["about_short_axis_deg"] == pytest.approx((low, high))
     assert told["about_long_axis_deg"] == (None, None)
 
@@ -113,6 +117,19 @@ def test_what_is_told_holds_the_first_order_and_the_refit_with_its_own_c():
         "contraction": {"active_stress_per_c": (0.1, 0.3)},
     }
     again = {"contraction": RefittedSizes({"c_kpa": 10.0}, {"active_stress_per_c": (0.2, 0.4)})}
-    told = reported_sizes(KNOWN, first, 8.0, again)
+    told = reported_sizes(SLOTS, first, 8.0, again)
     assert told["contraction"]["t0_kpa"] == pytest.approx((1.0, 4.0))
     assert told["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(0.8), np.exp(0.9)))
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_sizes_are_as_wide_as_the_data_scatter(times):
+    """Where they scatter more than their stated noise, sizes that are 0 are still inside at their rate."""
+    rng, inside = np.random.default_rng(5), []
+    for seed in range(30):
+        found = diagnose(toy.make(rng, sd=times), seed=seed, n_draws=300, propose=False, max_effects=1)
+        assert found.relative is (times > 1.0)
+        for name in ("offset", "bias", "hump", "wave"):
+            low, high = found.sizes[name][name]
+            inside.append(low <= 0.0 <= high)
+    assert 0.9 <= np.mean(inside) <= 0.995  # 0.95, three deviations of 120

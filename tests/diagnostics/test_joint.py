@@ -15,6 +15,8 @@ from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.report import sizes_of
+from limbcli.stages.diagnosis.sizes import reported_sizes
 from tests.diagnostics import reduced
 
 CANDIDATES = ("force-zero", "force-gain", "anisotropy", "swe-time-scale", "skin-layer")
@@ -66,6 +68,10 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
         "force_zero_n@a", "force_zero_n@b", "force_gain",
     ]  # fmt: skip
+    found = {"force-zero": {"force_zero_n@a": (0.8, 1.2), "force_zero_n@b": (-0.2, 0.2)}}
+    for each, ends in zip(both.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
+        told = reported_sizes(sizes_of(both, each.site), found, 6.0)
+        assert told["force-zero"] == {"f0_n": pytest.approx(ends)}
     values = {"force_zero_n@a": 1.0, "force_zero_n@b": 2.0}
     assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
 

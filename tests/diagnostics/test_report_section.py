@@ -17,6 +17,7 @@ from limbcli.stages.diagnosis.report import (
     candidates_picture,
     diagnosis_json,
     gap_picture,
+    sizes_of,
     sizes_picture,
 )
 from tests.diagnostics import test_reduced_site as reduced
@@ -30,7 +31,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
         writer.data.update({**diagnosis_json(found, bench.site, bench), "sentences": sentences(found)})
         gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
-        sizes_picture(found, bench.effects, writer.file("sizes", "sizes.png"))
+        sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
     shown = diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
     assert shown.notes[0].startswith("ADEQUATE")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
-from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes
+from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
 from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.estimates import Reported
@@ -83,6 +83,13 @@ class Account:
             found[name] = sizes if told is None else sizes.hull_with(told.intervals)
         return found
 
+    def sizes_95(
+        self, family: Family, facts: Mapping[str, Facts]
+    ) -> dict[str, dict[str, tuple[float, float]]]:
+        """Of every candidate, to first order at the fit without effects."""
+        state = self.baseline.state
+        return sizes_95(state, family, facts, self._scale(state))
+
     def _scale(self, state: LinearFit) -> float:
         return max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
 
@@ -97,7 +104,7 @@ class Account:
             typical = np.array([known.typical.get(name, 0.0) for name in direction.names])
             spots.append(
                 blind_spot(self.baseline.state, tested.name, direction, typical, critical=tested.critical,
-                           base_names=self.baseline.base.base_names)
+                           base_names=self.baseline.base.base_names, scale=self._scale(self.baseline.state))
             )  # fmt: skip
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 

@@ -48,20 +48,21 @@ class BlindSpot:
 
 def blind_spot(
     state: LinearFit, name: str, direction: Direction, typical: Array, *,
-    critical: float, base_names: tuple[str, ...],
+    critical: float, base_names: tuple[str, ...], scale: float = 1.0,
 ) -> BlindSpot:  # fmt: skip
     """
     Parameters
     ----------
     typical : (q,) away from the null; critical : statistic that is just significant
+    scale : chi2/nu where the level of the noise is not known, else 1
     """
     moved = direction.columns @ typical
     seen = visible_columns(state, direction) @ typical
     size, visible = float(np.linalg.norm(moved)), float(np.linalg.norm(seen))
-    needed = float(np.sqrt(max(critical, 0.0))) + _Z
+    needed = float(np.sqrt(max(critical, 0.0))) + _Z * float(np.sqrt(scale))
     shift = state.estimator()[: len(base_names)] @ moved
     covariance = np.linalg.pinv(state.jacobian.T @ state.jacobian)
-    deviation = np.sqrt(np.maximum(np.diag(covariance)[: len(base_names)], 1e-300))
+    deviation = np.sqrt(scale * np.maximum(np.diag(covariance)[: len(base_names)], 1e-300))
     return BlindSpot(
         name,
         direction.point,

@@ -60,16 +60,19 @@ def refitted_sizes(
 
 
 def sizes_95(
-    state: LinearFit, family: Family, names: Mapping[str, object]
+    state: LinearFit, family: Family, names: Mapping[str, object], scale: float = 1.0
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """Of every candidate in the family that `names` holds: by parameter, the interval of its distance from
-    the null value; infinite where the data do not tell it."""
-    return {each.name: _sizes(state, each) for each in family.tests if each.name in names}
+    the null value; infinite where the data do not tell it.
+
+    scale : chi2/nu where the level of the noise is not known, else 1
+    """
+    return {each.name: _sizes(state, each, scale) for each in family.tests if each.name in names}
 
 
-def _sizes(state: LinearFit, tested: Tested) -> dict[str, tuple[float, float]]:
+def _sizes(state: LinearFit, tested: Tested, scale: float) -> dict[str, tuple[float, float]]:
     direction, eta = tested.score.direction, tested.score.eta
-    spread = _deviations(visible_columns(state, direction))
+    spread = np.sqrt(scale) * _deviations(visible_columns(state, direction))
     return {
         name: (float(x - thresholds.SIZE_WITHIN * s), float(x + thresholds.SIZE_WITHIN * s))
         for name, x, s in zip(direction.names, eta, spread, strict=True)

@@ -14,10 +14,11 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
-from limbcli.effects.base import Effect, Parameter
+from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
 
 
@@ -70,7 +71,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
             "menu": [vars(step) for step in found.next_steps],
         },
         "sizes_95": reported_sizes(
-            forward_model.effects, found.sizes, found.estimates.values["c_kpa"], found.refitted_sizes
+            sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"], found.refitted_sizes
         ),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
@@ -168,16 +169,30 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     save_figure(figure, path, dpi=150)
 
 
-def sizes_picture(found: Diagnosis, effects: Mapping[str, Effect], path: Path) -> None:
+def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
+    """Of every effect, the parameters of its sizes, a site's own where every measurement has its own."""
+    here = [each.site.name for each in forward_model.sites].index(site.name)
+    return {
+        name: [
+            slot for slot in forward_model.slots((name,))
+            if not slot.parameter.shape and slot.site in (None, here)
+        ]
+        for name in forward_model.effects
+    }  # fmt: skip
+
+
+def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:
     """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it.
 
     A triangle: all of it lies beyond the frame, or beyond the largest size that is looked for.
     """
     rows = [
-        (f"{name}: {p.name}",
-         _in_plausible_sizes(p, value_ends(p, found.sizes[name], found.refitted_sizes.get(name))))
-        for name, effect in effects.items() if name in found.sizes
-        for p in effect.sizes if p.name in found.sizes[name]
+        (f"{name}: {slot.name}",
+         _in_plausible_sizes(
+             slot.parameter, value_ends(slot, found.sizes[name], found.refitted_sizes.get(name))
+         ))
+        for name, mine in sizes.items() if name in found.sizes
+        for slot in mine if slot.name in found.sizes[name]
     ]  # fmt: skip
     figure = Figure(figsize=(8.4, 0.26 * max(len(rows), 4) + 1.2), layout="constrained")
     axes = figure.subplots()

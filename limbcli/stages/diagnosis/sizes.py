@@ -5,13 +5,13 @@ From intervals of the parameters that are fitted to intervals of what they stand
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.effects import poroelasticity
-from limbcli.effects.base import Effect, Parameter
+from limbcli.stages.diagnosis.forward_model.slots import Slot
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]
@@ -77,15 +77,15 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
 
 
 def value_ends(
-    p: Parameter, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
+    slot: Slot, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
 ) -> tuple[float, float]:
     """The interval of a parameter's value: to first order (farther from null where the effect levels off,
     `Parameter.saturates`), and as its effect's refit has it; all values where neither has it."""
-    low, high = found.get(p.name, (-np.inf, np.inf))
-    ends = p.from_proportional(low), p.from_proportional(high)
-    if refitted is None or p.name not in refitted.intervals:
+    low, high = found.get(slot.name, (-np.inf, np.inf))
+    ends = slot.parameter.from_proportional(low), slot.parameter.from_proportional(high)
+    if refitted is None or slot.name not in refitted.intervals:
         return ends
-    low, high = refitted.intervals[p.name]
+    low, high = refitted.intervals[slot.name]
     return (
         min(low, ends[0]) if np.isfinite(ends[0]) else low,
         max(high, ends[1]) if np.isfinite(ends[1]) else high,
@@ -93,22 +93,24 @@ def value_ends(
 
 
 def reported_sizes(
-    effects: Mapping[str, Effect], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float,
+    slots: Mapping[str, Sequence[Slot]], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float,
     refitted: Mapping[str, RefittedSizes] = _NONE,
 ) -> Sizes:  # fmt: skip
     """Intervals with the names and units in which they are reported; None: open on that side.
 
+    slots : of every effect, the parameters of its sizes
     found : by effect and parameter, the distance from its null value, to first order; effects that are not
         there are open
     refitted : by effect, the parameters' values and c where it was refitted; c_kpa : of the others
     """
     sizes: Sizes = {}
-    for name, effect in effects.items():
+    for name, mine in slots.items():
         row: dict[str, Interval] = {}
         again = refitted.get(name)
         c = c_kpa if again is None else again.values["c_kpa"]
-        for p in effect.sizes:
-            ends = value_ends(p, found.get(name, {}), again)
+        for slot in mine:
+            p = slot.parameter
+            ends = value_ends(slot, found.get(name, {}), again)
             open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
             inside = [float(np.clip(each, p.low, p.high)) for each in ends]
             label, turn = _REPORTED.get(p.name, (p.name, _same))
