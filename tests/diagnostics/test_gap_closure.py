@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.selection import gap_closure
 from limbcli.diagnostics.selection.gap_closure import Closing
+from tests.diagnostics import toy
 
 
 @pytest.mark.parametrize(
@@ -32,6 +35,25 @@ def test_a_name_beats_placebos_that_were_picked_out_of_as_many(
     )  # fmt: skip
     refit = SimpleNamespace(
         explanation=tuple("abc"[:n_effects]), state=SimpleNamespace(chi2=5.0),
-        fitted=SimpleNamespace(jacobian=np.zeros((1, 3))),
+        fitted=SimpleNamespace(jacobian=np.zeros((1, 3)), base_names=("c", "m")),
     )  # fmt: skip
     assert Closing(baseline, 19).is_closed(refit) is closed
+
+
+class HeldAtItsBound(toy.Toy):
+    """One curve of the three cannot move once the offset is there, as m on its bound."""
+
+    def fit(self, explanation, start):
+        found = super().fit(explanation, start)
+        if explanation != ("offset",):
+            return found
+        note = "m ended on its bound 20 and is held there"
+        jacobian = np.delete(found.jacobian, 1, axis=1)
+        return replace(found, jacobian=jacobian, base_names=("c", "k"), notes=(note,))
+
+
+def test_an_effect_with_which_m_ends_on_its_bound_is_told_with_that_doubt(rng):
+    data = HeldAtItsBound(toy.make(rng, {"offset": 6.0}).y)
+    found = diagnose(data, n_draws=1000, propose=False)
+    assert found.verdict == "ambiguous"
+    assert ("offset",) in found.confidence_set

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
@@ -34,7 +36,7 @@ class Closing:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""
         baseline = self.baseline
         return placebo_percentile(
-            baseline.state, baseline.whiten, self._explained(refit), n_parameters=max(self._added(refit), 1),
+            baseline.state, baseline.whiten, self._explained(refit), n_parameters=self._added(refit),
             channels=baseline.data.channels(), order=baseline.data.order, deviation=baseline.data.deviation,
             rng=baseline.rng(3),
         )  # fmt: skip
@@ -53,4 +55,6 @@ class Closing:
         return self.baseline.state.chi2 - refit.state.chi2
 
     def _added(self, refit: Refit) -> int:
-        return refit.fitted.jacobian.shape[1] - self.baseline.base.jacobian.shape[1]
+        """Parameters of the effects that tell there, whether m is free or on its bound."""
+        columns = refit.fitted.jacobian[:, len(refit.fitted.base_names) :]
+        return max(int(np.any(columns != 0.0, axis=0).sum()), 1)
