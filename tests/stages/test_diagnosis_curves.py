@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from tests.stages import block_case
 
 ALONE = Solving(threads=1)
 DEPTHS = (1.0, 2.0, 3.0, 4.0)
+TILTED = ((effect("tilt"), {"tilt_about_short_axis_deg": 5.0, "tilt_about_long_axis_deg": 0.0}),)
 THICKER = ((effect("thickness"), {"thickness_change": 0.1}),)
 SOFTER = {
     size: ((effect("nonlinearity"), {"weight_q": size, "second_pair_share": 0.0}),) for size in (0.30, 0.33)
@@ -204,6 +206,48 @@ def test_curves_that_were_read_otherwise_are_solved_again(block, tmp_path, monke
     assert [n_kept(), n_kept()] == [1, 1]
     monkeypatch.setattr(keys, "_READING", keys._READING + 1)
     assert n_kept() == 2
+
+
+def test_curves_are_of_the_tissues_density(block, tmp_path):
+    """Speeds are kept, and go with the root of the modulus over the density."""
+
+    def speeds(density: float):
+        book = CurveBook(block, [1.0, 2.0], c=0.006, density_kg_per_m3=density, keep=tmp_path, solving=ALONE)
+        found = book.curves(4.0).log_speed
+        book.close()
+        return found
+
+    at_1000, at_1300 = speeds(1000.0), speeds(1300.0)
+    assert at_1300 - at_1000 == pytest.approx(
+        np.where(np.isfinite(at_1000), -0.5 * np.log(1.3), np.nan), nan_ok=True
+    )
+
+
+def test_a_turned_probes_curves_go_on_at_the_depths_that_were_asked_for(block):
+    """The turned face is lifted, so that depth counts from its first touch; that is in them already."""
+    stops = Stops(9)
+    book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops))
+    book.curves(8.0)
+    stops.after = 3
+    found, expected = book.curves(8.0, TILTED), whole(block, 8.0, TILTED)
+    book.close()
+    assert book.in_part == {"tilt, m 8": 3.0}
+    np.testing.assert_allclose(found.depth, [0.0, *DEPTHS])
+    assert found.force[-1] == pytest.approx(expected.force[-1], rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "theta"), [("contact", {"penalty_factor": 0.1}), ("friction", {"friction_coefficient": 0.5})]
+)
+def test_an_effect_of_any_name_may_change_contact(block, name, theta):
+    """It is what an effect makes of a model that tells how it is solved, not what it is called."""
+    known = effect(name)
+    mine = replace(known, name="my-" + name, kind="tissue")
+    book = CurveBook(block, [1.0, 2.0], c=0.006, solving=Solving(1e-5, threads=1))
+    plain, expected, found = (book.curves(4.0, each) for each in ((), ((known, theta),), ((mine, theta),)))
+    book.close()
+    assert found.force == pytest.approx(expected.force, rel=1e-3)
+    assert abs(np.log(found.force[-1] / plain.force[-1])) > 0.05
 
 
 def iterate(work: Work, n: int, *, factors: int = 0) -> None:

@@ -32,7 +32,7 @@ from limbcli.stages.diagnosis.curves.ingredients import (
     fields,
     has_fitted_size,
     is_numerical,
-    touches_loads,
+    is_of_law_alone,
 )
 from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
 from limbcli.stages.diagnosis.curves.lighter_models import fewer_steps, softer_jumps
@@ -123,7 +123,14 @@ class CurveBook:
         self._plain: dict[float, _Plain] = {}
         rest = None if borders is None else borders.rest
         self._fingerprint = fingerprint(
-            self.model, depths, c, f_kappa, windows, enough_force=reach.enough_force, lines=rest
+            self.model,
+            depths,
+            c,
+            f_kappa,
+            windows,
+            enough_force=reach.enough_force,
+            lines=rest,
+            density_kg_per_m3=density_kg_per_m3,
         )
 
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
@@ -229,13 +236,13 @@ class CurveBook:
             candidate=limited, has_friction=model.has_friction, fitted=fitted,
             needed=self._required / self.n_depths,
         )  # fmt: skip
-        same_mesh = not any(effect.new_mesh or touches_loads(effect) for effect, _ in ingredients)
+        of_law_alone = is_of_law_alone(self.model, model)
         try:
             shared = self._shared()
             if self._begin is not None and not ingredients:
                 shared.begin_beside(*self._elsewhere(self._begin, m))
-            session = shared if same_mesh else self._fresh(model)
-            if not same_mesh:
+            session = shared if of_law_alone else self._fresh(model)
+            if not of_law_alone:
                 session.start_like(shared)
             try:
                 result = session.solve(
@@ -252,7 +259,7 @@ class CurveBook:
                 )
             finally:
                 self.work.end()
-                if not same_mesh:
+                if not of_law_alone:
                     session.close()
         except ArithmeticError as error:
             raise SolveError(
@@ -278,7 +285,7 @@ class CurveBook:
         n_reached = len(values)
         enough = self.enough_force is not None and curves.force[-1] >= self.enough_force
         if n_reached < self.n_depths:
-            further = [each + offset for each in self.depths[n_reached:]]
+            further = self.depths[n_reached:]
             like = None if enough and not ingredients else self._beside(m, ingredients)
             curves = continued(curves, further, like=like)
             values = np.concatenate([values, *[values[-1:]] * len(further)])

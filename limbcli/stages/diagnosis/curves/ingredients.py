@@ -6,9 +6,10 @@ from functools import partial
 
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.places import Places, Stiffness
-from limbcli.model import Array
+from limbcli.model import Array, LimbModel
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
+_SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contacts", "curves")
 
 
 def is_numerical(ingredients: Ingredients) -> bool:
@@ -38,6 +39,12 @@ def has_fitted_size(ingredients: Ingredients) -> bool:
     )
 
 
-def touches_loads(effect: Effect) -> bool:
-    """Contact, supports and bodies are set up with a session; only materials may change in it."""
-    return effect.name in ("friction", "contact", "crop", "support-motion")
+def is_of_law_alone(model: LimbModel, changed: LimbModel) -> bool:
+    """Whether they differ in their materials alone: mesh, contact, supports and bodies are set up with a
+    session."""
+    return all(getattr(model, name) == getattr(changed, name) for name in _SET_UP)
+
+
+def touches_loads(effect: Effect, model: LimbModel) -> bool:
+    """Whether the effect changes more of a model than its materials."""
+    return effect.stiffness is None and not is_of_law_alone(model, effect.apply(model, effect.start))

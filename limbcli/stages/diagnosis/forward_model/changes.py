@@ -134,7 +134,7 @@ class Changes:
             if effect.spreads or self.book.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
-        of_solves = effect.new_mesh or touches_loads(effect)
+        of_solves = effect.new_mesh or touches_loads(effect, self.book.model)
         made = self._by_solving if of_solves else self._by_shifting
         return Change({p: made(effect, point, p) for p in effect.parameters})
 
