@@ -118,3 +118,18 @@ def test_a_step_that_the_recorded_depth_does_not_show_parts_two_holds(rng, share
     assert parted >= 3 * HOLD_S + 2 * RAMP_S
     if not shares:
         assert np.all(np.abs(found.y) < 4 * found.deviation)
+
+
+def test_what_two_numbers_of_one_hold_have_in_common_is_told():
+    """The window that ends the first begins the second: its samples' noise is in both, with other signs."""
+    rng, step = np.random.default_rng(5), 0.1
+    path = np.concatenate([np.full(200, 0.0), np.linspace(0, 6, 10), np.full(200, 6.0)])
+    drawn = []
+    for _ in range(300):
+        force = 0.12 * path**1.5 + 0.1 * rng.standard_normal(len(path))
+        trace = Trace(step * np.arange(len(path)), force, path.copy(), None, None, Path("trace.csv"))
+        found, _ = held_forces(trace, levels())
+        assert found is not None
+        drawn.append(np.linalg.solve(np.linalg.cholesky(found.covariance), found.y))
+    assert abs(np.corrcoef(np.array(drawn).T)[0, 1]) < 0.17  # three deviations of 300 draws
+    assert found.covariance[0, 1] < -0.4 * found.covariance[0, 0]

@@ -36,20 +36,31 @@ class HeldForces:
 
     depth (n,) mm; windows (n_features, 2, 2): from, to (exclusive) on the grid, of the two windows
     that are compared; y, deviation (n_features,): ln of the force of the first over the second
+    shared (n_features,): variance that a number has in common, with the other sign, with the next one: of the
+        window that both are of; None: none
     """
 
     depth: Array
     windows: IntArray
     y: Array
     deviation: Array
+    shared: Array | None = None
 
     def __len__(self) -> int:
         return len(self.y)
 
+    @property
+    def covariance(self) -> Array:
+        """(n_features, n_features)"""
+        found = np.diag(self.deviation**2)
+        if self.shared is not None and len(self) > 1:
+            found -= np.diag(self.shared[:-1], 1) + np.diag(self.shared[:-1], -1)
+        return found
+
     def fallen(self, curves: Curves) -> float:
         """Deviations by which the forces fall beyond what is elastic, over all holds."""
         off = self.y - self.predict(curves, Reading())
-        return float(np.sum(off) / np.sqrt(np.sum(self.deviation**2)))
+        return float(np.sum(off) / np.sqrt(np.sum(self.covariance)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The same numbers of a model (n_features,)."""
@@ -109,10 +120,11 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     windows, means = _windows(holds, force)
     if not len(windows):
         return None, "no hold carries a force to speak of"
-    deviation = _deviation(trace, windows, means, depth if recorded else None)
-    found = HeldForces(depth, windows, fall(force, windows), deviation)
+    found = HeldForces(
+        depth, windows, fall(force, windows), *_deviations(trace, windows, means, depth if recorded else None)
+    )
     if not recorded:
-        fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.deviation**2)))
+        fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.covariance)))
         if fallen < thresholds.FALLEN_SD:
             return None, "the record has no depth, and its force is steady: it may have been held by hand"
     return found, ""
@@ -170,22 +182,24 @@ def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Arra
     return np.array(windows, dtype=np.int64).reshape(-1, 2, 2), np.array(means)
 
 
-def _deviation(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
-    """Of ln force ratios: the samples' scatter, that of the depth times the slope, and a floor.
+def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> tuple[Array, Array]:
+    """Of ln force ratios the deviations, by the samples' scatter, that of the depth times the slope, and a
+    floor; and the variance that each has in common with the next one (`HeldForces.shared`).
 
     moving : the recorded depth on the grid; what it moves within a hold is known less well
     """
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, 0, 1] - windows[:, 0, 0]) * STEP_S * rate, 1.0)
-    scatter = _scatter(trace.force) / np.sqrt(samples) / force
-    depth = np.zeros(len(force))
+    of_samples = (_scatter(trace.force) / np.sqrt(samples) / force) ** 2
+    moved = np.zeros(len(force))
     if moving is not None and trace.depth is not None:
         deepest = float(np.nanmax(trace.depth))
         stiffness = 1.5 * float(np.nanmax(trace.force)) / max(deepest, 1.0)  # N/mm, of a power of depth
         places = np.array([[moving[a:b].mean() for a, b in pair] for pair in windows])
-        moved = _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1])
-        depth = stiffness * np.hypot(_scatter(trace.depth) / np.sqrt(samples), moved) / force
-    return np.asarray(np.sqrt(2 * scatter**2 + 2 * depth**2 + _FLOOR**2))
+        moved = (stiffness * _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1]) / force) ** 2
+        of_samples += (stiffness * _scatter(trace.depth) / np.sqrt(samples) / force) ** 2
+    with_next = np.append(np.all(windows[:-1, 1] == windows[1:, 0], axis=1), False)
+    return np.sqrt(2 * of_samples + 2 * moved + _FLOOR**2), np.where(with_next, of_samples, 0.0)
 
 
 def _scatter(values: Array) -> float:

@@ -105,9 +105,10 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
+    """Their deviations are told by `hold_noise`, as numbers of one hold err together."""
     if held is None:
         return [], [], []
-    return [Row("hold", k) for k in range(len(held))], held.y.tolist(), held.deviation.tolist()
+    return [Row("hold", k) for k in range(len(held))], held.y.tolist(), [0.0] * len(held)
 
 
 def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
@@ -116,13 +117,24 @@ def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
     return rows, y, [float(value) for each in extras for value in each.deviation]
 
 
+def hold_noise(held: HeldForces | None, rows: Sequence[Row], source: str) -> list[NoisePart]:
+    """The error of what is read from holds, among all rows."""
+    if held is None:
+        return []
+    return [_of_channel("hold", held.covariance, rows, "measurement: forces in holds", source)]
+
+
 def extra_noise(extras: Sequence[ExtraMeasurement], rows: Sequence[Row]) -> list[NoisePart]:
     """The models' own error in them, among all rows."""
-    parts = []
-    for each in extras:
-        if each.model_error is not None:
-            at = np.array([k for k, row in enumerate(rows) if row.channel == each.name])
-            whole = np.zeros((len(rows), len(rows)))
-            whole[np.ix_(at, at)] = each.model_error
-            parts.append(NoisePart(f"model: {each.name}", whole, "computed"))
-    return parts
+    return [
+        _of_channel(each.name, each.model_error, rows, f"model: {each.name}", "computed")
+        for each in extras if each.model_error is not None
+    ]  # fmt: skip
+
+
+def _of_channel(channel: str, covariance: Array, rows: Sequence[Row], name: str, source: str) -> NoisePart:
+    """A part of the noise that one channel alone has."""
+    at = np.array([k for k, row in enumerate(rows) if row.channel == channel], dtype=np.int64)
+    whole = np.zeros((len(rows), len(rows)))
+    whole[np.ix_(at, at)] = covariance
+    return NoisePart(name, whole, source)

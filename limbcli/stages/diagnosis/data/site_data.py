@@ -35,6 +35,7 @@ from limbcli.stages.diagnosis.data.rows import (
     extra_noise,
     extra_rows,
     force_rows,
+    hold_noise,
     hold_rows,
     speed_rows,
     thickness_rows,
@@ -176,7 +177,7 @@ def site_data(
         map_share, map_slopes, of_layers,
     )  # fmt: skip
     parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
-    parts += extra_noise(extras, rows)
+    parts += hold_noise(held, rows, noise.source) + extra_noise(extras, rows)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
