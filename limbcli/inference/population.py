@@ -263,7 +263,7 @@ def _quantiles(points: Array, weights: Array, q: float) -> Array:
     places = np.take_along_axis(points, order, axis=0)
     shares = np.take_along_axis(np.broadcast_to(weights[:, :, None], points.shape), order, axis=0)
     reached = np.cumsum(shares, axis=0) - 0.5 * shares
-    first = np.argmax(reached >= q, axis=0)
+    first = np.minimum(np.sum(reached < q, axis=0), len(points) - 1)
     return np.asarray(np.take_along_axis(places, first[None], axis=0)[0])
 
 

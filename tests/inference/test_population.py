@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.inference.population import estimate_population, row_modes
+from limbcli.inference.population import _quantiles, estimate_population, row_modes
 
 MIX = np.array([[1.0, 0.2, 0.0], [0.3, -0.8, 0.4], [0.0, 0.5, 1.0]])
 MEAN, SPREAD = np.array([-4.8, -4.2, 1.1]), np.array([[0.09, 0.03, 0], [0.03, 0.16, 0.02], [0, 0.02, 0.06]])
@@ -83,3 +83,12 @@ def test_rows_do_not_depend_on_each_other_under_a_given_population(rng):
     every = row_modes(curved, seen, noise, MEAN, SPREAD)
     one = row_modes(curved, seen[3:4], noise[3:4], MEAN, SPREAD)
     assert every[3:4] == pytest.approx(one, abs=1e-4)
+
+
+@pytest.mark.parametrize(("last", "high"), [(0.001, 389.0), (0.1, 399.0)])
+def test_an_interval_ends_at_the_largest_draw_where_that_weighs_much(last, high):
+    points = np.arange(400.0)[:, None, None]
+    weights = np.full((400, 1), (1.0 - last) / 399)
+    weights[-1] = last
+    assert _quantiles(points, weights, 0.975)[0] == pytest.approx(high, abs=1.0)
+    assert _quantiles(points, weights, 0.025)[0] == pytest.approx(10.0, abs=1.0)
