@@ -35,7 +35,7 @@ EFFECT = Effect(
     kind="swe",
     source="Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces)",
     parameters=(GUIDED,),
-    needs=("swe",),
+    needs=("swe", "bone"),
     observe=observe,
     tell_tale="extra rise of the speed at large load, more at thin sites",
 )

@@ -54,7 +54,7 @@ def test_what_cannot_be_is_refused_with_what_can(key, value):
 
 
 def test_maps_that_are_proposed_are_known_no_better_than_a_model_shows_them():
-    """The mean of a level is what they are contrasted with; patterns of deformed tissue have a model's error."""
+    """The mean of a level is what they are contrasted with; their patterns have a model's error."""
     site = Case("nothing", {}, 7, COARSE).curves(reduced.measured(np.random.default_rng(7)))
     maps = next(item for item in items() if item.name == "speed maps")
     error = maps.model_error(site)

@@ -440,3 +440,29 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without
     assert made.not_simulated == {("contraction",)}
+
+
+class WithoutBone(reduced.ReducedBook):
+    """The beam meets none."""
+
+    def _raw(self, m, ingredients):
+        return replace(super()._raw(m, ingredients), thickness=float("nan"))
+
+
+def test_where_no_bone_is_under_the_probe_what_needs_one_is_not_evaluated():
+    book = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
+    site = site_data("p1", levels(np.random.default_rng(1)), reduced.NOISE, windows=book.windows)
+    names = ("force-zero", "swe-guided-wave")
+    bench = SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
+    found = diagnose(bench, n_draws=500)
+    assert found.verdict == "adequate"
+    assert "bone" in found.not_evaluated["swe-guided-wave"]
+
+
+def test_a_prediction_that_is_not_a_number_is_no_answer():
+    skin_bone = np.r_[24.0, np.full(len(levels(np.random.default_rng(1)).depth) - 1, np.nan)]
+    book = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
+    data = replace(levels(np.random.default_rng(1)), skin_bone=skin_bone)
+    site = site_data("p1", data, reduced.NOISE, windows=book.windows)
+    with pytest.raises(SolveError, match="not a number"):
+        diagnose(SiteForwardModel([SiteCurves(site, book, {})]), n_draws=500)

@@ -18,7 +18,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
 from limbcli.errors import LimbError, MeasurementError, SolveError
-from limbcli.files import sha256
+from limbcli.files import atomic_file, sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG
@@ -313,8 +313,10 @@ class _Preparation:
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
+        key.unlink(missing_ok=True)  # until both are there, neither counts
         save_model(model, kept)
-        key.write_text(text, encoding="utf-8")
+        with atomic_file(key) as path:
+            path.write_text(text, encoding="utf-8")
         return load_model(kept)  # as it will be when the diagnosis is taken up again
 
     def _data(
@@ -333,8 +335,14 @@ class _Preparation:
             if held is None:
                 self.notes.data["holds_not_used"] = why
         errors = ModelErrors(numerics)
+        levels = self.levels
+        if np.isfinite(levels.skin_bone).any() and not errors.has_bone:
+            self.notes.warnings.append(
+                "skin_bone_mm is not used: in the model the beam meets no bone under the probe's centre"
+            )
+            levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         return site_data(
-            self.site.name, self.levels, self.site.noise, windows=self.windows, maps=self.maps,
+            self.site.name, levels, self.site.noise, windows=self.windows, maps=self.maps,
             model_error=errors.all(tie, interventions), held=held, extras=extras,
             usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
             map_slopes=errors.map_slopes(), layers=self.layers,

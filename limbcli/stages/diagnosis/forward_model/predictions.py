@@ -99,14 +99,23 @@ class Predictions:
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
     def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """x: ln c, ln m, then the effects' parameters in order."""
+        """x: ln c, ln m, then the effects' parameters in order.
+
+        Raises
+        ------
+        SolveError
+            If there is no answer, or one that is not a number.
+        """
         values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
         c, m = float(np.exp(x[0])), float(np.exp(x[1]))
         parts = [
             each.predict(c, m, explanation, self.theta(values, explanation, k), points)
             for k, each in enumerate(self.sites)
         ]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        found = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if not np.isfinite(found).all():
+            raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
+        return found
 
     def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
         """The fitted curves of a site, and how they are read."""

@@ -247,6 +247,7 @@ class SiteForwardModel(Fits):
 
     def _check_channels(self, explanation: Explanation) -> None:
         has = {channel for each in self.sites for channel in each.site.channels}
+        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
         for name in explanation:
             for each in self.sites:
                 if name in each.refused:
@@ -255,6 +256,12 @@ class SiteForwardModel(Fits):
                 raise only_febio(self.effects[name])
             lacking = [each for each in self.effects[name].needs if each not in has]
             if lacking:
+                if "bone" in lacking:
+                    raise FitError(
+                        "it needs a bone under the probe, and there the model has none",
+                        where=f"effect {name}",
+                        fix="look at the site's place, and at the bones' surfaces",
+                    )
                 raise FitError(
                     f"it needs what was not measured: {', '.join(lacking)}",
                     where=f"effect {name}", fix="measure it, see the next measurement",

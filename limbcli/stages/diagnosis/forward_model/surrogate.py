@@ -131,6 +131,11 @@ class SiteCurves:
             return False
         return True
 
+    @property
+    def has_bone(self) -> bool:
+        """Whether the beam meets bone in the model."""
+        return any(each.thickness > 0 for each in self.nodes.values())
+
     def predict(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Array:

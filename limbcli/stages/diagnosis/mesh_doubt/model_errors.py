@@ -103,8 +103,12 @@ class ModelErrors:
     @property
     def thickness(self) -> float:
         """mm of tissue under the probe, as far as it is known."""
-        thick = self.book.curves(self.likely_m).thickness
-        return thick if np.isfinite(thick) and thick > 0 else USUAL_THICKNESS
+        return self.book.curves(self.likely_m).thickness if self.has_bone else USUAL_THICKNESS
+
+    @property
+    def has_bone(self) -> bool:
+        """Whether the beam meets bone in the model."""
+        return self.book.curves(self.likely_m).thickness > 0
 
     def _geometry(self) -> list[ModelError]:
         """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
