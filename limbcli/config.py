@@ -1,8 +1,10 @@
-"""Where things lie: the templates, the shared reference data, the output folder."""
+"""Where things lie: the templates, the shared reference data, the output folder; and threads."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from limbcli.errors import ToolError
@@ -55,3 +57,13 @@ def at_most(threads: int) -> int:
     said = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
     allowed = next((int(each) for each in said if each.isdigit()), threads)
     return max(1, min(threads, allowed))
+
+
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Linear algebra of a few hundred numbers, thousands of times: BLAS with one thread, which more only make
+    wait for each other. What shares work among threads of its own is not touched."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -39,6 +39,18 @@ class Monotone:
         """Values (*at.shape, ...); beyond the ends the last piece goes on."""
         return self._values(*self._piece(at))
 
+    def with_lines(self, at: Array, first: float, last: float, *, far: float = np.inf) -> Array:
+        """Values (n,) of one curve at places (n,); beyond its ends lines with these slopes.
+
+        far : what a line adds at most
+
+        >>> Monotone.through(np.arange(3.0), np.arange(3.0)).with_lines(np.array([-1.0, 0.5, 4.0]), 0.0, 2.0)
+        array([0. , 0.5, 6. ])
+        """
+        out = np.empty(len(at))
+        _with_lines(self.knots, self.values, self.slopes, at, first, last, far, out)
+        return out
+
     def slope(self, at: Array | float) -> Array:
         """Derivative (*at.shape, ...)."""
         return self._rates(*self._piece(at))
@@ -168,6 +180,24 @@ def _hermite(y0, y1, d0, d1, h, t):  # type: ignore[no-untyped-def]
     """Value at the share t of a piece of length h, by the values and slopes at its ends."""
     s = 1.0 - t
     return s * s * ((1 + 2 * t) * y0 + t * h * d0) + t * t * ((3 - 2 * t) * y1 - s * h * d1)
+
+
+@_kernel
+def _with_lines(knots, values, slopes, at, first, last, far, out):  # type: ignore[no-untyped-def]
+    n = len(knots)
+    for i in range(len(at)):
+        x = at[i]
+        if np.isnan(x):
+            out[i] = np.nan
+            continue
+        inside = min(max(x, knots[0]), knots[n - 1])
+        k = 0
+        while k < n - 2 and inside >= knots[k + 1]:
+            k += 1
+        h = knots[k + 1] - knots[k]
+        found = _hermite(values[k], values[k + 1], slopes[k], slopes[k + 1], h, (inside - knots[k]) / h)
+        beyond = first * min(x - knots[0], 0.0) + last * max(x - knots[n - 1], 0.0)
+        out[i] = found + min(max(beyond, -far), far)
 
 
 @_kernel

@@ -62,9 +62,7 @@ class Curves:
 def force_at(curves: Curves, depth: Array) -> Array:
     """N at any depth: 0 before touch, PCHIP within the simulation, its last slope beyond."""
     curve = curves.force_curve
-    end = curves.depth[-1]
-    inside = curve(np.clip(depth, 0.0, end))
-    return np.asarray(inside + np.maximum(depth - end, 0.0) * curve.slope(end))
+    return curve.with_lines(depth, 0.0, curve.slopes[-1])
 
 
 def log_force_at(curves: Curves, depth: Array) -> Array:
@@ -75,8 +73,7 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
         return np.asarray(y[0] + 1.5 * (at - x[0]))
     curve = Monotone.through(x, y)
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    inside = curve(np.clip(at, x[0], x[-1]))
-    return np.asarray(inside + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0))
+    return curve.with_lines(at, first, last)
 
 
 def depth_at(curves: Curves, force: Array) -> Array:
@@ -84,9 +81,7 @@ def depth_at(curves: Curves, force: Array) -> Array:
     curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
     x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    inside = curve(np.clip(at, x[0], x[-1]))
-    beyond = first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0)
-    return np.exp(inside + np.clip(beyond, -_FAR, _FAR))
+    return np.exp(curve.with_lines(at, first, last, far=_FAR))
 
 
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:

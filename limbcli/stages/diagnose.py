@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.config import one_blas_thread
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
@@ -103,7 +104,8 @@ def diagnose(
     check_earlier(case, out, case.selected(sites))
     for group in places(case, case.selected(sites), out=out, separate=options.separate):
         progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
-        results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
+        with one_blas_thread():
+            results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
     return results
 
 

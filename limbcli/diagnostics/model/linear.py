@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, null_space, solve_triangular
+from scipy.linalg import cholesky, null_space
+from scipy.linalg.lapack import dtrtrs
 
 from limbcli.errors import FitError
 from limbcli.model import Array
@@ -15,7 +16,7 @@ _RANK = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """L of Sigma = L L': `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
+    """L of Sigma = L L', column by column: `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
 
     factor: Array
 
@@ -28,7 +29,7 @@ class Whitener:
             If the covariance is not positive definite.
         """
         try:
-            return Whitener(cholesky(covariance, lower=True))
+            return Whitener(np.asfortranarray(cholesky(covariance, lower=True)))
         except np.linalg.LinAlgError as error:
             raise FitError(
                 "the noise of the data is not a positive definite covariance",
@@ -37,10 +38,15 @@ class Whitener:
             ) from error
 
     def __call__(self, x: Array) -> Array:
-        # the factor is known to be finite; looked through every time, it takes as long as the solution
-        return np.asarray(
-            solve_triangular(self.factor, np.asarray_chkfinite(x), lower=True, check_finite=False)
-        )
+        """
+        Raises
+        ------
+        ValueError
+            If x is not finite.
+        """
+        # LAPACK's own: scipy's checks of the factor take ten times as long as the solution for a few data
+        found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)
+        return np.asarray(found)
 
     def undo(self, whitened: Array) -> Array:
         """L x: the raw quantity again."""
