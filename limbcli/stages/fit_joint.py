@@ -41,6 +41,7 @@ from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.site_layers import check_in_proportion
 from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.stages.site_model.site_states import one_state
 
@@ -144,6 +145,7 @@ def fit_joint(
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
+    check_in_proportion(model, "joint")
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:

@@ -32,6 +32,7 @@ from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import leave_states
 from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_layers import check_in_proportion
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
 STAGE = "fit-states"
@@ -106,6 +107,7 @@ def _fit_site(
     measured = states_of(site)
     check_noise(site, speeds=True)
     model = built_model(case, site, out, writer)
+    check_in_proportion(model, "states")
     note_case(writer, case, [], site=site, own=["states"])
     for each in measured:
         role = f"site/{site.name}/state/{each.state.name}"
