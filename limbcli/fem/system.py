@@ -106,9 +106,13 @@ class System(RigidLoads, ElementLoops):
         self.at(self.start.time)
         self._set_penalties()
 
+    def curve_at_first(self, name: str) -> float:
+        """A load curve's value when the analysis begins, for which penalties are set."""
+        return self.curve_at(name, 0.0)
+
     def _set_penalties(self) -> None:
         for pair in self.pairs:
-            pair.set_penalty(self.groups, self.curve, self.model.steps[0].step_size)
+            pair.set_penalty(self.groups, self.curve_at_first, self.model.steps[0].step_size)
 
     def begin(self) -> None:
         """Back to before any load: contact and history forgotten."""
