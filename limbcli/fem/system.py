@@ -129,6 +129,12 @@ class System(RigidLoads, ElementLoops):
         for pair in self.pairs:
             pair.remember(self.X + state.u, state.bodies[pair.body])
 
+    def take_multipliers(self, before: System) -> None:
+        """Those of the augmented contacts, from the system of the step before."""
+        for mine, theirs in zip(self.pairs, before.pairs, strict=True):
+            for patch, old in zip(mine.patches, theirs.patches, strict=True):
+                patch.multiplier = old.multiplier.copy()
+
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that every contact point is with."""
         return tuple(p.state[..., FACET].copy() for pair in self.pairs for p in pair.patches)

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import block
+from small_models import block, punch
 
 from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
-from limbcli.model import Curve, LimbModel, Step, Support
+from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
 
 QUICK = Settings(tolerance=1e-11, threads=1)
 CURVES = {"first": Curve(((0.0, 0.0), (1.0, 1.0))), "second": Curve(((1.0, 0.0), (3.0, 1.0)), "smooth")}
@@ -80,3 +81,49 @@ def test_a_force_after_a_displacement_finds_the_same_place() -> None:
     model = replace(model, bodies=(plate,), drives=still, steps=steps, supports=supports)
     last = Analysis(model, QUICK).run()[-1]
     assert last.state.bodies[0].shift[2] == pytest.approx(-0.07, abs=1e-9)
+
+
+def in_two(model: LimbModel, n_first: int) -> LimbModel:
+    """The same load in two steps that each state all of it."""
+    (step,) = model.steps
+    supports, drives = model.supports, model.drives
+    parts = [
+        replace(step, n_steps=n_first, supports=supports, drives=drives),
+        replace(step, n_steps=step.n_steps - n_first, supports=supports[::-1], drives=drives[::-1]),
+    ]
+    return replace(model, steps=tuple(parts), supports=(), drives=())
+
+
+def test_a_viscoelastic_law_keeps_its_memory_over_steps() -> None:
+    """A ramp of 0.2 s that is then held, of which 0.5 s are a step of their own."""
+    model = squeezed()
+    tissue = Material("viscoelastic", {"g1": 0.8, "t1": 0.5}, (model.materials["tissue"],))
+    pressed = Support("z1", ("z",), -0.2, "press")
+    model = replace(
+        model,
+        materials={"tissue": tissue},
+        curves={"press": Curve(((0.0, 0.0), (0.2, 1.0)))},
+        supports=(*model.supports, pressed),
+        steps=(Step(12, 0.1, adaptive=False),),
+    )
+    forces = [
+        [s.forces.nodal[model.mesh.node_sets["z1"], 2].sum() for s in Analysis(each, QUICK).run()]
+        for each in (model, in_two(model, 5))
+    ]
+    assert forces[0][4] < 1.05 * forces[0][-1] < 0.0  # it relaxes
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("change", [{}, {"augmented": True, "more": {"maxaug": "1"}}])
+def test_a_contact_stays_as_hard_over_steps(change: dict) -> None:
+    """Its penalty is that of the tissue at first, though this stiffens; its multipliers are kept."""
+    tissue = ogden_type(c=0.005, f_kappa=5.0, m=2.0)
+    stiffer = {key: Curved(float(tissue.parameters[key]), "stiff") for key in ("c1", "c2", "kappa")}
+    model = punch("hex8", (2, 2, 2), depth=0.5, material=tissue.with_parameters(**stiffer))
+    contact = replace(model.contacts[0], penalty=1.0, tolerance=1e-4, **change)
+    curves = {**model.curves, "stiff": Curve(((0.0, 1.0), (1.0, 3.0)))}
+    model = replace(model, contacts=(contact,), curves=curves, steps=(Step(4, 0.25, adaptive=False),))
+    forces = [
+        [s.forces.bodies[0, 2] for s in Analysis(each, QUICK).run()] for each in (model, in_two(model, 2))
+    ]
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-7)
