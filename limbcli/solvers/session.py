@@ -323,8 +323,8 @@ def _table_differences(up: SessionResult, down: SessionResult, width: float) -> 
 
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
-    laws = (material.law for material in model.materials.values())
-    return "viscoelastic" in laws or model.has_friction or any(each.augmented for each in model.contacts)
+    viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
+    return viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
 
 
 def _contact_body(model: LimbModel) -> str:

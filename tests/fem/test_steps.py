@@ -14,6 +14,7 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
+from limbcli.solvers.session import path_dependent
 
 QUICK = Settings(tolerance=1e-11, threads=1)
 CURVES = {"first": Curve(((0.0, 0.0), (1.0, 1.0))), "second": Curve(((1.0, 0.0), (3.0, 1.0)), "smooth")}
@@ -127,3 +128,20 @@ def test_a_contact_stays_as_hard_over_steps(change: dict) -> None:
         [s.forces.bodies[0, 2] for s in Analysis(each, QUICK).run()] for each in (model, in_two(model, 2))
     ]
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-7)
+
+
+def test_a_prestrained_viscoelastic_law_relaxes() -> None:
+    """Of a prestrain that is none, it is the viscoelastic law itself."""
+    model = squeezed()
+    viscoelastic = Material("viscoelastic", {"g1": 0.8, "t1": 0.5}, (model.materials["tissue"],))
+    nothing = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    pressed = Support("z1", ("z",), -0.2, "first")
+    model = replace(model, supports=(*model.supports, pressed), steps=(Step(4, 0.25, adaptive=False),))
+    forces = []
+    for tissue in (viscoelastic, Material("prestrain", {"F0": nothing, "ramp": 1.0}, (viscoelastic,))):
+        each = model.with_material("tissue", tissue)
+        assert path_dependent(each)
+        snapshots = Analysis(each, QUICK).run()
+        forces.append([s.forces.nodal[model.mesh.node_sets["z1"], 2].sum() for s in snapshots])
+    assert forces[0][-1] < 1.2 * pull(0.8, model) < 0.0
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)

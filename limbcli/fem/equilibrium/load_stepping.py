@@ -35,7 +35,7 @@ _EASY = 4  # iterations up to which the next increment may be longer
 
 def is_timed(model: LimbModel) -> bool:
     """Whether the response depends on the length of every increment taken."""
-    return any(material.law == "viscoelastic" for material in model.materials.values())
+    return any(material.is_viscoelastic for material in model.materials.values())
 
 
 class LoadStepping:
