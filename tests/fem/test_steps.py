@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from small_models import block, punch
 
 from limbcli.bodies import Drive, RigidBody
+from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.motion.rigid import rotation_vector
 from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
@@ -145,3 +148,45 @@ def test_a_prestrained_viscoelastic_law_relaxes() -> None:
         forces.append([s.forces.nodal[model.mesh.node_sets["z1"], 2].sum() for s in snapshots])
     assert forces[0][-1] < 1.2 * pull(0.8, model) < 0.0
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
+
+
+def test_a_fixed_rotation_stays_where_it_is_while_another_is_driven() -> None:
+    """Turned about x in the first step; that is held in the second, in which it turns about y as well."""
+    model = punch("hex8", (1, 1, 1), depth=0.2)
+
+    def turning(dof: Literal["u", "v"], curve: str) -> Step:
+        fixed = tuple(Drive("probe", each, "fixed") for each in ("x", "y", "u", "v", "w") if each != dof)
+        press = Drive("probe", "z", "displacement", -0.15, "first")
+        drives = (*fixed, press, Drive("probe", dof, "rotation", 0.02, curve))  # type: ignore[arg-type]
+        return Step(2, 0.5, adaptive=False, drives=drives)
+
+    curves = {"first": CURVES["first"], "then": Curve(((1.0, 0.0), (2.0, 1.0)))}
+    model = replace(model, curves=curves, drives=(), steps=(turning("u", "first"), turning("v", "then")))
+    turns = [rotation_vector(s.state.bodies[0].turn) for s in Analysis(model, QUICK).run()]
+    expected = [(0.01, 0.0, 0.0), (0.02, 0.0, 0.0), (0.02, 0.01, 0.0), (0.02, 0.02, 0.0)]
+    np.testing.assert_allclose(turns, expected, atol=1e-12)
+
+
+def test_relative_and_absolute_rotations_together_are_refused() -> None:
+    model = punch("hex8", (1, 1, 1), depth=0.2)
+    drives = (
+        *model.drives[:3],
+        Drive("probe", "v", "rotation", 0.01, "ramp", relative=True),
+        Drive("probe", "w", "rotation", 0.01, "ramp"),
+        model.drives[-1],
+    )
+    with pytest.raises(SolveError, match="relative and absolute"):
+        Analysis(replace(model, drives=drives), QUICK).run()
+
+
+@pytest.mark.parametrize("second", ["ramp", None])
+def test_loads_on_one_degree_of_freedom_add_up(second: str | None) -> None:
+    model = punch("hex8", (2, 2, 2))
+    model = replace(model, steps=(Step(1, 1.0, adaptive=False),))
+    load = Drive("probe", "z", "force", -0.01, "ramp")
+    ends = [
+        Analysis(replace(model, drives=(*model.drives[:-1], *loads)), QUICK).run()[-1]
+        for loads in ((load, replace(load, curve=second)), (replace(load, value=-0.02),))
+    ]
+    assert ends[0].forces.bodies[0, 2] == pytest.approx(-0.02, rel=1e-6)
+    assert ends[0].state.bodies[0].shift[2] == pytest.approx(ends[1].state.bodies[0].shift[2], rel=1e-6)
