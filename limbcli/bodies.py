@@ -36,6 +36,11 @@ class Drive:
     curve: str | None = None
     relative: bool = False
 
+    @property
+    def is_load(self) -> bool:
+        """Whether it is a force or a moment, which leaves the degree of freedom free."""
+        return self.kind in ("force", "moment")
+
 
 @dataclass(frozen=True)
 class Spring:

@@ -147,6 +147,11 @@ class Material:
     parts: tuple[Material, ...] = ()
     density: float = 1e-9
 
+    @property
+    def is_viscoelastic(self) -> bool:
+        """Whether it is, or is made of, a viscoelastic law."""
+        return self.law == "viscoelastic" or any(part.is_viscoelastic for part in self.parts)
+
     def with_parameters(self, **changes: Value) -> Material:
         return replace(self, parameters={**self.parameters, **changes})
 

@@ -66,7 +66,7 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
         two_pass=flag(tag, "two_pass"),
         knmult=numbers["knmult"],
         search_tolerance=numbers["search_tol"],
-        more={each.name: each.text for each in tag if each.name in CONTACT_MORE},
+        more={each.name: each.constant() for each in tag if each.name in CONTACT_MORE},
     )
 
 

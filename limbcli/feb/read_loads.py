@@ -156,7 +156,7 @@ def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
                 f"the map is over the node set {amount.node_set!r}", fix=f"give it over {node_set!r}"
             )
     elif value.optional("type") in (None, "const"):
-        amount = value.number()
+        amount = value.number(attributes=("lc",))
     else:
         raise value.problem(f"type {value.optional('type')!r} is not supported", fix="use a number or a map")
     return Support(
@@ -227,7 +227,7 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         body=scene.body(tag.need("rb")),
         dof=dofs[tag.need("dof").choice(tuple(dofs))],  # type: ignore[arg-type]
         kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
-        value=value.number(),
+        value=value.number(attributes=("lc",)),
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )

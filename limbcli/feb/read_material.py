@@ -126,7 +126,7 @@ def _value(tag: Tag, names: _Names) -> Value:
         raise tag.problem(
             f"a value of type {kind!r} is not supported", fix="use a number, a map or a load curve"
         )
-    value = tag.number()
+    value = tag.number(attributes=("lc",))
     if curve is None:
         return value
     if curve not in names.curves:
@@ -162,7 +162,7 @@ def _fiber(tag: Tag, names: _Names) -> Value:
     kind = tag.attribute("type")
     if kind == "vector":
         tag.allow(attributes=("type",), children=("vector",))
-        vector = np.array((tag.child("vector") or tag).numbers(3))
+        vector = np.array((tag.child("vector") or tag).numbers(3, attributes=("type",)))
         length = float(np.linalg.norm(vector))
         if length == 0:
             raise tag.problem("the fibre direction has no length", fix="give a direction")

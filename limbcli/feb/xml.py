@@ -24,6 +24,7 @@ _PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)
 _TAKEN = {"model.log", "force-depth.csv"}
 _TAKEN_ENDINGS = (".feb", ".gz", ".json", ".jsonl", ".png", ".npz", ".xplt", ".dmp", ".vtu", ".pvd")
 _MOST_IDS = 100_000_000  # in one list
+_CHANGE_A_VALUE = ("lc", "type")  # attributes with which a value is not what stands in the tag
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +123,34 @@ class Tag:
             )
         return value
 
+    def constant(self, *, attributes: Collection[str] = ()) -> str:
+        """The text of a value; refused where a load curve or a type other than "const" makes it another.
+
+        attributes : of these two, those that the caller reads itself
+        """
+        for key in _CHANGE_A_VALUE:
+            given = self.optional(key)
+            if given is not None and key not in attributes and (key, given) != ("type", "const"):
+                raise self.problem(
+                    f"limbcli does not take the attribute {key}={given!r} here",
+                    fix="give a plain value, or run the file with FEBio (--solver febio)",
+                )
+        return self.text
+
     def choice(self, values: Collection[str]) -> str:
         """The text, which must be one of `values` (compared without case)."""
+        self.constant()
         for value in values:
             if self.text.lower() == value.lower():
                 return value
         raise self.problem(f"{self.text!r} is not supported", fix=f"use one of: {', '.join(values)}")
 
-    def number(self) -> float:
-        return self.numbers(1)[0]
+    def number(self, *, attributes: Collection[str] = ()) -> float:
+        return self.numbers(1, attributes=attributes)[0]
 
-    def numbers(self, count: int) -> tuple[float, ...]:
-        words = self.text.split(",")
+    def numbers(self, count: int, *, attributes: Collection[str] = ()) -> tuple[float, ...]:
+        """Finite numbers between commas. attributes : see `constant`"""
+        words = self.constant(attributes=attributes).split(",")
         try:
             values = tuple(float(word) for word in words)
         except ValueError:

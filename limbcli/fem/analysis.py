@@ -93,7 +93,9 @@ class Analysis:
             newton = self._prepare(step, state)
             state = newton.system.start
             musts = {begin + t for t in step_times(step)}
-            if histories is None and self.remembers:
+            if histories is not None:
+                histories.system = newton.system
+            elif self.remembers:
                 histories = Histories(newton.system)
             self._stepping.begin(self.model, step, newton, histories)
             for target in targets:
@@ -149,9 +151,10 @@ class Analysis:
         if self._newton is not None and self._supports == key and state is not None:
             self._newton.system.start = state
             return self._newton
-        if self._newton is not None:
+        before = self._newton
+        if before is not None:
             self._collect()
-            self._newton.close()
+            before.close()
         system = System(
             self.model,
             supports=self.model.supports + step.supports,
@@ -159,6 +162,8 @@ class Analysis:
             threads=self.settings.threads,
             start=state,
         )
+        if before is not None and state is not None:
+            system.take_multipliers(before.system)
         self._newton = Newton(system, self.settings, self.progress)
         self._supports = key
         return self._newton

@@ -24,6 +24,9 @@ def check_supported(model: LimbModel) -> None:
         if law == "biphasic":
             raise _refused("the law 'biphasic'", f"material {domain.material!r}")
         compile_material(model.materials[domain.material], domain.material)
+    for drive in (each for step in model.steps[1:] for each in step.drives):
+        if drive.relative and drive.is_load:
+            raise _refused(f"a relative {drive.kind} in a later step", f"body {drive.body!r}")
     for step in model.steps:
         if step.analysis == "transient":
             raise _refused("a transient analysis (inertia)", "steps of the model")

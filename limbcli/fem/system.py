@@ -106,9 +106,13 @@ class System(RigidLoads, ElementLoops):
         self.at(self.start.time)
         self._set_penalties()
 
+    def curve_at_first(self, name: str) -> float:
+        """A load curve's value when the analysis begins, for which penalties are set."""
+        return self.curve_at(name, 0.0)
+
     def _set_penalties(self) -> None:
         for pair in self.pairs:
-            pair.set_penalty(self.groups, self.curve, self.model.steps[0].step_size)
+            pair.set_penalty(self.groups, self.curve_at_first, self.model.steps[0].step_size)
 
     def begin(self) -> None:
         """Back to before any load: contact and history forgotten."""
@@ -124,6 +128,12 @@ class System(RigidLoads, ElementLoops):
         self.recall(state.hints)
         for pair in self.pairs:
             pair.remember(self.X + state.u, state.bodies[pair.body])
+
+    def take_multipliers(self, before: System) -> None:
+        """Those of the augmented contacts, from the system of the step before."""
+        for mine, theirs in zip(self.pairs, before.pairs, strict=True):
+            for patch, old in zip(mine.patches, theirs.patches, strict=True):
+                patch.multiplier = old.multiplier.copy()
 
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that every contact point is with."""

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
-from limbcli.solvers.session_watch import Rows, Watch, key_of
+from limbcli.solvers.session_watch import Rows, Watch, is_asked, key_of
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from limbcli.fem.system import System
     from limbcli.fem.warm_start import Solved, WarmStart
 
+_BODY_FILE = "*{}"  # the name of a body's record
 _DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
 
 
@@ -159,7 +160,11 @@ class ReferenceSession:
 
         model = model2 if model2 is not None else self.model
         if wrt and path_dependent(model):
-            return self._differenced(model, wrt, records, bool(field_gradients))
+            return self._differenced(
+                model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
+                leads=leads, enough_force=enough_force, led_by=led_by, hoped=hoped, patient=patient,
+                afresh=afresh,
+            )  # fmt: skip
         moved = dict(weights or {})
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
@@ -250,28 +255,65 @@ class ReferenceSession:
         self.close()
 
     def _differenced(
-        self, model: LimbModel, wrt: Sequence[Parameter], records: bool, fields: bool
+        self,
+        model: LimbModel,
+        wrt: Sequence[Parameter],
+        weights: Mapping[Parameter, Array],
+        fields: bool | Collection[str],
+        *,
+        records: bool,
+        last: int | None,
+        leads: bool,
+        enough_force: float | None,
+        led_by: Solved | None,
+        **asked: Any,
     ) -> SessionResult:
-        """The solve, with gradients by central differences of 1e-3 of each parameter."""
-        gradients: dict[Parameter, Array] = {}
-        tables: dict[Parameter, dict[str, Table]] = {}
-        for name in wrt:
-            ends = []
-            for sign in (1.0, -1.0):
-                changed, step = nudged(model, name, sign * _DIFFERENCE)
-                ends.append(self.solve(changed, records=fields))
-            up, down = ends
-            key = (name[0], name[1])
-            gradients[key] = (up.must_points.forces - down.must_points.forces) / (2 * step)
-            tables[key] = _table_differences(up, down, 2 * step) if fields else {}
-        found = self.solve(model, records=records or fields)
-        return replace(found, force_gradient=gradients, field_gradient=tables, differenced=True)
+        """The solve, with gradients by central differences of 1e-3 of each parameter.
+
+        Its levels are those that all of the solves reached.
+        """
+        found = self.solve(
+            model, records=records or bool(fields), last=last, leads=leads, enough_force=enough_force,
+            led_by=led_by, **asked,
+        )  # fmt: skip
+        n = len(found.must_points.times)
+        ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
+        try:
+            for name in wrt:
+                pair = []
+                for sign in (1.0, -1.0):
+                    changed, step = nudged(model, name, sign * _DIFFERENCE, along=weights.get(name))
+                    pair.append(
+                        self.solve(
+                            changed, records=bool(fields), last=n, leads=False, led_by=found.levels, **asked
+                        )
+                    )
+                    n = min(n, len(pair[-1].must_points.times))
+                ends[name[0], name[1]] = (pair[0], pair[1], 2 * step)
+        finally:
+            self.model = model
+        must = found.must_points
+        gradients = {
+            name: (up.must_points.forces[:n] - down.must_points.forces[:n]) / width
+            for name, (up, down, width) in ends.items()
+        }
+        tables = {
+            name: _table_differences(up, down, width, must.times[:n], fields) if fields else {}
+            for name, (up, down, width) in ends.items()
+        }
+        return replace(
+            found, force_gradient=gradients, field_gradient=tables, differenced=True,
+            must_points=MustPoints(must.times[:n], must.depths[:n], must.forces[:n]),
+        )  # fmt: skip
 
     def _records(self, model: LimbModel, everything: bool) -> list[LogRecord]:
         from limbcli.fem.record_fields import BODY_FIELDS
 
         others = [r for r in model.records if everything and r.kind != "rigid_body"]
-        rigid = [LogRecord("rigid_body", BODY_FIELDS, f"*{body.name}", body.name) for body in model.bodies]
+        rigid = [
+            LogRecord("rigid_body", BODY_FIELDS, _BODY_FILE.format(body.name), body.name)
+            for body in model.bodies
+        ]
         return rigid + others
 
     def _simulation(
@@ -309,22 +351,26 @@ class ReferenceSession:
         return found
 
 
-def _table_differences(up: SessionResult, down: SessionResult, width: float) -> dict[str, Table]:
-    """Differences of all tables at the levels, over `width`."""
+def _table_differences(
+    up: SessionResult, down: SessionResult, width: float, times: Array, files: bool | Collection[str]
+) -> dict[str, Table]:
+    """Differences of the tables of `files` at the levels' times, over `width`."""
     found: dict[str, Table] = {}
     for kind in ("rigid", "nodes", "elements"):
         for key, one in getattr(up.simulation, kind).items():
+            if not is_asked(_BODY_FILE.format(key) if kind == "rigid" else key, files):
+                continue
             other = getattr(down.simulation, kind)[key]
-            levels = np.isin(one.times, up.must_points.times)
-            change = (one.values[levels] - other.values[levels]) / width
-            found[key] = Table(one.fields, one.times[levels], one.items, change)
+            mine, theirs = np.isin(one.times, times), np.isin(other.times, times)
+            change = (one.values[mine] - other.values[theirs]) / width
+            found[key] = Table(one.fields, one.times[mine], one.items, change)
     return found
 
 
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
-    laws = (material.law for material in model.materials.values())
-    return "viscoelastic" in laws or model.has_friction or any(each.augmented for each in model.contacts)
+    viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
+    return viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
 
 
 def _contact_body(model: LimbModel) -> str:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.model import Array, Curved, ElementMap, LimbModel, Material, Value
 
 if TYPE_CHECKING:
     from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
@@ -80,20 +80,77 @@ def _own(model: LimbModel, name: str) -> Material:
     return material.parts[0] if material.law == "prestrain" else material
 
 
-def nudged(model: LimbModel, name: Parameter, relative: float) -> tuple[LimbModel, float]:
-    """The model with one parameter moved by a part of itself, and by how much (unsigned)."""
+def nudged(
+    model: LimbModel, name: Parameter, relative: float, *, along: Array | None = None
+) -> tuple[LimbModel, float]:
+    """The model with a parameter moved up or down by a part of itself, and by how much (unsigned).
+
+    Tied ones move together, by a part of the first. A map moves alike in all cells or along `along`
+    (n_cells,), and a prestrain's gradient along its nine numbers: by a part of the largest.
+
+    Raises
+    ------
+    SolveError
+        If the material has no such parameter, or several, or it cannot be moved by a part of itself.
+    """
     material = model.materials[name[0]]
-    owner = material
-    while name[1] not in owner.parameters and len(owner.parts) == 1:
-        owner = owner.parts[0]
-    value = owner.parameters.get(name[1])
-    if not isinstance(value, float | int) or value == 0:
-        raise SolveError(
-            f"{name[0]}.{name[1]} cannot be differenced: it is {value!r}",
-            where="derivative of a path-dependent response",
-            fix="choose a parameter that is a number other than 0",
-        )
-    moved = owner.with_parameters(**{name[1]: value * (1 + relative)})
-    if owner is not material:
-        moved = replace(material, parts=(moved,))
-    return model.with_material(name[0], moved), abs(value * relative)
+    is_gradient = material.law == "prestrain" and name[1].startswith(_GRADIENT)
+    step = 0.0
+    for part, rate in [(_GRADIENT, 1.0)] if is_gradient else tied_parts(name[1]):
+        at, _, key = part.rpartition(".")
+        found = [each for each in _tree(material) if key in each[2].parameters and at in ("", each[1])]
+        value = found[0][2].parameters[key] if len(found) == 1 else None
+        step = step or abs(relative) * _size(value, along)
+        if _size(value, along) == 0.0:
+            several = "one of several" if len(found) > 1 else repr(value)
+            raise SolveError(
+                f"{name[0]}.{part} cannot be differenced: it is {several}",
+                where="derivative of a path-dependent response",
+                fix="choose a parameter that is a number other than 0, or a map or gradient with `weights`",
+            )
+        ((route, _, owner),) = found
+        moved = _moved(value, rate * step if relative > 0 else -rate * step, along)
+        material = _with_part(material, route, owner.with_parameters(**{key: moved}))
+    return model.with_material(name[0], material), step
+
+
+def _tree(
+    material: Material, route: tuple[int, ...] = (), at: str = ""
+) -> Iterator[tuple[tuple[int, ...], str, Material]]:
+    """A material and all that it is made of: which part of which, its place as in "0.c1", and it."""
+    yield route, at, material
+    for k, part in enumerate(material.parts):
+        place = at if material.law != "mixture" else f"{at}.{k}" if at else str(k)
+        yield from _tree(part, (*route, k), place)
+
+
+def _with_part(material: Material, route: tuple[int, ...], part: Material) -> Material:
+    if not route:
+        return part
+    parts = list(material.parts)
+    parts[route[0]] = _with_part(parts[route[0]], route[1:], part)
+    return replace(material, parts=tuple(parts))
+
+
+def _size(value: Value | None, along: Array | None) -> float:
+    """What a step is a part of; 0 where the parameter cannot be moved."""
+    if isinstance(value, float | int | Curved):
+        return abs(value.value if isinstance(value, Curved) else value) if along is None else 0.0
+    if value is None or (along is None and not isinstance(value, ElementMap)):
+        return 0.0
+    values = np.asarray(value.values if isinstance(value, ElementMap) else value, dtype=float)
+    way = np.ones(values.size) if along is None else np.ravel(along)
+    if values.shape != way.shape or not way.any():
+        return 0.0
+    return float(abs(values).max() / abs(way).max())
+
+
+def _moved(value: Value | None, step: float, along: Array | None) -> Value:
+    if isinstance(value, Curved):
+        return replace(value, value=value.value + step)
+    if isinstance(value, ElementMap):
+        return replace(value, values=value.values + step * (1.0 if along is None else np.ravel(along)))
+    if isinstance(value, tuple):
+        return tuple((np.array(value) + step * np.ravel(np.asarray(along))).tolist())
+    assert value is not None
+    return value + step

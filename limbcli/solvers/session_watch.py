@@ -39,7 +39,7 @@ class Watch:
         self.forces: dict[Parameter, list[float]] = {name: [] for name in parameters}
         self.slopes: dict[float, dict[Parameter, Array]] = {}
         self._fields: dict[Parameter, dict[str, list[Array]]] = {
-            name: {each.file: [] for each in asked if _is_asked(each.file, of_fields)} for name in parameters
+            name: {each.file: [] for each in asked if is_asked(each.file, of_fields)} for name in parameters
         }
         self._times: list[float] = []
 
@@ -89,7 +89,8 @@ class Watch:
         }
 
 
-def _is_asked(file: str, of_fields: bool | Collection[str]) -> bool:
+def is_asked(file: str, of_fields: bool | Collection[str]) -> bool:
+    """Whether the fields of a file are to be differentiated."""
     return of_fields if isinstance(of_fields, bool) else file in of_fields
 
 

@@ -20,6 +20,11 @@ GOLDEN_LAWS = {
     "effect-biphasic": ["biphasic", "ogden"],
     "effect-base": ["ogden"],
 }
+SPRING = (
+    '<rigid_connector type="rigid spring"><body_a>probe</body_a><body_b>probe</body_b><k>20</k>'
+    "<insertion_a>0,0,0</insertion_a><insertion_b>0,0,5</insertion_b><free_length>5</free_length>"
+    "</rigid_connector></Rigid>"
+)
 
 
 def golden_file(folder: Path) -> Path:
@@ -94,6 +99,12 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<cp>0.05</cp>", '<cp type="math">X</cp>', "cp", "'math' is not supported"),
         ("<cp>0.05</cp>", '<cp type="map">k</cp>', "cp", "no element map"),
         ("<cp>0.05</cp>", "<cp>0.05</cp><cp>0.06</cp>", "cp", "twice"),
+        ("<penalty>", '<penalty lc="1">', "penalty", "attribute lc='1'"),
+        ("<penalty>", '<penalty type="math">', "penalty", "attribute type='math'"),
+        ("<laugon>", '<laugon lc="1">', "laugon", "attribute lc='1'"),
+        ("<maxaug>", '<maxaug lc="1">', "maxaug", "attribute lc='1'"),
+        ("</Rigid>", SPRING.replace("<k>", '<k lc="1">'), "k", "attribute lc='1'"),
+        ("</Rigid>", SPRING.replace("<free_length>", '<free_length lc="1">'), "free_length", "attribute lc"),
         ("mm-N-s", "SI", "units", "SI"),
         ('version="4.0"', 'version="3.0"', "febio_spec", "3.0"),
         ('node_set="fixed"', 'node_set="fixd"', "bc", "fixd"),

@@ -15,6 +15,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.contacts.contact import make_pairs
+from limbcli.fem.contacts.contact_points import GAP, TRACTION
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
@@ -162,12 +163,34 @@ def test_a_probe_that_touches_nothing_at_first_gives_the_force_of_one_that_does(
     assert pressed.forces.bodies[0, 2] == pytest.approx(expected, rel=1e-6)
 
 
+def test_augmentations_go_on_as_febios() -> None:
+    """Until multipliers and gap settle, within minaug and maxaug; at a tolerance of 0 there are none."""
+    model = punch("hex8", (2, 2, 2), depth=0.5, levels=1)
+    soft = replace(model.contacts[0], penalty=0.5, tolerance=0.1, augmented=True)
+
+    def gap(more: dict[str, str] | None = None, **change: object) -> float:
+        """The largest (mm) of the points that press at the end."""
+        analysis = Analysis(replace(model, contacts=(replace(soft, more=more or {}, **change),)), QUICK)
+        analysis.run()
+        states = [p.state for pair in analysis.system.pairs for p in pair.patches]
+        return max(float(s[s[..., TRACTION] > 0, GAP].max()) for s in states)
+
+    plain = gap(augmented=False)
+    assert gap(tolerance=0.0, gap_tolerance=1e-3) == gap({"maxaug": "0"}) == plain
+    settled = gap()
+    assert settled < gap({"maxaug": "1"}) < plain
+    assert gap({"maxaug": "50"}, gap_tolerance=1e-3) <= 1e-3 < settled
+    assert gap({"minaug": "8"}) < settled / 2
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
         ({"two_pass": True}, "two_pass"),
         ({"friction": 0.3, "augmented": True}, "fric_coeff"),
         ({"more": {"tension": "1"}}, "tension"),
+        ({"more": {"node_reloc": "1"}}, "node_reloc"),
+        ({"augmented": True, "more": {"smooth_aug": "1"}}, "smooth_aug"),
         ({"secondary": "contact"}, "not part of one rigid body"),
     ],
 )

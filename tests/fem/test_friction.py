@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +19,10 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
-from limbcli.model import Curve, LimbModel, Step, Support
+from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, Support, Value
 from limbcli.solvers.reference import prepare
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_parameters import nudged
 
 QUICK = Settings(tolerance=1e-8, threads=1)
 
@@ -178,3 +181,53 @@ def test_a_block_far_from_the_probe_is_left_alone() -> None:
     model = block("tet4", (2, 2, 2))
     assert not Analysis(model, QUICK).remembers
     assert Analysis(indented(0.1), QUICK).remembers
+
+
+def test_differenced_solves_take_all_that_was_asked() -> None:
+    """Levels, the force that is enough, tied parameters, and which solves lead."""
+    model = indented(0.3)
+    with closing(ReferenceSession(model, threads=1, tolerance=1e-9)) as session:
+        first = session.solve(last=2, wrt=[("tissue", "m1-m2"), ("tissue", "m1"), ("tissue", "m2")])
+        led = session.led
+        assert led is first.levels
+        by = first.force_gradient
+        assert len(first.must_points.times) == len(by["tissue", "m1"]) == 2
+        tied, apart = by["tissue", "m1-m2"], by["tissue", "m1"] - by["tissue", "m2"]
+        np.testing.assert_allclose(tied, apart, rtol=1e-3, atol=1e-3 * abs(by["tissue", "m1"]).max())
+        enough = 0.9 * float(first.must_points.forces[0])
+        short = session.solve(wrt=[("tissue", "c1")], enough_force=enough, leads=False)
+        assert len(short.must_points.times) == len(short.force_gradient["tissue", "c1"]) == 1
+        assert session.led is led
+        assert session.model is model
+
+
+def test_parameters_are_moved_wherever_they_are() -> None:
+    """In wrapped laws and mixtures; maps along their weights, curves' factors, a prestrain's gradient."""
+    law = ogden_type(c=0.005, f_kappa=5.0, m=-2.0)
+    base = indented(0.3)
+    n = len(base.mesh.block("tissue").cells)
+    nothing = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    own = law.with_parameters(c1=ElementMap("c", "tissue", np.full(n, 0.004)), kappa=Curved(0.2, "ramp"))
+    mixture = Material("mixture", {}, (law, own))
+    wrapped = Material("viscoelastic", {"g1": 0.5, "t1": 1.0}, (mixture,))
+    model = base.with_material("tissue", Material("prestrain", {"F0": nothing, "ramp": 1.0}, (wrapped,)))
+    key = "tissue"
+
+    def inner(changed: LimbModel, k: int) -> Mapping[str, Value]:
+        (viscoelastic,) = changed.materials[key].parts
+        assert viscoelastic.parameters == wrapped.parameters
+        return viscoelastic.parts[0].parts[k].parameters
+
+    changed, step = nudged(model, (key, "0.m1"), 0.1)  # up, though it is negative
+    assert inner(changed, 0)["m1"] == pytest.approx(float(law.parameters["m1"]) + step)
+    changed, step = nudged(model, (key, "1.kappa"), -0.1)
+    assert inner(changed, 1)["kappa"] == Curved(0.2 - step, "ramp")
+    weights = np.linspace(0.0, 2.0, n)
+    changed, step = nudged(model, (key, "1.c1"), 0.1, along=weights)
+    assert step == pytest.approx(0.1 * 0.004 / 2.0)
+    np.testing.assert_allclose(inner(changed, 1)["c1"].values, 0.004 + step * weights)
+    changed, step = nudged(model, (key, "F0a"), 0.1, along=np.diag([1.0, 0.0, -1.0]))
+    assert changed.materials[key].parameters["F0"][::4] == pytest.approx((1.0 + step, 1.0, 1.0 - step))
+    for name, words in (("m1", "several"), ("c9", "None"), ("F0", "weights")):
+        with pytest.raises(SolveError, match=words):
+            nudged(model, (key, name), 0.1)

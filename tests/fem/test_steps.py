@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
-from small_models import block
+from small_models import block, punch
 
 from limbcli.bodies import Drive, RigidBody
+from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
-from limbcli.model import Curve, LimbModel, Step, Support
+from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
+from limbcli.solvers.session import path_dependent
 
 QUICK = Settings(tolerance=1e-11, threads=1)
 CURVES = {"first": Curve(((0.0, 0.0), (1.0, 1.0))), "second": Curve(((1.0, 0.0), (3.0, 1.0)), "smooth")}
@@ -80,3 +85,108 @@ def test_a_force_after_a_displacement_finds_the_same_place() -> None:
     model = replace(model, bodies=(plate,), drives=still, steps=steps, supports=supports)
     last = Analysis(model, QUICK).run()[-1]
     assert last.state.bodies[0].shift[2] == pytest.approx(-0.07, abs=1e-9)
+
+
+def in_two(model: LimbModel, n_first: int) -> LimbModel:
+    """The same load in two steps that each state all of it."""
+    (step,) = model.steps
+    supports, drives = model.supports, model.drives
+    parts = [
+        replace(step, n_steps=n_first, supports=supports, drives=drives),
+        replace(step, n_steps=step.n_steps - n_first, supports=supports[::-1], drives=drives[::-1]),
+    ]
+    return replace(model, steps=tuple(parts), supports=(), drives=())
+
+
+def test_a_viscoelastic_law_keeps_its_memory_over_steps() -> None:
+    """A ramp of 0.2 s that is then held, of which 0.5 s are a step of their own."""
+    model = squeezed()
+    tissue = Material("viscoelastic", {"g1": 0.8, "t1": 0.5}, (model.materials["tissue"],))
+    pressed = Support("z1", ("z",), -0.2, "press")
+    model = replace(
+        model,
+        materials={"tissue": tissue},
+        curves={"press": Curve(((0.0, 0.0), (0.2, 1.0)))},
+        supports=(*model.supports, pressed),
+        steps=(Step(12, 0.1, adaptive=False),),
+    )
+    forces = [
+        [s.forces.nodal[model.mesh.node_sets["z1"], 2].sum() for s in Analysis(each, QUICK).run()]
+        for each in (model, in_two(model, 5))
+    ]
+    assert forces[0][4] < 1.05 * forces[0][-1] < 0.0  # it relaxes
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("change", [{}, {"augmented": True, "more": {"maxaug": "1"}}])
+def test_a_contact_stays_as_hard_over_steps(change: dict) -> None:
+    """Its penalty is that of the tissue at first, though this stiffens; its multipliers are kept."""
+    tissue = ogden_type(c=0.005, f_kappa=5.0, m=2.0)
+    stiffer = {key: Curved(float(tissue.parameters[key]), "stiff") for key in ("c1", "c2", "kappa")}
+    model = punch("hex8", (2, 2, 2), depth=0.5, material=tissue.with_parameters(**stiffer))
+    contact = replace(model.contacts[0], penalty=1.0, tolerance=1e-4, **change)
+    curves = {**model.curves, "stiff": Curve(((0.0, 1.0), (1.0, 3.0)))}
+    model = replace(model, contacts=(contact,), curves=curves, steps=(Step(4, 0.25, adaptive=False),))
+    forces = [
+        [s.forces.bodies[0, 2] for s in Analysis(each, QUICK).run()] for each in (model, in_two(model, 2))
+    ]
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-7)
+
+
+def test_a_prestrained_viscoelastic_law_relaxes() -> None:
+    """Of a prestrain that is none, it is the viscoelastic law itself."""
+    model = squeezed()
+    viscoelastic = Material("viscoelastic", {"g1": 0.8, "t1": 0.5}, (model.materials["tissue"],))
+    nothing = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    pressed = Support("z1", ("z",), -0.2, "first")
+    model = replace(model, supports=(*model.supports, pressed), steps=(Step(4, 0.25, adaptive=False),))
+    forces = []
+    for tissue in (viscoelastic, Material("prestrain", {"F0": nothing, "ramp": 1.0}, (viscoelastic,))):
+        each = model.with_material("tissue", tissue)
+        assert path_dependent(each)
+        snapshots = Analysis(each, QUICK).run()
+        forces.append([s.forces.nodal[model.mesh.node_sets["z1"], 2].sum() for s in snapshots])
+    assert forces[0][-1] < 1.2 * pull(0.8, model) < 0.0
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
+
+
+def test_a_fixed_rotation_stays_where_it_is_while_another_is_driven() -> None:
+    """Turned about x in the first step; that is held in the second, in which it turns about y as well."""
+    model = punch("hex8", (1, 1, 1), depth=0.2)
+
+    def turning(dof: Literal["u", "v"], curve: str) -> Step:
+        fixed = tuple(Drive("probe", each, "fixed") for each in ("x", "y", "u", "v", "w") if each != dof)
+        press = Drive("probe", "z", "displacement", -0.15, "first")
+        drives = (*fixed, press, Drive("probe", dof, "rotation", 0.02, curve))  # type: ignore[arg-type]
+        return Step(2, 0.5, adaptive=False, drives=drives)
+
+    curves = {"first": CURVES["first"], "then": Curve(((1.0, 0.0), (2.0, 1.0)))}
+    model = replace(model, curves=curves, drives=(), steps=(turning("u", "first"), turning("v", "then")))
+    turns = [rotation_vector(s.state.bodies[0].turn) for s in Analysis(model, QUICK).run()]
+    expected = [(0.01, 0.0, 0.0), (0.02, 0.0, 0.0), (0.02, 0.01, 0.0), (0.02, 0.02, 0.0)]
+    np.testing.assert_allclose(turns, expected, atol=1e-12)
+
+
+def test_relative_and_absolute_rotations_together_are_refused() -> None:
+    model = punch("hex8", (1, 1, 1), depth=0.2)
+    drives = (
+        *model.drives[:3],
+        Drive("probe", "v", "rotation", 0.01, "ramp", relative=True),
+        Drive("probe", "w", "rotation", 0.01, "ramp"),
+        model.drives[-1],
+    )
+    with pytest.raises(SolveError, match="relative and absolute"):
+        Analysis(replace(model, drives=drives), QUICK).run()
+
+
+@pytest.mark.parametrize("second", ["ramp", None])
+def test_loads_on_one_degree_of_freedom_add_up(second: str | None) -> None:
+    model = punch("hex8", (2, 2, 2))
+    model = replace(model, steps=(Step(1, 1.0, adaptive=False),))
+    load = Drive("probe", "z", "force", -0.01, "ramp")
+    ends = [
+        Analysis(replace(model, drives=(*model.drives[:-1], *loads)), QUICK).run()[-1]
+        for loads in ((load, replace(load, curve=second)), (replace(load, value=-0.02),))
+    ]
+    assert ends[0].forces.bodies[0, 2] == pytest.approx(-0.02, rel=1e-6)
+    assert ends[0].state.bodies[0].shift[2] == pytest.approx(ends[1].state.bodies[0].shift[2], rel=1e-6)

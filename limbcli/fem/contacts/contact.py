@@ -47,16 +47,8 @@ def _surface(model: LimbModel, name: str) -> Surface:
     return model.mesh.surfaces[name]
 
 
-_IGNORED = {
-    "seg_up",
-    "minaug",
-    "maxaug",
-    "smooth_aug",
-    "ptol",
-    "pressure_penalty",
-    "contact_frac",
-    "node_reloc",
-}
+# Settings that may be on: of how FEBio searches, of fluids, and those that `Pair.augment` takes.
+_TAKEN = {"seg_up", "minaug", "maxaug", "ptol", "pressure_penalty", "contact_frac"}
 
 
 def _refuse(contact: Contact) -> None:
@@ -67,9 +59,10 @@ def _refuse(contact: Contact) -> None:
         wrong = "update_penalty"
     elif contact.friction and contact.augmented:
         wrong = "laugon with fric_coeff"
+    taken = _TAKEN if contact.augmented else {*_TAKEN, "smooth_aug"}
     for tag, value in contact.more.items():
         on = str(value).strip() not in ("", "0", "0.0", "false")
-        if on and tag not in _IGNORED:
+        if on and tag not in taken:
             wrong = tag
     if wrong:
         raise SolveError(

@@ -13,7 +13,7 @@ import numpy as np
 
 from limbcli.bodies import Contact
 from limbcli.fem.contacts import contact_kernels as kernels
-from limbcli.fem.contacts.contact_points import FACET, TRACTION, WEIGHT
+from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION, WEIGHT
 from limbcli.fem.contacts.contact_search import search
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.contacts.penalty import penalties
@@ -23,6 +23,7 @@ from limbcli.fem.motion.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 
+_MOST_AUGMENTATIONS = 10  # FEBio's `maxaug`, where a model does not give it
 _FADE, _MOST_FADE = 0.03, 0.2  # to either side of a rim: of the soft facets' size, of the rigid facet's
 
 
@@ -100,13 +101,38 @@ class Pair:
             p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
 
-    def augment(self) -> float:
-        """Take the tractions over as multipliers; the relative change of their sum of squares."""
+    @property
+    def is_augmented(self) -> bool:
+        """As in FEBio, a tolerance of 0 leaves the augmentations out."""
+        return self.contact.augmented and self.contact.tolerance > 0
+
+    def augment(self, n_before: int) -> bool:
+        """Take the tractions over as multipliers; whether these have settled.
+
+        That is where the relative change of their sum of squares is within the tolerance, and the largest
+        gap of the points that press within `gap_tolerance` (mm) if that is set; not before the
+        `minaug`-th augmentation of a load step, and at the latest at the one after `maxaug`.
+
+        n_before : augmentations of this load step so far
+
+        Source: FEBio 4, FESlidingElasticInterface::Augment.
+        """
         before = sum(float((p.multiplier**2).sum()) for p in self.patches)
         for p in self.patches:
             p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
         after = sum(float((p.multiplier**2).sum()) for p in self.patches)
-        return abs(after - before) / after if after else 0.0
+        contact = self.contact
+        if n_before >= _count(contact, "maxaug", _MOST_AUGMENTATIONS):
+            return True
+        if n_before < _count(contact, "minaug", 0):
+            return False
+        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
+        closed = contact.gap_tolerance <= 0 or max(gaps) <= contact.gap_tolerance
+        return closed and abs(after - before) <= contact.tolerance * (after or 1.0)
+
+
+def _count(contact: Contact, name: str, default: int) -> int:
+    return int(float(contact.more.get(name, default)))
 
 
 def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Array:

@@ -123,10 +123,7 @@ def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]
 def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, Array]:
     nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
     dt = system.model.steps[0].step_size
-
-    def at_first(name: str) -> float:
-        return system.curve_at(name, system.start.time)  # when penalties are set
-
+    at_first = system.curve_at_first
     for number, found in programs(system, parameter).items():
         _add_internal(system, state, number, found, nodal)
         group = system.groups[number]

@@ -66,7 +66,10 @@ class Prony:
 
 
 class Histories:
-    """The histories of all viscoelastic groups of a system."""
+    """The histories of all viscoelastic groups of a system.
+
+    system : the one of the step at hand; those of other steps have the same groups
+    """
 
     def __init__(self, system: System):
         self.system = system

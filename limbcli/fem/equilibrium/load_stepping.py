@@ -35,7 +35,7 @@ _EASY = 4  # iterations up to which the next increment may be longer
 
 def is_timed(model: LimbModel) -> bool:
     """Whether the response depends on the length of every increment taken."""
-    return any(material.law == "viscoelastic" for material in model.materials.values())
+    return any(material.is_viscoelastic for material in model.materials.values())
 
 
 class LoadStepping:
@@ -312,16 +312,15 @@ class LoadStepping:
         )
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
-        """Augmentations of the contact pressure until its multipliers settle."""
-        for pair in self._newton.system.pairs:
-            if not pair.contact.augmented:
-                continue
-            most = int(float(pair.contact.more.get("maxaug", "10")))
-            for _ in range(most):
-                if pair.augment() <= pair.contact.tolerance:
-                    break
-                state, forces = self._newton.equilibrate(state, load_step)
-        return state, forces
+        """Augmentations of the contact pressure until the multipliers of every contact settle."""
+        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
+        n_before = 0
+        while True:
+            settled = [pair.augment(n_before) for pair in pairs]
+            if all(settled):
+                return state, forces
+            state, forces = self._newton.equilibrate(state, load_step)
+            n_before += 1
 
 
 def _has_no_factor(error: SolveError, reached: list[State]) -> bool:

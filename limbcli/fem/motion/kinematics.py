@@ -7,7 +7,15 @@ import numpy as np
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.motion import load_curves
-from limbcli.fem.motion.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, rotation_matrix
+from limbcli.fem.motion.rigid import (
+    AT_REST,
+    DOFS,
+    Body,
+    BodyState,
+    make_bodies,
+    rotation_matrix,
+    rotation_vector,
+)
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
 
@@ -150,10 +158,22 @@ class Kinematics:
 
     def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
         if not any(k >= 3 for k in body.free):
-            moving = [body.drives[d] for d in "uvw" if d in body.drives and body.drives[d].kind != "fixed"]
-            if not moving:
+            given = {k: body.drives[dof] for k, dof in enumerate("uvw") if body.given(dof)}
+            relative = {drive.relative for drive in given.values() if drive.kind != "fixed"}
+            if not relative:
                 return begin.turn
-            return rotation_matrix(vector) @ (begin.turn if moving[0].relative else np.eye(3))
+            if len(relative) > 1:
+                raise SolveError(
+                    f"body {body.name!r} has relative and absolute rotations together",
+                    where="rigid bodies",
+                    fix="make all of its rotations relative, or none",
+                )
+            if relative == {True}:
+                return rotation_matrix(vector) @ begin.turn
+            held = rotation_vector(begin.turn)
+            fixed = [k for k, drive in given.items() if drive.kind == "fixed"]
+            vector[fixed] = held[fixed]
+            return rotation_matrix(vector)
         if vector.any():
             raise SolveError(
                 f"body {body.name!r} has given and free rotations together",

@@ -58,7 +58,8 @@ AT_REST = BodyState(np.zeros(3), np.eye(3))
 class Body:
     """A rigid body of the model.
 
-    drives : by degree of freedom ("x" .. "w"); one that has none is free
+    drives : by degree of freedom ("x" .. "w"); one that has none is free, as is one with loads, of which
+        the last stands here
     tied : node numbers of the tissue that move with it
     """
 
@@ -71,7 +72,7 @@ class Body:
 
     def given(self, dof: str) -> bool:
         drive = self.drives.get(dof)
-        return drive is not None and drive.kind in ("fixed", "displacement", "rotation")
+        return drive is not None and not drive.is_load
 
 
 def make_bodies(model: LimbModel, drives: tuple[Drive, ...]) -> list[Body]:
@@ -91,7 +92,7 @@ def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
         if each.body != body.name:
             continue
         before = mine.get(each.dof)
-        if before is not None and before != each:
+        if before is not None and before != each and not (before.is_load and each.is_load):
             raise SolveError(
                 f"body {body.name!r} has two drives for {each.dof}", where="rigid bodies", fix="keep one"
             )

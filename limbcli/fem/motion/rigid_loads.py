@@ -31,14 +31,13 @@ class RigidLoads(Kinematics):
             bodies[index[spring.body_b]] -= on_b
 
     def applied(self, time: float) -> Array:
+        """(n_bodies, 6) forces (N) and moments (N mm); several on one degree of freedom add up."""
         out = np.zeros((len(self.bodies), 6))
-        for b, body in enumerate(self.bodies):
-            for k, dof in enumerate(DOFS):
-                drive = body.drives.get(dof)
-                if drive is not None and drive.kind in ("force", "moment"):
-                    out[b, k] = drive.value * (
-                        1.0 if drive.curve is None else self.curve_at(drive.curve, time)
-                    )
+        index = {body.name: b for b, body in enumerate(self.bodies)}
+        for drive in self.drives:
+            if drive.is_load:
+                factor = 1.0 if drive.curve is None else self.curve_at(drive.curve, time)
+                out[index[drive.body], DOFS.index(drive.dof)] += drive.value * factor
         return out
 
     def spring_stiffness(self, state: State) -> Array:
