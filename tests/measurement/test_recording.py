@@ -88,6 +88,7 @@ def test_semicolons_and_decimal_commas_are_found_out(tmp_path):
         ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not grow"),
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
+        ('time_s,force_n\n0,1\n\n1,"2\n' + "2,3\n" * 40000, RecordingFormat(), "line 4"),
     ],
 )
 def test_wrong_record_is_refused_with_a_fix(tmp_path, text, form, expected):
