@@ -21,6 +21,7 @@ from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 LVM_END_OF_HEADER = "***End_of_Header***"
 _SEGMENT = "Channels"  # what a segment's header begins with
+_LVM_TIME = "X_Value"  # stands before every channel where a file says X_Columns Multi
 COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
@@ -49,7 +50,8 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     Raises
     ------
     MeasurementError
-        If a row cannot be read, a column is missing, a cell is no number, or time does not grow.
+        If a row cannot be read, a column is missing or stands twice, a cell is no number, or time
+        does not grow.
     """
     form = form or RecordingFormat()
     header, rows, separator = _table(path, form)
@@ -152,7 +154,7 @@ def _with_times(
     timed = [
         [time.replace(".", ",") if comma else time, *row[1:]] for time, row in zip(times, rows, strict=True)
     ]
-    return ["X_Value", *titles[1:]], timed
+    return [_LVM_TIME, *titles[1:]], timed
 
 
 def _text(path: Path) -> str:
@@ -173,6 +175,13 @@ def _decimal(rows: list[list[str]], separator: str) -> str:
 
 
 def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: bool) -> int | None:
+    places = [k for k, title in enumerate(header, 1) if title == wanted]
+    if len(places) > 1 and wanted != _LVM_TIME:
+        raise MeasurementError(
+            f"{len(places)} columns of the record are called {wanted!r} ({', '.join(map(str, places))})",
+            where=str(path),
+            fix="rename those that are not meant, or export the record without them",
+        )
     if wanted in header:
         return header.index(wanted)
     if asked:
