@@ -74,7 +74,7 @@ Reader = Callable[[Path], list[Problem]]
 
 def _raw(folder: Path) -> Mapping[str, Any]:
     try:
-        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8"))
+        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return {}
 
