@@ -34,3 +34,13 @@ def test_several_records_of_one_body_are_one_table(tmp_path: Path) -> None:
     assert found.probe_depth()[-1] == pytest.approx(0.5)
     written = read_records(tmp_path / "force.csv").values[:, 0, 0]
     np.testing.assert_array_equal(found.probe_force(), -written)
+
+
+def test_nothing_reacts_before_the_first_step(tmp_path: Path) -> None:
+    """The probe stands a little inside the tissue there; FEBio's files hold zeros."""
+    record = LogRecord("rigid_body", ("z", "Fx", "Fy", "Fz", "Mx", "My", "Mz"), "body.csv", "probe")
+    model = replace(punch(n=(2, 2, 2), depth=0.5), records=(record,))
+    body = run(write_feb(model, tmp_path / "model.feb")).rigid["probe"].values
+    assert body[0, 0, 0] == pytest.approx(-0.05)
+    assert not body[0, 0, 1:].any()
+    assert abs(body[-1, 0, 3]) > 1e-3
