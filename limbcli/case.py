@@ -177,7 +177,7 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         fix = f"name the folder that holds it; `limbcli new {folder / 'subject'}` writes one to fill in"
         return None, [Problem("the folder holds no case.toml", str(folder), fix)]
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), []
+        return tomllib.loads(path.read_text(encoding="utf-8-sig")), []
     except tomllib.TOMLDecodeError as error:
         return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "mend that line")]
     except UnicodeDecodeError as error:

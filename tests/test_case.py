@@ -40,6 +40,12 @@ def test_complete_case_opens_with_defaults(folder: Path):
     assert case.sites[0].levels == folder / "p1" / "levels.csv"
 
 
+def test_a_byte_order_mark_before_the_text_is_passed_over(folder: Path):
+    write(folder, "")
+    (folder / "case.toml").write_text(GOOD, encoding="utf-8-sig")
+    assert Case.open(folder).subject == "S1"
+
+
 def test_example_of_the_case_format_is_read_whole(folder: Path):
     text = GOOD + '[site.noise]\nforce_n = 0.2\nsource = "repeats"\n'
     noise = Case.open(write(folder, text)).sites[0].noise

@@ -51,9 +51,10 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
     Raises
     ------
     CaseError
-        If it is none, or of a kind that cannot be read; the message says what.
+        If it is none, of a kind that cannot be read, or does not say how it lies; the message says what.
     """
     fields, pairs, data = _parts(path, noun)
+    _check_geometry(fields, path, noun)
     try:
         values = _values(data, fields)
         layers = [n for n, each in enumerate(_directions(fields)) if each is None]
@@ -88,19 +89,23 @@ def read_nrrd_image(path: Path) -> Volume:
             where=str(path),
             fix="save the T1-weighted volume alone from 3D Slicer, and name that file",
         )
+    found = read_nrrd(path, noun="image")
+    return Volume(np.asarray(found.values, dtype=np.float32), found.affine)
+
+
+def _check_geometry(fields: dict[str, str], path: Path, noun: str) -> None:
+    """Which space the axes are directions of, in mm."""
     if "space" not in fields or "space directions" not in fields:
         lacking = "space" if "space" not in fields else "space directions"
         raise CaseError(
-            f"the image does not say how it lies in the patient (no field `{lacking}`)",
+            f"the {noun} does not say how it lies in the patient (no field `{lacking}`)",
             where=str(path),
-            fix="save it again from 3D Slicer, or name the DICOM folder itself",
+            fix="save it again from 3D Slicer" + (", or name the DICOM folder itself" * (noun == "image")),
         )
     units = {each.strip('" ').lower() for each in fields.get("space units", "mm").split()}
     if not units <= {"mm", "millimeter", "millimeters"}:
-        what = f"the image's unit of length is {', '.join(sorted(units))}, not mm"
+        what = f"the {noun}'s unit of length is {', '.join(sorted(units))}, not mm"
         raise CaseError(what, where=str(path), fix="save it again in mm")
-    found = read_nrrd(path, noun="image")
-    return Volume(np.asarray(found.values, dtype=np.float32), found.affine)
 
 
 def _parts(path: Path, noun: str) -> tuple[dict[str, str], dict[str, str], bytes]:
@@ -190,7 +195,7 @@ def _affine(fields: dict[str, str]) -> Array:
     affine = np.eye(4)
     affine[:3, :3] = np.array(columns).T
     affine[:3, 3] = _vector(fields.get("space origin", "(0,0,0)"))
-    space = fields.get("space", "left-posterior-superior").lower()
+    space = fields["space"].lower()
     if space in _RAS:
         affine = RAS_FROM_LPS @ affine
     elif space not in _LPS:

@@ -6,16 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.errors import CaseError
 from limbcli.imaging.frames import Slice
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
 _TILT = 0.5  # degrees: slices sheared by more are straightened
+_BESIDE = 0.5  # pixels: slices further beside the line from the first to the last are moved to it
 _UNEVEN = 0.02  # larger relative changes of the slice distance are resampled
 
 
 def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
-    """Volume indexed [column, row, slice], straight and even."""
+    """Volume indexed [column, row, slice], straight and even.
+
+    Raises
+    ------
+    CaseError
+        If the pictures of two neighbouring slices do not overlap.
+    """
     values = np.stack([each.pixels.T for each in slices], axis=2)
     first = slices[0]
     positions = np.array([each.position for each in slices])
@@ -23,9 +31,16 @@ def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tup
     pixel = np.array([first.pixel_spacing[1], first.pixel_spacing[0]])
     in_plane = (positions - positions[0]) @ np.stack([first.along_row, first.along_column], axis=1)
     tilt = np.degrees(np.arctan2(np.linalg.norm(in_plane[-1] - in_plane[0]), heights[-1] - heights[0]))
+    beside = np.abs(in_plane - np.outer((heights - heights[0]) / (heights[-1] - heights[0]), in_plane[-1]))
+    _within_a_picture(slices, in_plane / pixel)
     origin = first.position
-    if tilt > _TILT:
-        notes.append(f"the slices are sheared by {tilt:.1f} degrees (gantry tilt); straightened")
+    if tilt > _TILT or (beside / pixel).max() > _BESIDE:
+        if tilt > _TILT:
+            notes.append(f"the slices are sheared by {tilt:.1f} degrees (gantry tilt); straightened")
+        if (beside / pixel).max() > _BESIDE:
+            notes.append(
+                f"slices lie up to {beside.max():.1f} mm beside the line of the others; straightened"
+            )
         values, shift = _straight(values, in_plane / pixel)
         origin = origin - first.along_row * shift[0] * pixel[0] - first.along_column * shift[1] * pixel[1]
         direction = first.normal * (heights[-1] - heights[0]) / (len(slices) - 1)
@@ -41,6 +56,19 @@ def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tup
     affine[:3, 2] = direction
     affine[:3, 3] = origin
     return Volume(values, affine), tuple(notes)
+
+
+def _within_a_picture(slices: list[Slice], offset: Array) -> None:
+    """Neighbours' pictures overlap; offset: (n, 2) in pixels, of every slice from the first."""
+    rows, columns = slices[0].pixels.shape
+    steps = np.abs(np.diff(offset, axis=0)) / [columns, rows]
+    if steps.max() > 1.0:
+        k = int(np.argmax(steps.max(axis=1)))
+        raise CaseError(
+            "two neighbouring slices lie beside one another: their pictures do not overlap",
+            where=f"{slices[k].name} and {slices[k + 1].name}",
+            fix="put each series into a folder of its own",
+        )
 
 
 def _straight(values: NDArray[np.float32], offset: Array) -> tuple[NDArray[np.float32], tuple[int, int]]:

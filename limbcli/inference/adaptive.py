@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import THRESHOLD_95, Profile, best_of, profile_likelihood
+from limbcli.inference.profile import Profile, best_of, profile_likelihood, threshold_95
 from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -68,6 +68,7 @@ class Intervals:
     """profiles by parameter name; `best`, the most likely theta, with its `fit`.
 
     scale : chi-square per degree of freedom where above 1 (deviances were divided by it)
+    threshold : of the deviance at the ends of the intervals
     n_solves : simulations added; `unsolved`: parameter sets without an answer
     """
 
@@ -76,6 +77,7 @@ class Intervals:
     chi_square: float
     n_freedom: int
     scale: float
+    threshold: float
     n_solves: int
     fit: Fit
     unsolved: tuple[Array, ...] = ()
@@ -96,7 +98,7 @@ def adaptive_profiles(
     """Profiles with as few simulations as the accuracy of the intervals allows.
 
     Where chi-square exceeds its degrees of freedom the noise is taken to be larger by that
-    factor.
+    factor, and the intervals to be those of a noise that is estimated (`threshold_95`).
 
     estimate : a theta found otherwise (the published fit); where given, no interval leaves it out
     """
@@ -121,21 +123,24 @@ class _Work:
         problem, objective = self.problem, self.problem.objective()
         best = best_of(objective, problem.parameters, problem.starts())
         scale = max(1.0, best.cost / max(problem.n_freedom, 1))
+        threshold = threshold_95(scale, problem.n_freedom)
         found = {}
         for k in problem.profiled:
-            profile = profile_likelihood(objective, problem.parameters, best, k, scale=scale)
+            profile = profile_likelihood(
+                objective, problem.parameters, best, k, threshold=threshold, scale=scale
+            )
             if self.estimate is not None:
                 value = float(self.estimate[k])
                 profile = replace(profile, low=min(profile.low, value), high=max(profile.high, value))
             found[profile.name] = profile
-        return Intervals(found, best.theta, best.cost, problem.n_freedom, scale, 0, best)
+        return Intervals(found, best.theta, best.cost, problem.n_freedom, scale, threshold, 0, best)
 
     def doubtful(self, found: Intervals) -> tuple[Array, str, int] | None:
         """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
         near = self.problem.within_reach
         asked = [(near(found.best), "", 0)]
         for name, profile in found.profiles.items():
-            inside = profile.deviance <= THRESHOLD_95
+            inside = profile.deviance <= found.threshold
             asked += [(near(theta), name, 0) for theta in profile.thetas[inside]]
             asked += [(near(end), name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
         worth = [(self.problem.doubt(theta), theta, name, side) for theta, name, side in asked]

@@ -30,7 +30,7 @@ class DerivedInterval:
 
 def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
-    *, low: float, high: float, pace: float, scale: float = 1.0,
+    *, low: float, high: float, pace: float, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
     """The values of `quantity` that the data do not exclude, between `low` and `high`.
 
@@ -38,6 +38,7 @@ def derived_interval(
     residual of its own that is not counted.
 
     objective : residuals in standard deviations; scale : the deviance is divided by it
+    threshold : of the deviance at an end (`threshold_95` where the scale is an estimate)
     quantity : theta -> a number that changes smoothly with ln theta; pace : of the walk, in its unit
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
@@ -67,8 +68,8 @@ def derived_interval(
             deviance, moved = at(outside, theta)
             if not np.isfinite(deviance):  # the parameters' bounds end the walk, not the data
                 break
-            if deviance > THRESHOLD_95:
-                inside = _crossing(at, (inside, deviance_inside, theta), (outside, deviance))
+            if deviance > threshold:
+                inside = _crossing(at, (inside, deviance_inside, theta), (outside, deviance), threshold)
                 is_open = False
                 break
             inside, theta, deviance_inside = outside, moved, max(deviance, 0.0)
@@ -81,13 +82,14 @@ def _crossing(
     at: Callable[[float, Array], tuple[float, Array]],
     inside: tuple[float, float, Array],
     outside: tuple[float, float],
+    threshold: float,
 ) -> float:
     """Where the deviance meets its threshold, by halving."""
     (near, _, theta), (far, _) = inside, outside
     for _ in range(4):
         middle = 0.5 * (near + far)
         deviance, moved = at(middle, theta)
-        if deviance > THRESHOLD_95:
+        if deviance > threshold:
             far = middle
         else:
             near, theta = middle, moved

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.levenberg_marquardt import Fit, levenberg_marquardt
@@ -19,6 +19,20 @@ _TIGHT = 1e-4
 _CLOSE = 0.02
 _FEWEST = 6  # points on a side
 _Point = tuple[float, float, Array]  # value, deviance, theta
+
+
+def threshold_95(scale: float, n_freedom: int) -> float:
+    """Of the deviance at the ends of a 95 % interval, the deviance divided by `scale`.
+
+    A scale above 1 is a variance estimated from the data's own scatter, with `n_freedom` degrees of
+    freedom: the deviance then follows F(1, n_freedom), not chi-square(1).
+
+    Source: Seber and Wild 1989, Nonlinear Regression, section 5.3.
+
+    >>> [round(threshold_95(*each), 2) for each in ((1.0, 2), (9.0, 2), (9.0, 30))]
+    [3.84, 18.51, 4.17]
+    """
+    return max(THRESHOLD_95, float(f.ppf(0.95, 1, n_freedom))) if scale > 1.0 else THRESHOLD_95
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +104,7 @@ def profile_likelihood(
     scale : the deviance is divided by it (1, or chi-square per degree of freedom where the
         data scatter more than their stated noise)
     threshold : of the deviance at an end; the 95 % quantile of chi-square with one degree
-        of freedom.
+        of freedom, or `threshold_95` where the scale is an estimate.
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87; Raue et al. 2009, Bioinformatics 25:1923.
     """

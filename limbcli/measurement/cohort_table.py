@@ -6,8 +6,6 @@ force, and the slope of pressure over displacement. No image, no limb, no wave s
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.measurement.tables import RawTable, problem, read_table
+from limbcli.measurement.tables import RawTable, csv_rows, problem, read_table
 from limbcli.model import Array
 from limbcli.problems import Problem, suggestion
 
@@ -166,7 +164,8 @@ def _header(path: Path) -> list[str]:
         line = path.read_text(encoding="utf-8-sig").lstrip("\n").partition("\n")[0]
     except (OSError, UnicodeDecodeError):
         return []
-    return [cell.strip() for cell in next(csv.reader(io.StringIO(line)), [])] if "," in line else []
+    rows, _ = csv_rows(line, path) if "," in line else ([], [])
+    return [cell.strip() for cell in rows[0]] if rows else []
 
 
 def _lacking(header: list[str], path: Path) -> list[Problem]:

@@ -6,8 +6,6 @@ something else says in case.toml what its columns are called and in which unit.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.measurement.tables import csv_rows
 from limbcli.measurement.trace import Trace
 from limbcli.model import Array
-from limbcli.problems import suggestion
+from limbcli.problems import checked, suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 LVM_END_OF_HEADER = "***End_of_Header***"
 _SEGMENT = "Channels"  # what a segment's header begins with
+_LVM_TIME = "X_Value"  # stands before every channel where a file says X_Columns Multi
 COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
@@ -50,7 +50,8 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     Raises
     ------
     MeasurementError
-        If a column is missing, a cell is no number, or time does not grow.
+        If a row cannot be read, a column is missing or stands twice, a cell is no number, or time
+        does not grow.
     """
     form = form or RecordingFormat()
     header, rows, separator = _table(path, form)
@@ -80,14 +81,16 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
 
 
 def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
-    lines = [line for line in _text(path).splitlines() if line.strip()]
+    text = _text(path).splitlines()
+    lines = [line for line in text if line.strip()]
     if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
         return _lvm_table(lines, path, form)
     if len(lines) < 2:
         fix = "name the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     separator = form.separator or max(("\t", ";", ","), key=lambda mark: lines[0].count(mark))
-    rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
+    cells = checked(*csv_rows("\n".join(text), path, separator=separator), MeasurementError)
+    rows = [row for row in cells if separator.join(row).strip()]
     return [cell.strip() for cell in rows[0]], rows[1:], separator
 
 
@@ -151,7 +154,7 @@ def _with_times(
     timed = [
         [time.replace(".", ",") if comma else time, *row[1:]] for time, row in zip(times, rows, strict=True)
     ]
-    return ["X_Value", *titles[1:]], timed
+    return [_LVM_TIME, *titles[1:]], timed
 
 
 def _text(path: Path) -> str:
@@ -172,6 +175,13 @@ def _decimal(rows: list[list[str]], separator: str) -> str:
 
 
 def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: bool) -> int | None:
+    places = [k for k, title in enumerate(header, 1) if title == wanted]
+    if len(places) > 1 and wanted != _LVM_TIME:
+        raise MeasurementError(
+            f"{len(places)} columns of the record are called {wanted!r} ({', '.join(map(str, places))})",
+            where=str(path),
+            fix="rename those that are not meant, or export the record without them",
+        )
     if wanted in header:
         return header.index(wanted)
     if asked:

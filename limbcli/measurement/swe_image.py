@@ -74,8 +74,8 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     Raises
     ------
     MeasurementError
-        If a box lies outside the image, the bar has no colours or repeats them, or
-        nothing could be read.
+        If a box lies outside the image, the colour box in no calibrated region or across two,
+        the bar has no colours or repeats them, or nothing could be read.
     """
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
@@ -157,7 +157,7 @@ def _misfit(rgb: Array, colours: Array, opacity: float) -> Array:
 def _samples(
     image: UltrasoundImage, box: Box, pixel: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
-    region = image.main_region()
+    region = image.region_of(box)
     step_x = max(1, round(pixel / region.mm_per_pixel_x))
     step_y = max(1, round(pixel / region.mm_per_pixel_y))
     rows, columns = np.mgrid[box[1] : box[3] + 1 : step_y, box[0] : box[2] + 1 : step_x]

@@ -41,7 +41,9 @@ def read_table(
     content, problems = _read_text(path)
     if content is None:
         return None, problems
-    rows = list(csv.reader(io.StringIO(_COMMENT.sub("", content))))
+    rows, problems = csv_rows(_COMMENT.sub("", content), path)
+    if rows is None:
+        return None, problems
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
     if not numbered:
         return None, [problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
@@ -75,6 +77,23 @@ def problem(what: str, path: Path, fix: str, *, line: int | None = None, warning
     """Something wrong with a file, or merely unusual, at a line."""
     where = f"{path}, line {line}" if line else str(path)
     return Problem(what, where, fix, severity="warning" if warning else "error", family="measurement")
+
+
+def csv_rows(
+    content: str, path: Path, *, separator: str = ","
+) -> tuple[list[list[str]] | None, list[Problem]]:
+    """The cells of a CSV text, or None and what is wrong with it."""
+    rows: list[list[str]] = []
+    reader = csv.reader(io.StringIO(content), delimiter=separator)
+    begin = 1
+    try:
+        for row in reader:
+            rows.append(row)
+            begin = reader.line_num + 1
+    except csv.Error as error:
+        fix = "close or remove the quotation mark that opens there; numbers need none"
+        return None, [problem(f"the row that begins here cannot be read ({error})", path, fix, line=begin)]
+    return rows, []
 
 
 def _read_text(path: Path) -> tuple[str | None, list[Problem]]:

@@ -24,6 +24,7 @@ _DAMAGED = (
     OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
     RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
 )  # fmt: skip
+_OVER_EDGE = 2  # pixels by which a box may stand over the edge of its region
 _DICOM_SUFFIXES = {".dcm", ".dicom", ""}
 
 
@@ -37,6 +38,19 @@ class Region:
     bottom: int
     mm_per_pixel_x: float
     mm_per_pixel_y: float
+
+    def holds(self, box: tuple[int, int, int, int]) -> bool:
+        """Whether a box (left, top, right, bottom) lies within, but for a pixel or two."""
+        left, top, right, bottom = box
+        across = self.left - _OVER_EDGE <= left and right <= self.right + _OVER_EDGE
+        return across and self.top - _OVER_EDGE <= top and bottom <= self.bottom + _OVER_EDGE
+
+    def shared(self, box: tuple[int, int, int, int]) -> int:
+        """Pixels that it has in common with a box."""
+        left, top, right, bottom = box
+        width = min(self.right, right) - max(self.left, left) + 1
+        height = min(self.bottom, bottom) - max(self.top, top) + 1
+        return max(width, 0) * max(height, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +80,33 @@ class UltrasoundImage:
                 where=str(self.path),
                 fix="state mm_per_pixel (read it off the depth scale), or export DICOM with regions",
             )
-        return max(self.regions, key=lambda r: (r.right - r.left) * (r.bottom - r.top))
+        return max(self.regions, key=_area)
+
+    def region_of(self, box: tuple[int, int, int, int]) -> Region:
+        """The calibrated region that a box lies in: the largest, where regions lie in one another.
+
+        box : left, top, right, bottom (pixels, inclusive)
+
+        Raises
+        ------
+        MeasurementError
+            If none is calibrated, or the box lies in none or across two.
+        """
+        self.main_region()
+        holding = [each for each in self.regions if each.holds(box)]
+        if not holding:
+            places = ", ".join(str([r.left, r.top, r.right, r.bottom]) for r in self.regions)
+            raise MeasurementError(
+                f"the box {list(box)} lies in none of the image's calibrated regions ({places})",
+                where=str(self.path),
+                fix="correct box_pixels, or state the picture that it lies in: image_pixels = [left, top, "
+                "right, bottom], its top the probe face",
+            )
+        return max(holding, key=_area)
+
+
+def _area(region: Region) -> int:
+    return (region.right - region.left) * (region.bottom - region.top)
 
 
 def read_image(
@@ -95,7 +135,7 @@ def read_image(
 
 
 def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> UltrasoundImage:
-    """The image with its region narrowed to a box."""
+    """The image with its region narrowed to a box, at the scale of the region that has most of it."""
     left, top, right, bottom = box
     rows, columns = image.rgb.shape[:2]
     if not (0 <= left < right < columns and 0 <= top < bottom < rows):
@@ -104,7 +144,8 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
             where=str(image.path),
             fix="state box_pixels = [left, top, right, bottom]",
         )
-    main = image.main_region()
+    image.main_region()
+    main = max(image.regions, key=lambda each: (each.shared(box), _area(each)))
     region = Region(left, top, right, bottom, main.mm_per_pixel_x, main.mm_per_pixel_y)
     return replace(image, regions=(region,))
 

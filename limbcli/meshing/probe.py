@@ -71,7 +71,8 @@ def check_shape(shape: ProbeShape, *, where: str = "[probe]") -> ProbeShape:
         )
     if 2 * shape.edge_radius >= min(shape.length, shape.width):
         raise CaseError(
-            f"edge radius {shape.edge_radius:g} mm leaves no flat face on a {shape.width:g} mm wide probe",
+            f"edge radius {shape.edge_radius:g} mm leaves no flat face on a "
+            f"{min(shape.length, shape.width):g} mm wide probe",
             where=where,
             fix="give edge_radius_mm below half of width_mm",
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING
@@ -14,8 +15,14 @@ from limbcli.solvers.base import LOG_FILE
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.motion.state import Forces
 
 _RULE = "=" * 75
+
+
+def _unloaded(forces: Forces) -> Forces:
+    """Reactions before the first step: none, as FEBio has them, since nothing is in equilibrium there."""
+    return replace(forces, nodal=np.zeros_like(forces.nodal), bodies=np.zeros_like(forces.bodies))
 
 
 class RunFiles:
@@ -88,7 +95,7 @@ class RunFiles:
             state = system.rest()
             now = system.time
             system.at(0.0)
-            forces = system.forces(state)
+            forces = _unloaded(system.forces(state))
         else:
             state, forces = snapshot.state, snapshot.forces
         for record in self.model.records:

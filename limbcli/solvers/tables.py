@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,10 +74,21 @@ def read_tables(outline: Outline, folder: Path) -> Tables:
         times = records.times
         table = _table(record, records, outline, path)
         if record.kind == "rigid_body":
-            rigid[str(record.items)] = table
+            body = str(record.items)
+            rigid[body] = _side_by_side(rigid[body], table) if body in rigid else table
         else:
             (nodes if record.kind == "node" else elements)[record.file] = table
     return Tables(np.zeros(0) if times is None else times, rigid, nodes, elements)
+
+
+def _side_by_side(one: Table, other: Table) -> Table:
+    """One table of two records of a body: the fields of the other that the first lacks come after its own."""
+    new = [k for k, name in enumerate(other.fields) if name not in one.fields]
+    return replace(
+        one,
+        fields=(*one.fields, *(other.fields[k] for k in new)),
+        values=np.concatenate([one.values, other.values[:, :, new]], axis=2),
+    )
 
 
 def _table(record: LogRecord, records: Records, outline: Outline, path: Path) -> Table:

@@ -74,7 +74,7 @@ Reader = Callable[[Path], list[Problem]]
 
 def _raw(folder: Path) -> Mapping[str, Any]:
     try:
-        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8"))
+        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return {}
 
@@ -159,6 +159,8 @@ def _caught(read: Callable[[], object]) -> list[Problem]:
 
 def _contradictions(case: Any) -> list[Problem]:
     """What each file may say alone, but not together with the others."""
+    from limbcli.meshing.probe import ProbeShape, check_shape
+
     problems = []
     probe = case.probe
     if probe.width > probe.length:
@@ -169,15 +171,8 @@ def _contradictions(case: Any) -> list[Problem]:
                 "length_mm is the long side of the face, width_mm the short one",
             )
         )
-    if 2 * probe.edge_radius > min(probe.width, probe.length):
-        problems.append(
-            Problem(
-                f"the probe's edge radius {probe.edge_radius:g} mm does not fit a face "
-                f"{min(probe.width, probe.length):g} mm wide",
-                str(case.file),
-                "edge_radius_mm is at most half of width_mm",
-            )
-        )
+    shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
+    problems += _caught(lambda: check_shape(shape, where=str(case.file)))
     for site in case.sites:
         problems += _missing_maps(site, probe.length)
         if site.noise.source == "assumed":

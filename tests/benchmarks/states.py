@@ -101,7 +101,7 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
 
     least = derived_interval(
         problem.objective(), problem.parameters, found.fit, lowest, low=-1.5, high=0.7, pace=0.04,
-        scale=found.scale,
+        scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     row = {"seed": seed, "n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
     row |= {"chi_square": found.chi_square, "n_freedom": found.n_freedom}

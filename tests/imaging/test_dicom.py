@@ -279,6 +279,38 @@ def test_gantry_tilt_is_straightened(tmp_path):
     assert len(bar) == (values > 250).sum()
 
 
+def moved_aside(volume, aside):
+    """Change of a slice's place along its rows (mm), by its number."""
+
+    def change(dataset, k):
+        place = volume.affine[:3, 3] + k * volume.affine[:3, 2] + [aside(k), 0.0, 0.0]
+        dataset.ImagePositionPatient = [f"{x:.9g}" for x in place]
+
+    return change
+
+
+def test_slices_beside_the_line_of_the_others_are_put_in_their_place(tmp_path):
+    """The first and the last slice agree: only those between tell."""
+    values = np.zeros((40, 20, 8), np.float32)
+    for k in range(8):
+        left = 14 if 2 <= k < 5 else 24
+        values[left : left + 6, 6:12, k] = 500
+    volume = Volume(values, np.diag([1.0, 1.0, 4.0, 1.0]))
+    write_dicom(tmp_path, volume, change=moved_aside(volume, lambda k: 10.0 * (2 <= k < 5)))
+    series = read_series(tmp_path)
+    assert any("10.0 mm beside" in note for note in series.notes)
+    straight = series.volume
+    bar = straight.to_patient(np.argwhere(straight.values > 250).astype(float))
+    assert (bar[:, 0].min(), bar[:, 0].max()) == pytest.approx((24.0, 29.0))
+    assert len(bar) == (values > 250).sum()
+
+
+def test_slices_whose_pictures_do_not_overlap_are_told(tmp_path):
+    volume = Volume(np.ones((40, 20, 8), np.float32), np.diag([1.0, 1.0, 4.0, 1.0]))
+    write_dicom(tmp_path, volume, change=moved_aside(volume, lambda k: 1e7 * (k == 3)))
+    assert "do not overlap" in refused(tmp_path).what
+
+
 def enhanced(path, volume, *, frames=True):
     """The volume as one multi-frame file, slices in a scrambled order."""
     first = pydicom.dcmread(write_dicom(path.parent / "single", volume)[0])

@@ -115,6 +115,17 @@ def test_a_broken_nrrd_is_refused(tmp_path, text):
         read_label_file(tmp_path / "a.nrrd")
 
 
+def test_a_nrrd_label_map_that_does_not_say_how_it_lies_or_in_what_unit_is_refused(truth, tmp_path):
+    path = nrrd(tmp_path / "a.nrrd", truth)
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"space: left-posterior-superior", b"space dimension: 3"))
+    with pytest.raises(CaseError, match="the label map does not say how it lies"):
+        read_label_file(path)
+    in_cm = nrrd(tmp_path / "b.nrrd", truth, extra='space units: "cm" "cm" "cm"\n')
+    with pytest.raises(CaseError, match="the label map's unit of length is cm"):
+        read_label_file(in_cm)
+
+
 def dicom_seg(path, truth, names):
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SegmentationStorage, "1.2.3.4"

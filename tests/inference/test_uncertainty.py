@@ -1,10 +1,16 @@
 """Standard errors, and the plain word per parameter."""
 
-import numpy as np
+from dataclasses import dataclass, field
 
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from limbcli.inference.adaptive import adaptive_profiles
 from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import Profile
+from limbcli.inference.profile import THRESHOLD_95, Profile
+from limbcli.inference.residual import Residual
 
 F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
 
@@ -69,3 +75,49 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert unknown.words == "f_kappa = 100; how sure that is cannot be determined: the case states no noise."
     bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
     assert bound.words.endswith("the case states no noise.")
+
+
+@dataclass
+class Straight:
+    """y = a + b x, read with a stated deviation; no simulation is needed."""
+
+    y: np.ndarray
+    deviation: float
+    parameters: list = field(
+        default_factory=lambda: [FitParameter(each, 40.0, 1e-3, 1e5, "log") for each in "ab"]
+    )
+    profiled: tuple = (0, 1)
+
+    def __post_init__(self):
+        self.design = np.column_stack([np.ones(len(self.y)), np.linspace(0, 1, len(self.y))])
+        self.n_freedom = len(self.y) - 2
+
+    def objective(self):
+        return lambda theta, derivative=True: Residual(
+            (self.y - self.design @ theta) / self.deviation, -self.design / self.deviation
+        )
+
+    def starts(self):
+        return [np.array([40.0, 40.0])]
+
+
+@pytest.mark.parametrize("n", [4, 6, 12])
+def test_data_that_scatter_more_than_stated_have_the_textbook_interval_of_an_unknown_noise(n, rng):
+    line = Straight(np.zeros(n), 0.1)
+    line.y = line.design @ (50.0, 30.0) + rng.standard_normal(n)
+    found = adaptive_profiles(line, max_solves=0)
+    assert found.scale > 1.0
+    (a, b), *_ = np.linalg.lstsq(line.design, line.y)
+    variance = np.sum((line.y - line.design @ (a, b)) ** 2) / (n - 2)
+    errors = np.sqrt(variance * np.diag(np.linalg.inv(line.design.T @ line.design)))
+    for name, value, error in zip("ab", (a, b), errors, strict=True):
+        reach = student.ppf(0.975, n - 2) * error
+        profile = found.profiles[name]
+        assert (profile.low, profile.high) == pytest.approx((value - reach, value + reach), rel=5e-3)
+
+
+def test_data_that_scatter_as_stated_have_the_interval_of_a_known_noise(rng):
+    line = Straight(np.zeros(6), 5.0)
+    line.y = line.design @ (50.0, 30.0) + rng.standard_normal(6)
+    found = adaptive_profiles(line, max_solves=0)
+    assert (found.scale, found.threshold) == (1.0, THRESHOLD_95)

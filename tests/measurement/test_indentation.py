@@ -110,6 +110,15 @@ def test_too_few_levels_are_refused(tmp_path: Path, rows: list[str], expected: s
         read_levels(write(tmp_path, rows=rows))
 
 
+def test_a_quotation_mark_that_is_never_closed_is_named_with_its_line(tmp_path: Path):
+    path = tmp_path / "levels.csv"
+    path.write_text('force_n,depth_mm\n0,0\n2,"1\n' + "3,2\n" * 40000)
+    levels, (found,) = check_levels(path)
+    assert levels is None
+    assert "line 3" in found.where
+    assert "quotation mark" in found.fix
+
+
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00\x01", b"a\x00b"])
 def test_file_that_is_no_table_is_refused(tmp_path: Path, content: bytes):
     path = tmp_path / "levels.csv"

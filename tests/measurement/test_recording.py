@@ -80,6 +80,14 @@ def test_semicolons_and_decimal_commas_are_found_out(tmp_path):
     np.testing.assert_allclose(read_recording(path).force, [1.5, 2.5])
 
 
+def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
+    path = tmp_path / "a.lvm"
+    rows = "X_Value\tForce\tX_Value\tDepth\tComment\n0,0\t0,1\t0,0\t5\n0,1\t1,5\t0,1\t6\n"
+    path.write_text(LVM[: LVM.index("X_Value")] + rows)
+    trace = read_recording(path, RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"}))
+    np.testing.assert_allclose(trace.time, [0.0, 0.1])
+
+
 @pytest.mark.parametrize(
     ("text", "form", "expected"),
     [
@@ -87,7 +95,9 @@ def test_semicolons_and_decimal_commas_are_found_out(tmp_path):
         ("time_s,load\n0,1\n1,2\n", RecordingFormat(columns={"force_n": "Load"}), "did you mean 'load'"),
         ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not grow"),
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
+        ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
+        ('time_s,force_n\n0,1\n\n1,"2\n' + "2,3\n" * 40000, RecordingFormat(), "line 4"),
     ],
 )
 def test_wrong_record_is_refused_with_a_fix(tmp_path, text, form, expected):

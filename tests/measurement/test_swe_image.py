@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -80,6 +81,20 @@ def test_places_are_in_the_probe_frame(rng):
     decoded = decode_overlay(render(rng, ramp()), overlay())
     assert decoded.swe.depth.min() == pytest.approx(BOX[1] * MM_PER_PIXEL)
     assert decoded.swe.lateral.min() == pytest.approx((BOX[0] - (COLUMNS - 1) / 2) * MM_PER_PIXEL)
+
+
+def test_depths_are_those_of_the_region_that_holds_the_box(rng):
+    """A dual view: B-mode above, elastography below, and the box a calibrated region of its own."""
+    image = render(rng, ramp())
+    above = Region(0, 0, COLUMNS - 1, 29, 0.2, 0.2)
+    below = Region(20, 30, COLUMNS - 21, ROWS - 1, MM_PER_PIXEL, MM_PER_PIXEL)
+    wide = Region(0, 0, COLUMNS - 1, BOX[1] + 40, MM_PER_PIXEL, MM_PER_PIXEL)
+    dual = replace(image, regions=(above, Region(*BOX, MM_PER_PIXEL, MM_PER_PIXEL), below))
+    depth = decode_overlay(dual, overlay()).swe.depth
+    assert (depth.min(), depth.max()) == pytest.approx((1.0, 20.5))
+    for regions in ((above,), (above, wide)):
+        with pytest.raises(MeasurementError, match="none of the image's calibrated regions"):
+            decode_overlay(replace(image, regions=regions), overlay())
 
 
 def test_bar_runs_from_low_to_high(rng):

@@ -106,8 +106,10 @@ def test_profile_is_shaded_to_where_it_crosses_the_limit():
     open_above = ProfileCurve(
         "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
     )
-    panels = profile_figure([whole, open_above]).axes
-    for axes, ends in zip(panels, [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0)], strict=True):
+    estimated = ProfileCurve("m", values, whole.deviance, 5.0, limit=2.25)
+    panels = profile_figure([whole, open_above, estimated]).axes
+    ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0)]
+    for axes, ends in zip(panels, ends_of, strict=True):
         (shade,) = axes.patches
         low, high = shade.get_x(), shade.get_x() + shade.get_width()
         assert (low, high) == pytest.approx(ends, abs=0.02)

@@ -47,6 +47,11 @@ def test_files_are_read_even_where_the_case_has_faults(folder: Path):
     assert any("depth_mm is 'x'" in each for each in whats)
 
 
+def test_a_radius_of_edges_that_the_mesh_would_refuse_is_told(folder: Path):
+    (folder / "case.toml").write_text(ONE_SITE.replace("edge_radius_mm = 3.0", "edge_radius_mm = 7.0"))
+    assert any("leaves no flat face" in each.what for each in check(folder).problems)
+
+
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
     from limbcli.problems import Problem
     from limbcli.stages.check import CaseCheck

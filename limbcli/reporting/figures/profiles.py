@@ -19,13 +19,15 @@ _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
 @dataclass(frozen=True, eq=False)
 class ProfileCurve:
-    """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value."""
+    """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value; `limit`
+    of the deviance at the ends of the 95 % interval."""
 
     name: str
     values: Array
     deviance: Array
     estimate: float
     unit: str = "–"
+    limit: float = THRESHOLD_95
 
 
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
@@ -37,8 +39,8 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
             order = np.argsort(profile.values)
             values, deviance = profile.values[order], profile.deviance[order]
             axes.plot(values, deviance, color=BLUE, zorder=3)
-            axes.axvspan(*_not_excluded(values, deviance), color=QUIET, alpha=0.2, lw=0)
-            axes.axhline(THRESHOLD_95, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
+            axes.axvspan(*_not_excluded(values, deviance, profile.limit), color=QUIET, alpha=0.2, lw=0)
+            axes.axhline(profile.limit, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
             axes.axvline(profile.estimate, color=INK, lw=1.0, ls=":", label="the fit")
             if values.min() > 0 and values.max() > 5 * values.min():
                 axes.set_xscale("log")
@@ -46,20 +48,20 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
             symbol = _SYMBOLS.get(profile.name, profile.name)
-            axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * THRESHOLD_95))
+            axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * profile.limit))
         panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
         panels[0].legend(loc="upper center")
     return figure
 
 
-def _not_excluded(values: Array, deviance: Array) -> tuple[float, float]:
+def _not_excluded(values: Array, deviance: Array, limit: float) -> tuple[float, float]:
     """Where the curve crosses the limit on either side of its lowest point, or its ends."""
     lowest, ends = int(deviance.argmin()), []
     for side in (slice(lowest, None, -1), slice(lowest, None)):
-        outside = np.flatnonzero(deviance[side] > THRESHOLD_95)
+        outside = np.flatnonzero(deviance[side] > limit)
         if outside.size == 0 or outside[0] == 0:
             ends.append(float(values[side][-1]))
             continue
         pair = slice(outside[0] - 1, outside[0] + 1)
-        ends.append(float(np.interp(THRESHOLD_95, deviance[side][pair], values[side][pair])))
+        ends.append(float(np.interp(limit, deviance[side][pair], values[side][pair])))
     return ends[0], ends[1]

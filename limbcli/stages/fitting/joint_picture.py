@@ -79,6 +79,7 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
                 each.deviance,
                 unit * float(found.best[k]),
                 "kPa" if name == "c" else "–",
+                found.threshold,
             )
         )
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))

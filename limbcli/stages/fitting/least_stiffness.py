@@ -135,7 +135,7 @@ def _of_way(
         low, high = low + np.log(zero), high + np.log(zero)
     by_law = derived_interval(
         problem.objective(), problem.parameters, found.fit, quantity, low=low, high=high, pace=_PACE,
-        scale=found.scale,
+        scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     values = problem.stretch_values(found.best)
     logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(told))]

@@ -190,7 +190,12 @@ def _parameter(
     }  # fmt: skip
 
 
-def _profiles(found: Identified, k: int) -> dict[str, dict[str, Array]]:
-    """The profile likelihoods: values, and the rise of -2 ln likelihood there."""
-    profiles = found.intervals[k].profiles if found.intervals else {}
-    return {name: {"values": each.values, "deviance": each.deviance} for name, each in profiles.items()}
+def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
+    """The profile likelihoods: values, the rise of -2 ln likelihood there, and its limit at 95 %."""
+    if not found.intervals:
+        return {}
+    limit = found.intervals[k].threshold
+    return {
+        name: {"values": each.values, "deviance": each.deviance, "limit": limit}
+        for name, each in found.intervals[k].profiles.items()
+    }
