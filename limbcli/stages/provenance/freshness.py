@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import limbcli
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, sha256
@@ -24,10 +25,10 @@ MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"
 
 @cache
 def code_hash() -> str:
-    """Hash of the package's sources and templates (hex)."""
-    package = Path(__file__).resolve().parents[1]
+    """Hash of the sources and tables of the whole package, and of its templates (hex)."""
+    package = Path(limbcli.__file__).resolve().parent
     digest = hashlib.sha256()
-    for root, pattern in ((package, "*.py"), (templates_folder(), "*.j2")):
+    for root, pattern in ((package, "*.py"), (package, "*.csv"), (templates_folder(), "*.j2")):
         for path in sorted(root.rglob(pattern)):
             digest.update(str(path.relative_to(root)).encode())
             digest.update(path.read_bytes())
