@@ -75,3 +75,10 @@ def test_the_whole_package_counts_as_its_code(tmp_path: Path, monkeypatch: pytes
     first = code_hash.__wrapped__()
     law.write_text("x = 2")
     assert first != code_hash.__wrapped__()
+
+
+def test_a_file_that_is_still_to_come_has_a_key_too(tmp_path: Path):
+    path = tmp_path / "levels.csv"
+    first = key_of(path)
+    path.write_text("1")
+    assert first not in (key_of(path), key_of(None))

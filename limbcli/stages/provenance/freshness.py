@@ -21,6 +21,7 @@ from limbcli.files import atomic_file, sha256
 from limbcli.results import read_result, stage_folder
 
 MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"
+_ABSENT = "absent"  # in a key, of a file that `measure` has yet to write
 
 
 @cache
@@ -36,12 +37,17 @@ def code_hash() -> str:
 
 
 def key_of(*parts: object) -> str:
-    """One hash of what a stage depends on; paths count by their content."""
+    """One hash of what a stage depends on; paths count by their content, or as absent."""
     digest = hashlib.sha256()
     for part in parts:
-        content = sha256(part) if isinstance(part, Path) else repr(part)
-        digest.update(content.encode() + b"\0")
+        digest.update(_content(part).encode() + b"\0")
     return digest.hexdigest()
+
+
+def _content(part: object) -> str:
+    if not isinstance(part, Path):
+        return repr(part)
+    return sha256(part) if part.exists() else _ABSENT
 
 
 _ASKED, _SUBJECT = "asked", "subject"
