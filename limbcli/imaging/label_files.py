@@ -6,7 +6,9 @@ NIfTI and plain NRRD hold our numbers already (1 soft tissue, 2 bone, 3 marker, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +21,23 @@ from limbcli.imaging.nrrd import Nrrd, read_nrrd
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
 from limbcli.imaging.volume import Volume
 
-_WORDS = (
-    (MARKER, ("marker", "capsule", "fiducial", "pinpoint")),
-    (BONE, ("bone", "tibia", "fibula", "femur", "patella", "knochen", "cortex", "marrow")),
-    (FAT, ("fat", "adipose", "subcut")),
-    (SOFT_TISSUE, ("soft", "skin", "muscle", "tissue", "limb", "leg", "flesh", "stump")),
-)
+# What tells the kinds: words as they stand, or, with a star, as they begin. Bones' names are whole words:
+# "tibialis" is no "tibia".
+_MARKER = ("marker*", "capsule*", "fiducial*", "pinpoint*")
+_IN_FLESH = (  # wins over bones, after which much of it is named
+    "musc*", "muskel*", "tibialis", "fibularis", "peroneus", "gastrocnemi*", "soleus", "plantaris",
+    "popliteus", "flexor*", "extensor*", "femoris", "vastus", "quadriceps", "biceps", "triceps", "hamstring*",
+    "sartorius", "gracilis", "adductor*", "tendon*", "ligament*", "nerve*", "arter*", "vein*", "vessel*",
+)  # fmt: skip
+_BONE = (
+    "bone*", "tibia", "tibiae", "tibias", "fibula", "fibulae", "fibulas", "femur", "femurs", "femora",
+    "patella", "patellae", "patellas", "knochen*", "cortex", "marrow",
+)  # fmt: skip
+_FAT = ("fat", "fatty", "adipose", "subcut*")
+_SOFT = ("soft*", "skin*", "flesh*")
+_ANY_TISSUE = ("tissue*", "limb*", "leg*", "stump*")  # soft tissue where nothing else is named
+_WITHOUT = ("without", "no", "not", "non", "excluding", "except", "minus", "ohne")  # what follows it lacks
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")  # "Tibia_left", "tibiaLeft" and "TIBIA2" hold "tibia"
 _ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # a later one lies over an earlier one
 
 
@@ -59,10 +72,11 @@ def by_name(segments: Sequence[tuple[str, NDArray[np.bool_]]], path: Path) -> ND
     """
     labels = np.zeros(segments[0][1].shape, np.uint8)
     kinds = [(_label(title), mask) for title, mask in segments]
-    unknown = [title for title, _ in segments if _label(title) == 0]
+    unknown = [title for (kind, _), (title, _) in zip(kinds, segments, strict=True) if kind == 0]
     if unknown:
         raise CaseError(
-            f"the segment name(s) {', '.join(unknown[:5])} are not understood",
+            f"the segment name(s) {', '.join(unknown[:5])} are not understood, or tell of several kinds of "
+            "tissue",
             where=str(path),
             fix="name the segments soft tissue (or skin, muscle), fat, bone (or tibia, fibula ...), marker",
         )
@@ -74,12 +88,30 @@ def by_name(segments: Sequence[tuple[str, NDArray[np.bool_]]], path: Path) -> ND
 
 
 def _label(title: str) -> int:
+    """What a segment's name says that it is; 0 where that is nothing, or several kinds.
+
+    >>> _label("Fibula left"), _label("subcutaneous fat"), _label("Tibialis anterior")
+    (2, 4, 1)
+    >>> _label("soft tissue without bone"), _label("Segment_1"), _label("bone and fat")
+    (1, 0, 0)
     """
-    >>> _label("Fibula left"), _label("subcutaneous fat"), _label("Segment_1")
-    (2, 4, 0)
-    """
-    low = title.lower()
-    return next((value for value, words in _WORDS if any(word in low for word in words)), 0)
+    words = [each.lower() for each in _WORD.findall(title)]
+    named = words[: next((k for k, word in enumerate(words) if word in _WITHOUT), None)]
+    if _tells(named, _MARKER):
+        return MARKER
+    is_flesh = _tells(named, _IN_FLESH)
+    kinds = {SOFT_TISSUE} if is_flesh or _tells(named, _SOFT) else set()
+    if _tells(named, _BONE) and not is_flesh:
+        kinds.add(BONE)
+    if _tells(named, _FAT):
+        kinds.add(FAT)
+    if not kinds and _tells(named, _ANY_TISSUE):
+        return SOFT_TISSUE
+    return kinds.pop() if len(kinds) == 1 else 0
+
+
+def _tells(words: Sequence[str], of_kind: Sequence[str]) -> bool:
+    return any(fnmatchcase(word, each) for word in words for each in of_kind)
 
 
 def _segments(nrrd: Nrrd) -> list[tuple[str, NDArray, int]]:

@@ -174,6 +174,7 @@ def _contradictions(case: Any) -> list[Problem]:
     shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
     problems += _caught(lambda: check_shape(shape, where=str(case.file)))
     for site in case.sites:
+        problems += _unmeasured(site, case.folder)
         problems += _missing_maps(site, probe.length)
         if site.noise.source == "assumed":
             problems.append(
@@ -185,6 +186,20 @@ def _contradictions(case: Any) -> list[Problem]:
                 )
             )
     return problems
+
+
+def _unmeasured(site: Any, folder: Path) -> list[Problem]:
+    """Levels that are still to be read from what the instruments recorded."""
+    if site.levels.is_file():
+        return []
+    return [
+        Problem(
+            f"site {site.name} has no {site.levels.name} yet",
+            str(site.levels),
+            f"`limbcli measure {folder} --site {site.name} --write` makes it from the recordings",
+            severity="warning",
+        )
+    ]
 
 
 def _missing_maps(site: Any, probe_length: float) -> list[Problem]:

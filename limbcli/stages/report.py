@@ -39,7 +39,8 @@ def report(
     with open_stage(out, "report", subject=case.subject) as writer:
         writer.used("case.toml", case.file)
         for site in case.sites:
-            writer.used(f"levels {site.name}", site.levels)
+            if site.levels.is_file():
+                writer.used(f"levels {site.name}", site.levels)
         _write_page(page, glance, writer, templates, progress)
         writer.data.update(_data(page, glance))
         writer.summary.append(glance.sentence)

@@ -26,6 +26,7 @@ from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "run"
 FAILED = "-failed"
+_OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages that leave nothing where only files were run
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,16 @@ def run_file(
     options: RunOptions = RunOptions(),
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Run a model file of its own; its result is `<out>/run`. Raises as `run` does."""
+    """Run a model file of its own; its result is `<out>/run`, where no case has its own.
+
+    Raises
+    ------
+    CaseError
+        If the output folder holds the results of a case; and as `run` does.
+    ToolError, SolveError
+        As `run` does.
+    """
+    _refuse_results_of_a_case(out, feb)
     engine = choose(solver, febio)
     outline = read_outline(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
@@ -88,6 +98,21 @@ def run_file(
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     assert writer.result is not None
     return writer.result
+
+
+def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
+    """A file's result would take the place of `run/`, with all sites in it."""
+    stages = [stage_folder(out, each) for each in _OF_A_CASE]
+    found = [
+        *(each for each in stages if each.is_dir()),
+        *sorted(stage_folder(out, STAGE).glob("*/run.json")),
+    ]
+    if found:
+        raise CaseError(
+            "the output folder holds the results of a case, whose runs those of a file would replace",
+            where=str(found[0]),
+            fix=f"name another folder: limbcli run {feb} --out FOLDER",
+        )
 
 
 def _run_site(

@@ -133,21 +133,32 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
 
 
 def edited_labels(out: Path) -> Path | None:
-    """The label map in the output folder, if the user has changed it since it was written."""
+    """The label map in the output folder, if the user has changed it since it was written.
+
+    So has, as far as anybody knows, one without a result beside it that could tell.
+    """
     path = out / "segment" / LABELS
     if not path.is_file():
         return None
     try:
         before = read_result(out, "segment").data
     except CaseError:
-        return None
+        return path
     changed = sha256(path) != before.get("labels_sha256")
     return path if changed or before.get("source") == EDITED else None
 
 
 def _check_edited(case: Case, out: Path, path: Path) -> None:
     """A label map edited by hand is this subject's, and of the series that the case names today."""
-    before = read_result(out, "segment")
+    aside = "copy it to where you want to keep it, then run `limbcli segment` with --fresh"
+    try:
+        before = read_result(out, "segment")
+    except CaseError as error:
+        raise CaseError(
+            "there is a label map that may have been edited by hand, and no result beside it that tells",
+            where=str(path),
+            fix=f"{aside} (to use it, name the copy as [imaging] labels)",
+        ) from error
     drawn_on = before.provenance.get("made_from", {}).get("files", {}).get("imaging/mri")
     what = ""
     if before.subject != case.subject:
@@ -155,11 +166,7 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
     elif drawn_on and case.imaging.mri is not None and sha256(case.imaging.mri) != drawn_on:
         what = "the label map was edited by hand on another series than the case names now"
     if what:
-        raise CaseError(
-            what,
-            where=str(path),
-            fix="copy it to where you want to keep it, then run again with --fresh, or with another --out",
-        )
+        raise CaseError(what, where=str(path), fix=f"{aside}, or name another --out")
 
 
 def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:

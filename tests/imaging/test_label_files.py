@@ -13,7 +13,7 @@ from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
-from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.label_files import by_name, read_label_file
 from limbcli.imaging.nrrd import read_nrrd
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
@@ -207,3 +207,23 @@ def test_an_image_is_no_dicom_seg(truth, tmp_path):
     dataset.save_as(path)
     with pytest.raises(CaseError, match="0008,0060"):
         read_label_file(path)
+
+
+NAMES = {
+    "Tibialis anterior": 1, "Fibularis longus muscle": 1, "Musculus tibialis posterior": 1,
+    "soft tissue without bone": 1, "Muscle (between tibia and fibula)": 1, "rectus femoris": 1,
+    "patellar tendon": 1, "Skin": 1, "left leg": 1, "limb soft tissue": 1,
+    "Tibia": 2, "TIBIA_1": 2, "tibiaLeft": 2, "CorticalBone": 2, "bone tissue": 2, "Bones of the leg": 2,
+    "subcutaneous fat": 4, "intermuscular adipose tissue": 4, "skin marker 2": 3, "Tibia marker": 3,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_whole_words_of_a_name_tell_what_a_segment_is(tmp_path, name):
+    assert by_name([(name, np.ones((1, 1, 1), bool))], tmp_path).item() == NAMES[name]
+
+
+@pytest.mark.parametrize("name", ["tibialish", "non-bone", "bone and fat", "skin and bone", "muscle fat"])
+def test_a_name_of_several_kinds_or_none_is_refused(tmp_path, name):
+    with pytest.raises(CaseError, match="not understood, or tell of several"):
+        by_name([(name, np.ones((1, 1, 1), bool))], tmp_path)

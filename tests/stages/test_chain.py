@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import nibabel as nib
+import numpy as np
 import pytest
 
 from limbcli.case import Case
@@ -117,6 +119,13 @@ def made_again(stage: str, site: str | None, file: str) -> Callable[[Path], None
     return change
 
 
+def bone_seen(root: Path) -> None:
+    """levels.csv tells how deep the bone lies, too."""
+    path = root / "case" / "levels.csv"
+    head, *rows = path.read_text().split()
+    path.write_text("\n".join([head + ",skin_bone_mm", *(row + ",20" for row in rows)]) + "\n")
+
+
 def of_version(version: str | None) -> Callable[[Path], None]:
     def change(root: Path) -> None:
         path = root / "out" / "segment" / "segment.json"
@@ -151,6 +160,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "mesh by hand": (in_file("out/mesh/p1/model.npz"), "mesh", "model.npz"),
     "mesh is gone": (gone("out/mesh"), "mesh", "no result of `mesh`"),
     "levels": (in_file("case/levels.csv"), "build-feb", "levels of site p1 changed"),
+    "bone's depth": (bone_seen, "mesh", "skin_bone_mm of level 0 in the levels of site p1"),
     "density": (in_case("[site.layers", "density_kg_per_m3 = 1050.0\n[site.layers"), "build-feb", "density"),
     "new mesh": (made_again("mesh", "p1", "model"), "build-feb", "result of `mesh p1` (model)"),
     "model by hand": (in_file("out/build-feb/p1/model.feb"), "build-feb", "model.feb"),
@@ -277,6 +287,40 @@ def test_a_label_map_edited_by_hand_stays_with_its_subject_and_its_series(
     with pytest.raises(CaseError, match="is of S1"):
         segment(Case.open(root / "case"), out=root / "out")
     assert labels.read_bytes() == edited
+
+
+def with_label(path: Path, before: int, after: int) -> None:
+    """One voxel of a label map set from one label to another, as by hand."""
+    image = nib.load(path)
+    values = np.asarray(image.dataobj).copy()
+    values[tuple(np.argwhere(values == before)[0])] = after
+    nib.save(nib.Nifti1Image(values, image.affine), path)
+
+
+def test_an_edited_label_map_outlives_a_batch_that_refuses_it(root: Path, monkeypatch: pytest.MonkeyPatch):
+    chain_case.imaged(monkeypatch)
+    labels = root / "out" / "segment" / "labels.nii.gz"
+    with_label(labels, 4, 7)
+    for _ in range(2):
+        refused = batch(root / "case", out=root / "out")
+        assert [each.stage for each in refused.failures] == ["segment"]
+    with_label(labels, 7, 1)
+    assert segment(Case.open(root / "case"), out=root / "out").data["source"] == "edited labels"
+
+
+def test_a_label_map_without_a_result_beside_it_is_not_overwritten(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+):
+    chain_case.imaged(monkeypatch)
+    case, out = Case.open(root / "case"), root / "out"
+    labels = out / "segment" / "labels.nii.gz"
+    (out / "segment" / "segment.json").unlink()
+    before = labels.read_bytes()
+    with pytest.raises(CaseError, match="may have been edited by hand"):
+        segment(case, out=out)
+    assert [each.stage for each in batch(root / "case", out=out).failures] == ["segment"]
+    assert labels.read_bytes() == before
+    assert segment(case, out=out, fresh=True).data["source"] == "mri"
 
 
 def test_what_the_report_tells_is_among_its_warnings_with_the_commands(root: Path):

@@ -52,6 +52,15 @@ def test_a_radius_of_edges_that_the_mesh_would_refuse_is_told(folder: Path):
     assert any("leaves no flat face" in each.what for each in check(folder).problems)
 
 
+def test_levels_that_are_still_to_be_measured_are_told(folder: Path):
+    (folder / "levels.csv").unlink()
+    (folder / "trace.csv").write_text("time_s,force_n\n0,0\n1,1\n")
+    (folder / "case.toml").write_text(ONE_SITE + 'trace = "trace.csv"\n')
+    (told,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
+    assert told.severity == "warning"
+    assert "limbcli measure" in told.fix
+
+
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
     from limbcli.problems import Problem
     from limbcli.stages.check import CaseCheck

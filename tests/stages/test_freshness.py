@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+import limbcli
 from limbcli.results import open_stage, stage_folder
-from limbcli.stages.provenance.freshness import Memory, key_of
+from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
 
 
 def make(out: Path) -> None:
@@ -62,3 +65,20 @@ def test_key_follows_the_content_of_files(tmp_path: Path):
     path.write_text("2")
     assert first != key_of("x", path)
     assert key_of("x", None) != key_of("x", "None ")
+
+
+def test_the_whole_package_counts_as_its_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(limbcli, "__file__", str(tmp_path / "__init__.py"))
+    law = tmp_path / "materials" / "ogden.py"
+    law.parent.mkdir()
+    law.write_text("x = 1")
+    first = code_hash.__wrapped__()
+    law.write_text("x = 2")
+    assert first != code_hash.__wrapped__()
+
+
+def test_a_file_that_is_still_to_come_has_a_key_too(tmp_path: Path):
+    path = tmp_path / "levels.csv"
+    first = key_of(path)
+    path.write_text("1")
+    assert first not in (key_of(path), key_of(None))

@@ -210,6 +210,12 @@ def fail(out: Path, stage: str, site: str | None) -> None:
     (folder / "error.json").write_text(json.dumps(note))
 
 
+def test_a_site_that_is_still_to_be_measured_has_a_page(tmp_path: Path):
+    case = make_case(tmp_path / "case")
+    (case.folder / "p1.csv").unlink()
+    assert "levels p1" not in report(case, out=tmp_path / "out").provenance["inputs_sha256"]
+
+
 def test_page_needs_nothing_but_itself(whole):
     out, page = whole
     for name, attrs in page.tags:

@@ -120,6 +120,18 @@ def test_a_failed_run_keeps_its_log_and_the_last_good_result(
     assert not [each for each in out.iterdir() if each.name.startswith(".partial")]
 
 
+def test_a_files_run_does_not_replace_those_of_a_case(febio: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "out" / "run" / "p1" / "run.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("{}")
+    (tmp_path / "meshed" / "mesh").mkdir(parents=True)
+    for name in ("out", "meshed"):
+        with pytest.raises(CaseError, match="results of a case") as caught:
+            run_file(DATA / "punch.feb", out=tmp_path / name, febio=febio)
+        assert "--out" in caught.value.fix
+    assert kept.is_file()
+
+
 def test_the_time_limit_reaches_the_solver(
     febio: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

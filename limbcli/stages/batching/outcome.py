@@ -12,6 +12,7 @@ from limbcli.files import atomic_file
 from limbcli.results import plain, stage_folder
 
 ERROR_FILE = "error.json"
+_KEPT = ("segment",)  # whose result tells whether the label map beside it was edited by hand since
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,11 @@ def keep_error(
 ) -> None:
     """Leave a stage's failure where the report finds it; the stale result no longer counts.
 
-    keep_result : it stays beside the failure, to tell another time how to make it again
+    keep_result : it stays beside the failure, to tell another time how to make it again (as that of
+        `segment` always does)
     """
     folder = stage_folder(out, stage, site)
-    if not keep_result:
+    if not keep_result and stage not in _KEPT:
         (folder / f"{stage}.json").unlink(missing_ok=True)
     with atomic_file(folder / ERROR_FILE) as path:
         path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")

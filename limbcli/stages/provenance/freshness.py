@@ -14,20 +14,22 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import limbcli
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, sha256
 from limbcli.results import read_result, stage_folder
 
 MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"
+_ABSENT = "absent"  # in a key, of a file that `measure` has yet to write
 
 
 @cache
 def code_hash() -> str:
-    """Hash of the package's sources and templates (hex)."""
-    package = Path(__file__).resolve().parents[1]
+    """Hash of the sources and tables of the whole package, and of its templates (hex)."""
+    package = Path(limbcli.__file__).resolve().parent
     digest = hashlib.sha256()
-    for root, pattern in ((package, "*.py"), (templates_folder(), "*.j2")):
+    for root, pattern in ((package, "*.py"), (package, "*.csv"), (templates_folder(), "*.j2")):
         for path in sorted(root.rglob(pattern)):
             digest.update(str(path.relative_to(root)).encode())
             digest.update(path.read_bytes())
@@ -35,12 +37,17 @@ def code_hash() -> str:
 
 
 def key_of(*parts: object) -> str:
-    """One hash of what a stage depends on; paths count by their content."""
+    """One hash of what a stage depends on; paths count by their content, or as absent."""
     digest = hashlib.sha256()
     for part in parts:
-        content = sha256(part) if isinstance(part, Path) else repr(part)
-        digest.update(content.encode() + b"\0")
+        digest.update(_content(part).encode() + b"\0")
     return digest.hexdigest()
+
+
+def _content(part: object) -> str:
+    if not isinstance(part, Path):
+        return repr(part)
+    return sha256(part) if part.exists() else _ABSENT
 
 
 _ASKED, _SUBJECT = "asked", "subject"
