@@ -22,7 +22,7 @@ from limbcli.case_instruments import read_instruments, read_layers
 from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case_states import read_states, site_schema
 from limbcli.errors import CaseError
-from limbcli.problems import Problem, checked
+from limbcli.problems import Problem, checked, errors_of
 
 __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]
 
@@ -69,13 +69,13 @@ class Case:
         CaseError
             With every problem of [subject] and [imaging].
         """
-        case, problems = read_case(folder)
+        case, _ = read_case(folder)
         if case is not None:
             return case
         raw, unread = _read_toml(folder)
         if raw is None:
             return checked(None, unread, CaseError)
-        return checked(*_read_images(raw, folder, problems), CaseError)
+        return checked(*_read_images(raw, folder), CaseError)
 
     def site(self, name: str) -> Site:
         """One site by name.
@@ -102,19 +102,14 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     if raw is None:
         return None, problems
     file = str(folder / CASE_FILE)
-    parts: dict[str, dict[str, Any]] = {}
     problems += schema.check_table(raw, schema.TOP, name="case.toml", file=file)[1]
-    if "format" not in raw:
-        problems.append(Problem("case.toml lacks 'format'", file, "add `format = 1` as its first line"))
+    problems += _without_format(raw, file)
     tables = {
         "subject": schema.SUBJECT, "imaging": schema.IMAGING, "probe": schema.PROBE, "model": schema.MODEL,
         "files": schema.FILES,
     }  # fmt: skip
-    for name, keys in tables.items():
-        if name not in raw and name not in ("model", "files"):
-            problems.append(Problem(f"case.toml lacks the table [{name}]", file, f"add [{name}]"))
-        parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
-        problems += found if name in raw else []
+    parts, found = _read_tables(raw, tables, file)
+    problems += found
     files = CaseFiles.of(raw, folder)
     imaging, found = read_imaging(parts["imaging"], files, present="imaging" in raw)
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
@@ -122,6 +117,25 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     return _assemble(folder, raw, parts, imaging, sites), problems
+
+
+def _without_format(raw: Mapping[str, Any], file: str) -> list[Problem]:
+    fix = "add `format = 1` as its first line"
+    return [] if "format" in raw else [Problem("case.toml lacks 'format'", file, fix)]
+
+
+def _read_tables(
+    raw: Mapping[str, Any], tables: Mapping[str, Mapping[str, schema.Key]], file: str
+) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
+    """Values by table, and every problem; so are tables that are not there but must be."""
+    parts: dict[str, dict[str, Any]] = {}
+    problems: list[Problem] = []
+    for name, keys in tables.items():
+        if name not in raw and name not in ("model", "files"):
+            problems.append(Problem(f"case.toml lacks the table [{name}]", file, f"add [{name}]"))
+        parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
+        problems += found if name in raw else []
+    return parts, problems
 
 
 def _assemble(
@@ -149,17 +163,18 @@ def _assemble(
     )
 
 
-def _read_images(
-    raw: Mapping[str, Any], folder: Path, problems: list[Problem]
-) -> tuple[Case | None, list[Problem]]:
-    """The case without what is wrong with probe and sites; all problems where others are left."""
+def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, list[Problem]]:
+    """The case without what is wrong with probe and sites; every problem of what this reading needs."""
     file, files = str(folder / CASE_FILE), CaseFiles.of(raw, folder)
-    subject, found = schema.check_table(raw.get("subject", {}), schema.SUBJECT, name="subject", file=file)
-    table, wrong = schema.check_table(raw.get("imaging", {}), schema.IMAGING, name="imaging", file=file)
-    imaging, missing = read_imaging(table, files, present=True)
+    stated = {key: value for key, value in raw.items() if key == "format"}
+    found = schema.check_table(stated, schema.TOP, name="case.toml", file=file)[1]
+    found += _without_format(raw, file)
+    tables, wrong = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, file)
+    imaging, missing = read_imaging(tables["imaging"], files, present="imaging" in raw)
     found += [*wrong, *missing]
-    if found or raw.get("format") != 1:
-        return None, problems
+    if errors_of(found):
+        return None, found
+    subject = tables["subject"]
     sizes, probe_wrong = schema.check_table(raw.get("probe", {}), schema.PROBE, name="probe", file=file)
     if probe_wrong:
         sizes = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}

@@ -40,7 +40,8 @@ def number(low: float, high: float, unit: str) -> Check:
         if not _is_number(value):
             return f"is {value!r}, not a number"
         if not low <= value <= high:  # type: ignore[operator]
-            return f"is {value:g} {unit}; plausible is {low:g} to {high:g} {unit}"
+            in_unit = f" {unit}" if unit else ""
+            return f"is {value:g}{in_unit}; plausible is {low:g} to {high:g}{in_unit}"
         return None
 
     return check

@@ -31,8 +31,15 @@ def errors_of(problems: Iterable[Problem]) -> list[Problem]:
     return [each for each in problems if each.severity == "error"]
 
 
-def raise_errors(problems: Iterable[Problem], family: type[AnyError]) -> None:
+def raise_errors(
+    problems: Iterable[Problem],
+    family: type[AnyError],
+    *,
+    then: str = "then `limbcli check CASE` to be sure",
+) -> None:
     """Raise one error that carries every problem of severity "error", if there is any.
+
+    then : what to do when several are mended
 
     >>> raise_errors([Problem("a", "b", "c", severity="warning")], LimbError)
     """
@@ -47,7 +54,7 @@ def raise_errors(problems: Iterable[Problem], family: type[AnyError]) -> None:
     raise family(
         f"{len(found)} problems:{listed}",
         where=first.where,
-        fix="mend them all, then `limbcli check CASE` to be sure",
+        fix=f"mend them all, {then}",
         **facts,
     )
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.faults import file_system_errors
+from limbcli.faults import file_system_errors, in_words
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"
@@ -61,7 +61,7 @@ def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progres
 def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool = True) -> Iterator[None]:
     is_new = not folder.exists()
     with file_system_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        _made(folder)
         stream = _locked(folder, name, wait=wait, progress=progress, alone=alone)
     try:
         yield
@@ -75,11 +75,31 @@ def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: boo
                 folder.rmdir()  # only if nothing was left in it
 
 
+def _made(folder: Path) -> None:
+    """The folder, made where it is not there; what the system says of no folder at all becomes words too.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be there, as in a file system that holds no folders of ours.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if in_words(error, folder) is not None:
+            raise
+        raise CaseError(
+            f"the output folder cannot be made ({error.strerror})",
+            where=str(folder),
+            fix="name another --out",
+        ) from error
+
+
 def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool) -> TextIO:
     """The lock's file, held; a file that another has removed meanwhile does not count."""
     is_told = False
     while True:
-        folder.mkdir(parents=True, exist_ok=True)
+        _made(folder)
         stream = (folder / name).open("a+", encoding="utf-8")
         if _try(stream, alone=alone):
             if _is_still(stream, folder / name):

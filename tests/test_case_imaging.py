@@ -60,7 +60,7 @@ def test_a_scan_has_a_scale_that_may_be_stated(tmp_path: Path):
     assert Case.open(write(tmp_path, text)).imaging.skin_scale == 0.01
     stated = text.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
     assert Case.open(write(tmp_path, stated)).imaging.skin_scale == 0.1
-    with pytest.raises(CaseError, match=r"skin_scale_fraction is 10 ; plausible is 0 to 0\.3"):
+    with pytest.raises(CaseError, match=r"skin_scale_fraction is 10; plausible is 0 to 0\.3"):
         Case.open(write(tmp_path, stated.replace("= 0.1", "= 10")))
     alone = PLACED.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
     with pytest.raises(CaseError, match="counts only beside a bone from ultrasound"):

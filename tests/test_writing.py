@@ -122,6 +122,13 @@ def test_a_folder_that_got_nothing_is_not_left(tmp_path: Path):
     assert os.listdir(tmp_path / "out") == ["mine"]
 
 
+def test_a_folder_that_cannot_be_is_told_with_a_way_out():
+    with pytest.raises(CaseError) as caught, one_writer(Path("/proc/limb")):
+        pass
+    assert "cannot be made (No such file" in caught.value.what
+    assert (caught.value.where, caught.value.fix) == ("/proc/limb", "name another --out")
+
+
 def test_sites_are_written_side_by_side_and_the_whole_case_by_none_beside_them(tmp_path: Path):
     with site_writer(tmp_path, "p1", wait=False), site_writer(tmp_path, "p2", wait=False):
         for beside in (one_writer(tmp_path, wait=False), site_writer(tmp_path, "p1", wait=False)):

@@ -226,5 +226,5 @@ def _options(
         c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
         contact_check=contact_check, time_limit_s=time_limit_s, cycle=str(cycle), **others,
     )  # fmt: skip
-    check_numbers(options, gain_deviation=options.gain_deviation)
+    check_numbers(options)
     return options

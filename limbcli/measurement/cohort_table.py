@@ -145,7 +145,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     spare = {each for each in header if each and each not in known | set(_ALSO)}
     texts = {*TEXTS, *_ALSO, *spare}
     optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
-    required = [each for each in REQUIRED if each not in optional]
+    required = [] if header else [*REQUIRED]  # what a header lacks is told with what it holds
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
@@ -159,11 +159,12 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
 
 
 def _header(path: Path) -> list[str]:
-    """The first line's names; none where the file cannot be read (which `read_table` then tells)."""
+    """The header line's names; none where the file cannot be read (which `read_table` then tells)."""
     try:
-        line = path.read_text(encoding="utf-8-sig").lstrip("\n").partition("\n")[0]
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError):
         return []
+    line = next((each for each in lines if each.strip() and not each.lstrip().startswith("#")), "")
     rows, _ = csv_rows(line, path) if "," in line else ([], [])
     return [cell.strip() for cell in rows[0]] if rows else []
 

@@ -164,11 +164,13 @@ def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
 
 
 def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap], list[Problem]]:
-    """The maps that can be used, and every problem: missing, surplus and faulty files."""
+    """The maps that can be used, and every problem: missing, surplus and faulty files.
+
+    n_levels : rows of levels.csv; None where they are not known: as many as the maps' own numbers tell
+    """
     problems: list[Problem] = []
     maps = []
-    if n_levels is None:
-        n_levels = max(1, len(list(folder.glob("level_*.csv"))))
+    n_levels = _n_by_names(folder) if n_levels is None else n_levels
     expected = [map_file(folder, level) for level in range(n_levels)]
     for path in expected:
         if not path.is_file():
@@ -184,6 +186,15 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
             fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
             problems.append(problem(f"{path.name} belongs to no level", folder, fix))
     return maps, problems
+
+
+def _n_by_names(folder: Path) -> int:
+    """Levels up to the highest number of a map; of files most of which lack one before them, their count."""
+    names = {path.name for path in folder.glob("level_*.csv")}
+    digits = [name.removeprefix("level_").removesuffix(".csv") for name in names]
+    numbers = [int(each) for each in digits if each.isdecimal() and map_file(folder, int(each)).name in names]
+    n = max(numbers, default=0) + 1
+    return n if n <= 2 * len(numbers) else max(1, len(names))
 
 
 def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
@@ -202,9 +213,9 @@ def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
 def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
     """Whether a level's map and the mean that levels.csv states can belong to the same reading.
 
-    mean_m_per_s : m/s, NaN where levels.csv has none
+    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is told with levels.csv
     """
-    if not len(swe) or not np.isfinite(mean_m_per_s):
+    if not len(swe) or not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
         return []
     own = float(swe.speed_m_per_s.mean())
     if 1 / _AT_ODDS <= own / mean_m_per_s <= _AT_ODDS:

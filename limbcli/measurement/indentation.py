@@ -16,6 +16,7 @@ from limbcli.measurement.level_checks import (
     check_columns,
     check_count,
     check_cycles,
+    check_distance,
     check_order,
     check_phase,
     check_plausible,
@@ -54,7 +55,7 @@ _MANY = 10**6  # beyond any count of cycles
 
 
 def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
-    """Read and check `levels.csv`; noise: of its layers, so that their growth under load is judged too.
+    """Read and check `levels.csv`; noise: of layers and depth, so that layers' growth is judged too.
 
     Raises
     ------
@@ -64,9 +65,9 @@ def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
     return checked(*check_levels(path, noise=noise), MeasurementError)
 
 
-def doubts_about_levels(path: Path) -> tuple[str, ...]:
+def doubts_about_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[str, ...]:
     """What is unusual about the levels though they can be used, in words."""
-    _, problems = check_levels(path)
+    _, problems = check_levels(path, noise=noise)
     return tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
 
 
@@ -86,6 +87,7 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
         speeds = check_swe(levels, table, path)
         trusted = not any(each.severity == "error" for each in speeds)
         problems += check_order(levels, table, path)
+        problems += check_distance(levels, table, path, noise=noise)
         problems += check_plausible(levels, path, speed_is_possible=trusted)
         problems += speeds
     return levels, problems

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.measurement.layer_checks import LayerNoise
 from limbcli.measurement.levels import FEWEST_LOADING, Levels
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
@@ -29,6 +30,8 @@ _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
+# How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth, levels.
+_DISTANCE_OFF, _DISTANCE_SIGMAS, _SEVERAL = 2.0, 4.0, 2
 
 
 def check_count(levels: Levels, path: Path) -> list[Problem]:
@@ -147,6 +150,11 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         rows = np.array([k for k in rows if levels.phase[k] == phase], dtype=int)
         force, depth = sign * levels.force[rows], sign * levels.depth[rows]
         lines = [table.lines[k] for k in rows]
+        if sign > 0 and len(rows) >= FEWEST_LOADING and _runs_backwards(force, depth):
+            what = f"depth_mm falls while force_n grows (lines {lines[0]} to {lines[-1]}, phase {phase})"
+            fix = "is the column reversed, or a distance instead of a loss? It is what skin to bone has lost "
+            problems.append(problem(what, path, f"{fix}since level 0", line=lines[0]))
+            continue
         for k in range(1, len(rows)):
             place = f"line {lines[k - 1]} to {lines[k]}"
             if force[k] == force[k - 1] and depth[k] == depth[k - 1]:
@@ -171,6 +179,49 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 what += f"({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
     return problems
+
+
+def _runs_backwards(force: Array, depth: Array) -> bool:
+    """Whether more pairs of levels (n_levels,) move against each other than together (Kendall's tau < 0).
+
+    >>> _runs_backwards(np.array([0.0, 2, 4]), np.array([5.0, 3, 0]))
+    True
+    >>> _runs_backwards(np.array([0.0, 2, 4, 6]), np.array([0.0, 5, 4, 3]))
+    False
+    """
+    of_force, of_depth = (np.sign(np.subtract.outer(each, each)) for each in (force, depth))
+    return bool((of_force * of_depth).sum() < 0)
+
+
+def check_distance(
+    levels: Levels, table: RawTable, path: Path, *, noise: LayerNoise | None = None
+) -> list[Problem]:
+    """What is lost of the distance from skin to bone is depth_mm; it is never all of it.
+
+    Both count from the first level that has the distance, wherever the depths begin.
+    """
+    measured = np.flatnonzero(np.isfinite(levels.skin_bone))
+    if not len(measured):
+        return []
+    first = int(measured[0])
+    distance, lost = float(levels.skin_bone[first]), levels.depth - levels.depth[first]
+    beyond = np.flatnonzero(lost >= distance)
+    if len(beyond):
+        k = int(beyond[0])
+        what = f"depth_mm is {levels.depth[k]:g}, but the bone lies {distance:g} mm below the skin "
+        what += f"(skin_bone_mm, line {table.lines[first]})"
+        fix = "depth_mm is the loss of skin_bone_mm; are both in mm, and is neither another column's?"
+        return [problem(what, path, fix, line=table.lines[k])]
+    deviation = (noise or LayerNoise()).depth
+    allowed = max(_DISTANCE_OFF, _DISTANCE_SIGMAS * np.sqrt(2) * deviation)
+    off = np.flatnonzero(np.abs(distance - levels.skin_bone - lost) > allowed)
+    if len(off) < _SEVERAL:
+        return []
+    k = int(off[0])
+    what = f"skin_bone_mm and depth_mm contradict each other at {len(off)} levels: here the distance has "
+    what += f"become {distance - levels.skin_bone[k]:.3g} mm shorter, the depth {lost[k]:.3g} mm larger"
+    fix = "one of the columns is of another unit or level; are force_n and depth_mm swapped?"
+    return [problem(what, path, fix, line=table.lines[k], warning=True)]
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:

@@ -15,6 +15,8 @@ from limbcli.model import Array
 from limbcli.problems import Problem, suggestion
 
 _SHOWN_PER_FILE = 8
+# What a column's name ends in, the longer before what it ends in itself.
+_UNITS = {"_mpa_per_mm": "MPa/mm", "_m_per_s": "m/s", "_mm": "mm", "_n": "N", "_s": "s"}
 _COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)  # its line stays, empty: line numbers hold
 
 
@@ -126,7 +128,8 @@ def _check_header(
         problems.append(problem(f"column {name!r} stands twice", path, "keep one of them", line=1))
     for name in required:
         if name not in header:
-            fix = f"add it; its name carries the unit ({name.rsplit('_', 1)[-1]})"
+            unit = next((each for end, each in _UNITS.items() if name.endswith(end)), None)
+            fix = "add it" if unit is None else f"add it; its name carries the unit ({unit})"
             problems.append(problem(f"column {name!r} is missing", path, fix, line=1))
     return problems
 

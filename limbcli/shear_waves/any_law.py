@@ -33,8 +33,8 @@ def acoustic_tensor(
     """Q = J (c_ijkl + sigma_jl delta_ik) n_j n_l; its eigenvalues are rho0 v^2.
 
     Load curves count as 1. A viscoelastic law answers as at once (its sum of g_i), a prestrained one with
-    the share r of its prestrain that its ramp states. Fibres that begin to be stretched count as stretched: a wave along them
-    stretches them either way.
+    the share r of its prestrain that its ramp states. Fibres that begin to be stretched count as
+    stretched: a wave along them stretches them either way.
 
     Parameters
     ----------

@@ -259,8 +259,9 @@ class _Together:
         if facts["text"]:
             self._say("note", text=f"{part}: {facts['text']}")
             return
-        self.stages[part] = stage
-        self._count(f"{part}: {stage}")
+        if stage:
+            self.stages[part] = stage
+        self._count(f"{part}: {stage}" if stage else part)
 
     def _watch(self, over: threading.Event) -> None:
         """Say when the last worker has gone, and when one is there again (in a thread of its own)."""

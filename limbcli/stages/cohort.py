@@ -19,7 +19,7 @@ from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
-from limbcli.problems import Problem, checked
+from limbcli.problems import Problem, checked, raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, provenance
 from limbcli.stages.cohorts.compliance import compliance_left_out
@@ -56,6 +56,7 @@ def cohort(
     started = time.process_time()
     progress.event("stage", name="cohort")
     read, problems = checked_cohort(table)
+    raise_errors(problems, MeasurementError, then="then call `limbcli cohort` again")
     rows = checked(read, problems, MeasurementError)
     warnings = [_told(each) for each in problems if each.severity == "warning"]
     rows, left_out_sites = _with_enough(rows)

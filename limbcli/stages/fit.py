@@ -44,7 +44,7 @@ from limbcli.stages.fitting.result import Identified, leave_result
 from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_levels import layer_noise, levels_of
 from limbcli.stages.site_model.site_states import one_state
 
 __all__ = [
@@ -209,7 +209,7 @@ def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label
     writer.used(f"{prefix}model", feb)
     writer.used(f"{prefix}levels", site.levels, role=f"site/{site.name}/levels")
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "noise"])
-    for text in (*built.warnings, *doubts_about_levels(site.levels)):
+    for text in (*built.warnings, *doubts_about_levels(site.levels, noise=layer_noise(site))):
         if text not in writer.warnings:
             writer.warnings.append(text)
     return read_feb(feb)

@@ -110,7 +110,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
         problems = check_levels(path, noise=layer_noise(site))[1]
         found = [replace(each, where=f"the levels of site {site.name}") for each in problems]
         raise_errors(found, MeasurementError)
-        writer.warnings.extend(doubts_about_levels(path))
+        writer.warnings.extend(doubts_about_levels(path, noise=layer_noise(site)))
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
     return text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -58,7 +59,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
             f"{MRI}/: the DICOM files of one series",
             *(f"{site}/{LEVELS}: force and depth of every level" for site in names),
             f"{README}: where everything else goes",
-            f"next: limbcli check {folder}",
+            f"next: limbcli check {shlex.quote(str(folder))}",
         ),
         provenance=provenance(),
     )

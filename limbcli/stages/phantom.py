@@ -12,6 +12,7 @@ the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, toleran
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -227,7 +228,7 @@ def _result(
         f"{subject.grid.shape[2]} slices of {subject.grid.shape[0]} x {subject.grid.shape[1]}"
         f" voxels, {size / 1e6:.1f} MB in all; sites {', '.join(data['sites'])}",
         *map(summary_of, measured),
-        f"next: limbcli batch {folder}" if measured else f"next: limbcli segment {folder}",
+        f"next: limbcli {'batch' if measured else 'segment'} {shlex.quote(str(folder))}",
     ]
     return StageResult(
         stage="phantom",

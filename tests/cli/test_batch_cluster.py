@@ -28,6 +28,7 @@ from distributed import Client, LocalCluster
 
 import limbcli
 from limbcli.cli.app import main
+from limbcli.progress import Progress
 from limbcli.stages import batch_cluster
 from limbcli.stages.batching import cluster
 from tests.benchmarks.left_behind import contents, strays
@@ -374,3 +375,12 @@ def test_time_left_is_told_once_there_is_something_to_go_by(tmp_path: Path):
     assert several._left() == ""
     several.n_parts, several.n_done, several._begun = 10, 4, time.monotonic() - 400
     assert several._left() == "about 10 min left"
+
+
+def test_a_part_that_is_not_at_a_stage_yet_is_told_by_its_name(tmp_path: Path):
+    told, cases = [], [(tmp_path / "a", tmp_path)]
+    several = batch_cluster._Together(None, None, cases, Progress(lambda *e: told.append(e)))
+    for stage in ("", "mesh", ""):
+        several._hear((0.0, {"part": "a", "stage": stage, "text": ""}))
+    assert [facts["name"] for _, facts in told] == ["cases, a", "cases, a: mesh", "cases, a"]
+    assert several.stages == {"a": "mesh"}

@@ -25,6 +25,8 @@ def case(tmp_path: Path) -> Path:
         (["--tolerance", "0"], 2, "1e-3"),
         (["--c-deviation-fraction", "-1"], 2, "share of c"),
         (["--objective", "joint", "--gain-deviation-fraction", "nan"], 2, "finite number"),
+        (["--gain-deviation-fraction", "-1"], 2, "share of the force"),
+        (["--gain-deviation-fraction", "5", "--compare-element"], 2, "share of the force"),
         (["--objective", "joint", "--compare-element"], 2, "one at a time"),
         (["--objective", "joint", "--stiffness-map"], 2, "or the map"),
         (["--compare-laws"], 2, "--objective joint"),

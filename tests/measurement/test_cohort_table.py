@@ -109,7 +109,17 @@ def test_a_circumference_smaller_than_the_layers(tmp_path):
 @pytest.mark.parametrize("name", ["subject", "location", "skin_mm", "fat_strain", "stiffness_mpa_per_mm"])
 def test_a_missing_column_is_named_with_what_it_holds(tmp_path, name):
     rows = [{key: value for key, value in each.items() if key != name} for each in good()]
-    assert f"column {name!r} is missing" in reported(tmp_path, rows)
+    assert reported(tmp_path, rows).count(f"column {name!r} is missing") == 1
+
+
+def test_every_missing_column_is_named_once_also_below_a_comment(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("# of 2024, second visit\nsubject,location,max_force_n,face_mm2\nA,LL,9,700\n")
+    table, problems = checked_cohort(path)
+    assert table is None
+    whats = [each.what for each in problems]
+    assert len(set(whats)) == len(whats) == 9
+    assert not any("carries the unit" in each.fix for each in problems)
 
 
 def test_a_missing_face(tmp_path):

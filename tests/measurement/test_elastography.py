@@ -74,6 +74,22 @@ def test_missing_and_surplus_maps_are_both_found(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(("there", "missing"), [((0, 1, 3, 4, 5), ["level_02.csv"]), ((0, 1, 2), [])])
+def test_without_a_count_the_names_tell_which_map_is_missing(tmp_path, there, missing):
+    for level in there:
+        swe.write_map(swe.map_file(tmp_path, level), square_map())
+    maps, problems = swe.check_maps(tmp_path)
+    assert len(maps) == len(there)
+    assert [each.what for each in problems] == [f"the map {name} is missing" for name in missing]
+
+
+def test_a_number_far_from_the_others_is_no_count_of_levels(tmp_path):
+    for level in (0, 1, 20250311):
+        swe.write_map(swe.map_file(tmp_path, level), square_map())
+    whats = [each.what for each in swe.check_maps(tmp_path)[1]]
+    assert whats == ["the map level_02.csv is missing", "level_20250311.csv belongs to no level"]
+
+
 def test_statistics_of_a_region_of_interest():
     whole = square_map()
     whole = SweMap(whole.lateral, whole.depth, whole.depth.copy())
@@ -99,4 +115,5 @@ def test_a_map_at_odds_with_the_stated_mean_is_doubted():
     assert problem.severity == "warning"
     assert "4.00 m/s" in problem.what
     assert not swe.check_mean(square_map(2.2), 2.0)
-    assert not swe.check_mean(square_map(), float("nan"))
+    for unknown in (float("nan"), 0.0, -2.0):
+        assert not swe.check_mean(square_map(), unknown)

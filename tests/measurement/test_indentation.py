@@ -9,6 +9,7 @@ import pytest
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import (
+    LayerNoise,
     check_levels,
     doubts_about_levels,
     read_levels,
@@ -92,6 +93,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'"),
+        (HEADER.replace("force_n,", ""), "its name carries the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
     ],
@@ -193,3 +195,37 @@ def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
     doubts = doubts_about_levels(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
     assert any("there is no level 0" in each for each in doubts)
     assert not any("level 0" in each for each in doubts_about_levels(write(tmp_path)))
+
+
+@pytest.mark.parametrize("depths", [(12.2, 9.0, 5.0, 0.0), (47.9, 42.9, 40.6, 39.2), (3.0, 4.0, 2.0, 1.0)])
+def test_depths_that_run_backwards_are_refused(tmp_path: Path, depths):
+    rows = [f"{2 * k},{depth}" for k, depth in enumerate(depths)]
+    _, problems = check_levels(write(tmp_path, "force_n,depth_mm", rows))
+    errors = [each for each in problems if each.severity == "error"]
+    assert [each.what for each in errors] == ["depth_mm falls while force_n grows (lines 2 to 5, phase load)"]
+    assert "a distance instead of a loss" in errors[0].fix
+
+
+def distances(tmp_path: Path, rows: list[str], **noise: float) -> list[str]:
+    """What is said of depth against distance: severity and words."""
+    path = write(tmp_path, "force_n,depth_mm,skin_bone_mm", rows)
+    found = check_levels(path, noise=LayerNoise(**noise))[1]
+    return [f"{each.severity}: {each.what}" for each in found if "skin_bone_mm" in each.what]
+
+
+def test_a_depth_beyond_the_bone_is_refused(tmp_path: Path):
+    first_only = ["0,0,4.8", "2,2,", "4,4.8,", "6,5.5,"]
+    (told,) = distances(tmp_path, first_only)
+    assert told.startswith("error: depth_mm is 4.8, but the bone lies 4.8 mm below the skin")
+    assert not distances(tmp_path, [first_only[0].replace("4.8", "5.6"), *first_only[1:]])
+    assert not distances(tmp_path, ["2,3,5", "4,5,3", "6,7,1"]), "5 mm are left at a depth of 3 mm"
+
+
+def test_a_distance_that_contradicts_the_depth_is_doubted(tmp_path: Path):
+    swapped = ["0,0,48", "5,2,43", "7.3,4.1,40.7", "8.7,5.9,39.3", "10.4,8,37.6"]
+    (told,) = distances(tmp_path, swapped)
+    assert told.startswith("warning: skin_bone_mm and depth_mm contradict each other at 4 levels")
+    assert not distances(tmp_path, swapped, depth=1.0), "within four deviations"
+    assert not distances(tmp_path, ["0,0,48", "2,5,42.6", "4,7.3,41.2", "6,8.7,36"]), "one level only"
+    assert not distances(tmp_path, ["2,3,45", "4,5,43.2", "6,7,40.9"]), "depths that begin elsewhere"
+    assert not distances(tmp_path, ["0,0,", "2,3,45", "4,5,43.2", "6,7,40.9"]), "not seen at level 0"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.cli.app import main
 from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
@@ -126,3 +127,12 @@ def test_layers_are_shown_and_judged_by_the_noise_of_the_case(tmp_path):
     toml = case.file.read_text()
     case.file.write_text(toml.replace("depth_mm = 0.1", "depth_mm = 0.1\nlayer_mm = 0.4"))
     assert not any("grows" in each.what for each in check(case.folder).problems)
+
+
+def test_the_command_counts_what_is_to_be_mended(tmp_path: Path, capsys):
+    for text, count in (("format = 1\n", "4 errors to mend"), (ONE_SITE, "1 error to mend")):
+        (tmp_path / "case.toml").write_text(text)
+        (tmp_path / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+        with pytest.raises(SystemExit):
+            main(["check", str(tmp_path)])
+        assert capsys.readouterr().out.splitlines()[-1] == count

@@ -87,12 +87,14 @@ def test_few_people_have_no_folds_and_all_else(tmp_path):
 
 def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
     rows, _ = people(6, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(9))
-    rows[2]["thickness_mm"] = "12"
+    rows[2]["thickness_mm"] = rows[4]["thickness_mm"] = "12"
     table = written(tmp_path / "t.csv", rows)
     with pytest.raises(SystemExit) as stop:
         main(["cohort", str(table), "--out", str(tmp_path / "out"), "--quiet"])
     assert stop.value.code == 3
-    assert "the layers add up to" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "the layers add up to" in told
+    assert "limbcli check" not in told, "there is no case"
     assert not (tmp_path / "out").exists()
 
 

@@ -72,8 +72,9 @@ def test_every_key_that_the_comments_offer_is_understood(tmp_path: Path):
 
 def test_segment_can_begin_before_places_and_probe_are_known(tmp_path: Path):
     folder = new(tmp_path / "S12").folder
-    with pytest.raises(CaseError, match=r"subject\.limb"):
+    with pytest.raises(CaseError, match=r"subject\.limb") as caught:
         Case.open_images(folder)
+    assert not [word for word in ("probe", "position_mm", "long_axis") if word in str(caught.value)]
     text = (folder / "case.toml").read_text()
     (folder / "case.toml").write_text(text.replace('limb = "FILL IN"', 'limb = "left"'))
     case = Case.open_images(folder)
@@ -121,5 +122,7 @@ def test_site_names_that_cannot_be_are_refused(tmp_path: Path, sites: list[str])
 
 
 def test_name_that_is_no_id_is_asked_for(tmp_path: Path):
-    folder = new(tmp_path / "left leg").folder
+    result = new(tmp_path / "left leg")
+    folder = result.folder
+    assert result.summary[-1] == f"next: limbcli check '{folder}'", "it can be pasted"
     assert "subject.id is still to be filled in" in [each.what for each in check(folder).problems]

@@ -57,8 +57,9 @@ def test_the_same_seed_gives_the_same_folder_another_seed_another(folder, tmp_pa
     phantom(tmp_path / "again", options=BARE)
     assert sha256(tmp_path / "again") == sha256(folder)
     other = PhantomOptions(seed=4, voxel=BARE.voxel, synth=None)
-    phantom(tmp_path / "other", options=other)
-    assert sha256(tmp_path / "other" / "mri") != sha256(folder / "mri")
+    told = phantom(tmp_path / "other one", options=other).summary[-1]
+    assert told == f"next: limbcli segment '{tmp_path / 'other one'}'", "it can be pasted"
+    assert sha256(tmp_path / "other one" / "mri") != sha256(folder / "mri")
 
 
 def test_an_existing_folder_is_replaced_only_with_force_and_only_if_synthetic(folder, tmp_path):

@@ -103,6 +103,8 @@ def check_choice(
 def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
     """Whether the numbers given by hand can be meant.
 
+    gain_deviation : that of another fit's own options, which takes the place of the one in `options`
+
     Raises
     ------
     CaseError
@@ -111,6 +113,7 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
+    gain_deviation = options.gain_deviation if gain_deviation is None else gain_deviation
     rules = (
         ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
         ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),

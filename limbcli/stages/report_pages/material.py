@@ -59,7 +59,7 @@ def _measured(site: Site, fitted: int | None) -> SiteMaterial:
     if levels is None or errors_of(problems):
         why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
         return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
-    warnings = doubts_about_levels(site.levels)
+    warnings = doubts_about_levels(site.levels, noise=layer_noise(site))
     repeated = cycle_material(site, levels, fitted)
     levels = levels.of_cycle(fitted if fitted in levels.cycles else levels.chosen_cycle())
     noise = site.noise
