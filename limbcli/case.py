@@ -22,6 +22,7 @@ from limbcli.case_instruments import read_instruments, read_layers
 from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case_states import read_states, site_schema
 from limbcli.errors import CaseError
+from limbcli.faults import not_in_utf8
 from limbcli.problems import Problem, checked, errors_of
 
 __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]
@@ -185,6 +186,8 @@ def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, lis
 
 def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     path = folder / CASE_FILE
+    if (refused := not_in_utf8(folder)) is not None:
+        return None, [Problem(refused.what, refused.where, refused.fix)]
     if not folder.is_dir():
         fix = "name a folder that holds a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]

@@ -62,6 +62,31 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
     return None
 
 
+def not_in_utf8(path: Path) -> CaseError | None:
+    """The error of a path that cannot be written into results and pages; None for any other.
+
+    >>> print(not_in_utf8(Path("caf\\udce9")))
+    the path is not UTF-8 text, so results and pages cannot name it
+      where: ...caf\\udce9
+      fix:   rename that folder, or the one it lies in
+    >>> not_in_utf8(Path("caf\\u00e9"))
+    """
+    text = str(path.absolute())
+    shown = in_utf8(text)
+    if shown == text:
+        return None
+    return CaseError(
+        "the path is not UTF-8 text, so results and pages cannot name it",
+        where=shown,
+        fix="rename that folder, or the one it lies in",
+    )
+
+
+def in_utf8(text: str) -> str:
+    """The text with backslashes for what UTF-8 has no bytes for, as the names of some files hold it."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 @contextlib.contextmanager
 def file_system_errors(place: Path) -> Iterator[None]:
     """Faults of the file system inside the block become errors with a way out.

@@ -208,7 +208,7 @@ def sha256(path: Path) -> str:
         return _file_hash(path)
     digest = hashlib.sha256()
     for each in sorted(each for each in path.rglob("*") if each.is_file() and each.name not in _NOT_CONTENT):
-        digest.update(f"{each.relative_to(path).as_posix()}\0{_file_hash(each)}\0".encode())
+        digest.update(os.fsencode(f"{each.relative_to(path).as_posix()}\0{_file_hash(each)}\0"))
     return digest.hexdigest()
 
 

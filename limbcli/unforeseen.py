@@ -11,6 +11,7 @@ import traceback
 from pathlib import Path
 
 from limbcli.errors import UnforeseenError
+from limbcli.faults import in_utf8
 from limbcli.version import __version__
 
 
@@ -43,7 +44,7 @@ def _left(story: str, folder: Path | None) -> Path:
     name = time.strftime("limbcli-error-%Y%m%d-%H%M%S.txt", time.gmtime())
     for place in [each for each in (folder, Path(tempfile.gettempdir())) if each is not None]:
         try:
-            (place / name).write_text(story, encoding="utf-8")
+            (place / name).write_text(in_utf8(story), encoding="utf-8")
         except OSError:
             continue
         return place / name

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.faults import file_system_errors, in_words
+from limbcli.faults import file_system_errors, in_utf8, in_words, not_in_utf8
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"
@@ -37,7 +37,7 @@ def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) 
     Raises
     ------
     CaseError
-        If another writes there and `wait` is not given, or the folder cannot be written to.
+        If another writes there and `wait` is not given, or the folder cannot be written to or named.
     """
     with _held(folder, LOCK, wait=wait, progress=progress):
         yield
@@ -59,6 +59,8 @@ def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progres
 
 @contextlib.contextmanager
 def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool = True) -> Iterator[None]:
+    if (refused := not_in_utf8(folder)) is not None:
+        raise refused
     is_new = not folder.exists()
     with file_system_errors(folder):
         _made(folder)
@@ -140,7 +142,7 @@ def _is_still(stream: TextIO, path: Path) -> bool:
 
 
 def _sign(stream: TextIO) -> None:
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    command = in_utf8(shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
     since = time.strftime("%H:%M:%S", time.localtime())
     stream.truncate(0)
     stream.write(f"`{command}` (process {os.getpid()} on {platform.node()}, since {since})\n")

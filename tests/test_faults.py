@@ -9,8 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError, ToolError
-from limbcli.files import atomic_file, atomic_folder, clear_partial
+from limbcli.faults import not_in_utf8
+from limbcli.files import atomic_file, atomic_folder, clear_partial, sha256
+from limbcli.stages.batch import batch
+from limbcli.unforeseen import unforeseen
+from limbcli.writing import LOCK, one_writer
+from tests.stages.chain_case import write_case
 
 
 @pytest.mark.parametrize(
@@ -88,3 +94,30 @@ def test_a_result_on_its_way_out_comes_back_after_a_kill(tmp_path: Path):
     clear_partial(tmp_path)
     assert (tmp_path / "mesh" / "a").read_text() == "before"
     assert os.listdir(tmp_path) == ["mesh"]
+
+
+def test_a_folder_that_is_not_named_in_utf8_is_refused_with_a_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    named = tmp_path / os.fsdecode(b"caf\xe9")
+    try:
+        named.mkdir()
+    except OSError:
+        pytest.skip("this file system has UTF-8 names only")
+    write_case(tmp_path / "case")
+    (tmp_path / "case").rename(named / "case")
+    with pytest.raises(CaseError, match="not UTF-8") as caught:
+        Case.open(named / "case")
+    assert "rename" in caught.value.fix
+    with pytest.raises(CaseError, match="not UTF-8"), one_writer(named / "out"):
+        pass
+    assert len(sha256(tmp_path)) == 64
+    outcome = batch(named / "case", out=tmp_path / "out")
+    assert outcome.report is not None
+    assert "not UTF-8" in outcome.report.read_text(encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["limbcli", "mesh", str(named)])
+    with one_writer(tmp_path / "out"):
+        assert "caf\\udce9" in (tmp_path / "out" / LOCK).read_text(encoding="utf-8")
+    story = Path(unforeseen(ValueError(str(named)), tmp_path / "out").where)
+    assert "caf\\udce9" in story.read_text(encoding="utf-8")
+    assert not_in_utf8(tmp_path / "café") is None

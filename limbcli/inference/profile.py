@@ -24,17 +24,15 @@ _Point = tuple[float, float, Array]  # value, deviance, theta
 def threshold_95(scale: float, n_freedom: int) -> float:
     """Of the deviance at the ends of a 95 % interval, the deviance divided by `scale`.
 
-    A scale above 1 is a variance that was estimated from the data's own scatter, with `n_freedom` degrees of
-    freedom: the deviance then follows F(1, n_freedom), not chi-square(1). A scale little above 1 is mostly
-    the stated variance, met by chance: between the two by the part of it that was not stated.
+    A scale above 1 is a variance estimated from the data's own scatter, with `n_freedom` degrees of
+    freedom: the deviance then follows F(1, n_freedom), not chi-square(1).
 
     Source: Seber and Wild 1989, Nonlinear Regression, section 5.3.
 
-    >>> [round(threshold_95(*each), 2) for each in ((1.0, 2), (9.0, 2), (900.0, 2), (9.0, 30))]
-    [3.84, 16.88, 18.5, 4.13]
+    >>> [round(threshold_95(*each), 2) for each in ((1.0, 2), (9.0, 2), (9.0, 30))]
+    [3.84, 18.51, 4.17]
     """
-    estimated = max(1.0 - 1.0 / scale, 0.0)
-    return THRESHOLD_95 + estimated * max(float(f.ppf(0.95, 1, n_freedom)) - THRESHOLD_95, 0.0)
+    return max(THRESHOLD_95, float(f.ppf(0.95, 1, n_freedom))) if scale > 1.0 else THRESHOLD_95
 
 
 @dataclass(frozen=True, eq=False)

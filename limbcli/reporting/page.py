@@ -15,6 +15,7 @@ from markupsafe import Markup, escape
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
 from limbcli.errors import CaseError
+from limbcli.faults import in_utf8
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 
@@ -82,7 +83,7 @@ def _as_webp(path: Path) -> bytes:
 
 
 def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = None) -> str:
-    """A template of `templates/report/` filled in; the user's own folder is looked at first.
+    """A template of `templates/report/` filled in, as UTF-8 can hold it; the user's own folder comes first.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
     )
     environment.filters["symbols"] = symbols
     try:
-        return environment.get_template(template).render(**facts)
+        return in_utf8(environment.get_template(template).render(**facts))
     except jinja2.TemplateError as error:
         line = f", line {error.lineno}" if isinstance(error, jinja2.TemplateSyntaxError) else ""
         raise CaseError(
