@@ -18,7 +18,7 @@ import numpy as np
 from limbcli.materials.fiber import JUMP
 from limbcli.materials.program import Compiled, Program, compile_material
 from limbcli.materials.stress import program_stress
-from limbcli.model import Array, IntArray, Material
+from limbcli.model import Array, Curved, IntArray, Material, Value
 
 
 def acoustic_tensor(
@@ -33,8 +33,8 @@ def acoustic_tensor(
     """Q = J (c_ijkl + sigma_jl delta_ik) n_j n_l; its eigenvalues are rho0 v^2.
 
     Load curves count as 1. A viscoelastic law answers as at once (its sum of g_i), a prestrained one with
-    its whole prestrain. Fibres that begin to be stretched count as stretched: a wave along them
-    stretches them either way.
+    the share r of its prestrain that its ramp states. Fibres that begin to be stretched count as
+    stretched: a wave along them stretches them either way.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def acoustic_tensor(
     whole = compiled.program(n_cells, lambda name: 1.0)
     par = whole.par if len(whole.par) == 1 or cells is None else whole.par[cells]
     if compiled.prestrain is not None:
-        F = F @ compiled.prestrain[0]
+        F = F @ _prestrain(*compiled.prestrain)
     factor = J / np.linalg.det(F)
     F = _past_the_jump(compiled, par, F)
     S, CC = program_stress(Program(whole.ops, np.ascontiguousarray(par)), F)
@@ -69,6 +69,16 @@ def acoustic_tensor(
     if compiled.prony is not None and viscous:
         factor = factor * (compiled.prony[0] + sum(g for g, _ in compiled.prony[1]))
     return np.asarray(Q * factor[:, None, None])
+
+
+def _prestrain(F0: Array, ramp: Value) -> Array:
+    """(1 - r) 1 + r F0, its load curve counted as 1.
+
+    >>> _prestrain(np.diag([1.2, 1.0, 0.8]), 0.5).diagonal().round(6)
+    array([1.1, 1. , 0.9])
+    """
+    r = ramp.value if isinstance(ramp, Curved) else float(ramp)  # type: ignore[arg-type]
+    return np.asarray((1.0 - r) * np.eye(3) + r * F0)
 
 
 def _past_the_jump(compiled: Compiled, par: Array, F: Array) -> Array:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from limbcli.materials import ogden_type
-from limbcli.model import ElementMap, Material
+from limbcli.model import Curved, ElementMap, Material
 from limbcli.shear_waves.any_law import acoustic_tensor
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.ogden import acoustic_tensor as ogden_tensor
@@ -116,3 +118,14 @@ def test_viscoelastic_law_answers_at_once_and_prestrain_is_in_it(rng):
 
     found = acoustic_tensor(law, F, X)[:, 2, 2]
     assert found == pytest.approx([curvature(energy, each, Z, X) for each in F], rel=1e-6)
+    ramped = replace(law, parameters={**law.parameters, "ramp": Curved(1.0, "hold")})
+    np.testing.assert_array_equal(acoustic_tensor(ramped, F, X)[:, 2, 2], found)
+
+
+@pytest.mark.parametrize("ramp", [0.0, 0.4])
+def test_a_constant_ramp_is_a_share_of_the_prestrain(rng, ramp):
+    F, taut = gradients(rng)[:5], np.diag([1.2, 1.0, 0.9])
+    law = Material("prestrain", {"F0": tuple(taut.ravel()), "ramp": ramp}, (SOFT,))
+    partly = (1 - ramp) * np.eye(3) + ramp * taut
+    whole = Material("prestrain", {"F0": tuple(partly.ravel()), "ramp": 1.0}, (SOFT,))
+    np.testing.assert_allclose(acoustic_tensor(law, F, X), acoustic_tensor(whole, F, X), rtol=1e-12)
