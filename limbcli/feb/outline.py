@@ -36,6 +36,16 @@ class Outline:
     must_points: tuple[float, ...]
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
+    @property
+    def node_ids(self) -> IntArray:
+        """(n_nodes,) the file's ids, by number."""
+        return _ids(self.nodes)
+
+    @property
+    def cell_ids(self) -> IntArray:
+        """(n_cells,) the file's ids, by number."""
+        return _ids(self.cells)
+
 
 def read_outline(path: Path) -> Outline:
     """Read the outline.
@@ -76,6 +86,15 @@ def _table(root: Tag, path: str) -> IntArray:
     if len(ids) and not 1 <= ids.min() <= ids.max() <= LARGEST_ID:
         ids = np.array([Tag(each, root.file).id_of() for each in rows], dtype=np.int64)
     return Numbering.of(ids)
+
+
+def _ids(table: IntArray) -> IntArray:
+    """
+    >>> _ids(np.array([-1, 2, -1, 0, 1]))
+    array([3, 4, 1])
+    """
+    known = np.flatnonzero(table >= 0)
+    return np.asarray(known[np.argsort(table[known])])
 
 
 def _materials(root: Tag) -> dict[int, dict[str, float]]:

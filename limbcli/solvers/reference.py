@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from limbcli.config import at_most
 from limbcli.errors import SolveError
+from limbcli.feb.outline import read_outline
 from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
@@ -70,7 +71,8 @@ class ReferenceSolver:
             computed), if a level is not reached, or if the time limit passes.
         """
         model = read_feb(feb)
-        with RunFiles(model, feb.parent, version=self.version(), mark=marked(feb, ".feb")) as files:
+        outline, mark = read_outline(feb), marked(feb, ".feb")
+        with RunFiles(model, feb.parent, outline=outline, version=self.version(), mark=mark) as files:
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
     @property

@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from limbcli.feb.outline import Outline
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import LOG_FILE
 
@@ -26,10 +27,14 @@ def _unloaded(forces: Forces) -> Forces:
 
 
 class RunFiles:
-    """Open files of one run; leaving the block by an error writes an error termination."""
+    """Open files of one run; leaving the block by an error writes an error termination.
 
-    def __init__(self, model: LimbModel, folder: Path, *, version: str, mark: str):
+    outline : of the model's file, whose ids of nodes and cells the records carry
+    """
+
+    def __init__(self, model: LimbModel, folder: Path, *, outline: Outline, version: str, mark: str):
         self.model, self.folder = model, folder
+        self._ids = {"node": outline.node_ids, "element": outline.cell_ids}
         self._stack = contextlib.ExitStack()
         for name in (LOG_FILE, *(record.file for record in model.records)):
             (folder / name).unlink(missing_ok=True)
@@ -110,8 +115,11 @@ class RunFiles:
         stream = self._files[record.file]
         title = record.items if record.kind == "rigid_body" else ";".join(record.fields)
         stream.write(f"*Step  = {step}\n*Time  = {time:.12g}\n*Data  = {title}\n")
-        first = 1 + (len(self.model.materials) if record.kind == "rigid_body" else 0)
-        table = np.column_stack([np.asarray(ids) + first, values])
+        if record.kind == "rigid_body":
+            ids = np.asarray(ids) + 1 + len(self.model.materials)
+        else:
+            ids = self._ids[record.kind][ids]
+        table = np.column_stack([ids, values])
         np.savetxt(stream, table, fmt=["%d"] + ["%.12g"] * values.shape[1], delimiter=",")
         stream.flush()
 

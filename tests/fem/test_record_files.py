@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from small_models import punch
 
+from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.feb.write import write_feb
 from limbcli.model import LogRecord
@@ -44,3 +46,27 @@ def test_nothing_reacts_before_the_first_step(tmp_path: Path) -> None:
     assert body[0, 0, 0] == pytest.approx(-0.05)
     assert not body[0, 0, 1:].any()
     assert abs(body[-1, 0, 3]) > 1e-3
+
+
+def test_records_carry_the_files_ids(tmp_path: Path) -> None:
+    """Nodes listed from the last id to the first, and cells with ids from 101."""
+    records = (
+        LogRecord("node", ("x", "y", "z", "ux", "uy", "uz"), "nodes.csv"),
+        LogRecord("element", ("J",), "cells.csv", np.array([3, 5])),
+    )
+    feb = write_feb(replace(punch(n=(1, 1, 1), depth=0.5), records=records), tmp_path / "model.feb")
+    places = read_feb(feb).mesh.points
+    text = feb.read_text()
+    nodes = re.findall(r"<node id=.*</node>", text)
+    text = text.replace("\n".join(nodes), "\n".join(reversed(nodes)))
+    text = re.sub(r'<elem id="(\d)">', r'<elem id="10\1">', text)
+    feb.write_text(re.sub(r'(file="cells.csv"[^>]*>)4,6<', r"\g<1>104,106<", text))
+    found = run(feb)
+    written = read_records(tmp_path / "nodes.csv")
+    rest = written.values[-1, :, :3] - written.values[-1, :, 3:]
+    np.testing.assert_allclose(rest, places[written.ids - 1], atol=1e-9)
+    nodes_read = found.nodes["nodes.csv"]
+    rest = nodes_read.values[-1, :, :3] - nodes_read.values[-1, :, 3:]
+    np.testing.assert_allclose(rest, read_feb(feb).mesh.points[nodes_read.items], atol=1e-9)
+    assert read_records(tmp_path / "cells.csv").ids.tolist() == [104, 106]
+    assert found.elements["cells.csv"].items.tolist() == [3, 5]
