@@ -40,6 +40,7 @@ from limbcli.stages.site_model.indentation_model import (
     touching_points,
     with_penalty,
 )
+from limbcli.stages.site_model.mesh_checks import warnings_now
 from limbcli.stages.site_model.site_layers import (
     LayerLaw,
     layer_laws,
@@ -121,7 +122,7 @@ def _build_site(
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     if templates is not None:
         writer.used("templates", templates, role=str(templates.resolve()))
-    writer.warnings.extend(meshed.warnings)
+    writer.warnings.extend(warnings_now(meshed, site))
     if options.c_kpa is None and (doubt := no_level_0(levels, site)):
         writer.warnings.append(doubt)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)

@@ -93,19 +93,6 @@ def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: lis
     assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
 
 
-def test_a_mesh_is_checked_against_the_bones_depth_of_today(tmp_path: Path, calls: list[str]):
-    case = two_sites(tmp_path / "case")
-    batch(case, out=tmp_path / "out")
-    calls.clear()
-    (case / "p2.csv").write_text("force_n,depth_mm,skin_bone_mm\n0,0,20\n2,1,19\n5,2,18\n")
-    batch(case, out=tmp_path / "out")
-    assert calls == ["mesh p2", "build-feb p2", "run p2", "fit p2", "report"]
-    calls.clear()
-    (case / "p2.csv").write_text("force_n,depth_mm,skin_bone_mm\n0,0,20\n2,1,19\n5,2.1,18\n")
-    batch(case, out=tmp_path / "out")
-    assert "mesh p2" not in calls
-
-
 def test_changed_fibres_redo_the_meshes_that_use_them(tmp_path: Path, calls: list[str]):
     """A map of the whole limb; site p2 tells its own direction, and does not look at it."""
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"

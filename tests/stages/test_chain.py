@@ -119,13 +119,6 @@ def made_again(stage: str, site: str | None, file: str) -> Callable[[Path], None
     return change
 
 
-def bone_seen(root: Path) -> None:
-    """levels.csv tells how deep the bone lies, too."""
-    path = root / "case" / "levels.csv"
-    head, *rows = path.read_text().split()
-    path.write_text("\n".join([head + ",skin_bone_mm", *(row + ",20" for row in rows)]) + "\n")
-
-
 def of_version(version: str | None) -> Callable[[Path], None]:
     def change(root: Path) -> None:
         path = root / "out" / "segment" / "segment.json"
@@ -160,7 +153,6 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "mesh by hand": (in_file("out/mesh/p1/model.npz"), "mesh", "model.npz"),
     "mesh is gone": (gone("out/mesh"), "mesh", "no result of `mesh`"),
     "levels": (in_file("case/levels.csv"), "build-feb", "levels of site p1 changed"),
-    "bone's depth": (bone_seen, "mesh", "skin_bone_mm of level 0 in the levels of site p1"),
     "density": (in_case("[site.layers", "density_kg_per_m3 = 1050.0\n[site.layers"), "build-feb", "density"),
     "new mesh": (made_again("mesh", "p1", "model"), "build-feb", "result of `mesh p1` (model)"),
     "model by hand": (in_file("out/build-feb/p1/model.feb"), "build-feb", "model.feb"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -16,10 +17,10 @@ from limbcli.errors import CaseError
 from limbcli.meshing.checks import SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
-from limbcli.results import read_result
+from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.mesh_checks import geometry_warnings
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, warnings_now
 
 CASE = """format = 1
 [subject]
@@ -171,6 +172,26 @@ def checks(**changes: float | None) -> SiteChecks:
 def test_model_is_checked_against_the_measurement(found, measured, said):
     warnings = geometry_warnings(found, measured=measured, margin=40.0, site="p1")
     assert [said in each for each in warnings] == ([True] if said else [])
+
+
+def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
+    """Levels may be read after the mesh was made, or corrected: what is said of the mesh goes with them."""
+    site = SimpleNamespace(levels=tmp_path / "levels.csv")
+
+    def told(then: float | None, now: float | None) -> list[str]:
+        warnings = ("a voxel is large", *geometry_warnings(checks(), measured=then, margin=40.0, site="p1"))
+        data = {"checks": {"skin_bone_mm": checks().skin_bone_mm}, "measured_skin_bone_mm": then}
+        head = "force_n,depth_mm,skin_bone_mm" if now else "force_n,depth_mm"
+        rows = [f"{2 * k},{k},{now - k}" if now else f"{2 * k},{k}" for k in range(3)]
+        site.levels.write_text("\n".join([head, *rows]) + "\n")
+        return warnings_now(StageResult("mesh", "S1", Path(), warnings=warnings, data=data), site)
+
+    assert [len(told(*each)) for each in ((None, 23.0), (23.0, 23.0), (23.0, 20.5), (23.0, None))] == [
+        2,
+        2,
+        1,
+        1,
+    ]
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from limbcli.progress import Progress
 from limbcli.results import stage_folder
 from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.asked import Asked, options_of
-from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 FIT_STATES = "fit-states"  # after these, of a site that has states
@@ -57,14 +56,7 @@ def site_steps(
     steps = [
         SiteStep(
             "mesh",
-            (
-                raw["probe"],
-                raw.get("model"),
-                table,
-                measured_skin_bone(site),
-                *_fibre_parts(case, name),
-                *parts_of(meshed),
-            ),
+            (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
         SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),

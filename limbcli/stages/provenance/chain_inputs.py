@@ -13,15 +13,9 @@ from typing import Any
 
 from limbcli.case import Case, Site
 from limbcli.results import StageWriter, plain
-from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 
 SITES = "sites"
-MEASURED_SKIN_BONE = "measured_skin_bone"  # what a mesh is checked against, of all that levels.csv says
-_WORDS = {
-    "place": "place (position_mm, marker)",
-    "skin_bone": "skin_bone_mm",
-    MEASURED_SKIN_BONE: "skin_bone_mm of level 0 in the levels",
-}
+_WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 
 def input_path(case: Case, role: str) -> Path | None:
@@ -98,8 +92,6 @@ def _of_site(site: Site, key: str) -> Any:
     if key == "states":
         told = [{"name": each.name, **asdict(each.stretch)} for each in site.states]
         return {"told": told, "unloaded": asdict(site.unloaded)}
-    if key == MEASURED_SKIN_BONE:
-        return measured_skin_bone(site)
     if key in site.instruments:
         return {name: value for name, value in site.instruments[key].items() if name != "path"}
     return getattr(site, key, None)

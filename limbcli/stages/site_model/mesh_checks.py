@@ -8,6 +8,7 @@ from limbcli.case import Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.checks import SiteChecks
+from limbcli.results import StageResult
 
 OVER_TISSUE = 0.95  # part of the face that should have skin below
 SKIN_BONE_TOLERANCE = 0.10  # of the measured distance
@@ -28,6 +29,35 @@ def measured_skin_bone(site: Site) -> float | None:
     return value if np.isfinite(value) and value > 0 else None
 
 
+def bone_warnings(modelled: float | None, measured: float | None) -> list[str]:
+    """Whether the bone lies as deep (mm) in the model as on the B-mode image; None: there is none."""
+    if measured is None:
+        return []
+    if modelled is None:
+        return [
+            f"the B-mode image shows bone {measured:.1f} mm deep, the model has none under the probe; "
+            "check position_mm and long_axis"
+        ]
+    off = modelled / measured - 1
+    if abs(off) <= SKIN_BONE_TOLERANCE:
+        return []
+    return [
+        f"skin to bone is {modelled:.1f} mm in the model, {measured:.1f} mm on the B-mode "
+        f"image ({100 * off:+.0f} %); check position_mm, long_axis and the segmentation"
+    ]
+
+
+def warnings_now(meshed: StageResult, site: Site) -> list[str]:
+    """The warnings of a mesh; that of the bone by what is measured now, as levels may be read, or corrected,
+    after it."""
+    if "checks" not in meshed.data:
+        return list(meshed.warnings)
+    modelled = meshed.data["checks"]["skin_bone_mm"]
+    then = bone_warnings(modelled, meshed.data["measured_skin_bone_mm"])
+    others = [each for each in meshed.warnings if each not in then]
+    return [*others, *bone_warnings(modelled, measured_skin_bone(site))]
+
+
 def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: float, site: str) -> list[str]:
     """What does not fit, one sentence each.
 
@@ -37,18 +67,7 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
     if checks.over_tissue_share < OVER_TISSUE:
         share = 100 * checks.over_tissue_share
         out.append(f"only {share:.0f} % of the probe face lies over tissue; move {site}'s position_mm")
-    if measured is not None and checks.skin_bone_mm is None:
-        out.append(
-            f"the B-mode image shows bone {measured:.1f} mm deep, the model has none under the probe; "
-            "check position_mm and long_axis"
-        )
-    elif measured is not None and checks.skin_bone_mm is not None:
-        off = checks.skin_bone_mm / measured - 1
-        if abs(off) > SKIN_BONE_TOLERANCE:
-            out.append(
-                f"skin to bone is {checks.skin_bone_mm:.1f} mm in the model, {measured:.1f} mm on the B-mode "
-                f"image ({100 * off:+.0f} %); check position_mm, long_axis and the segmentation"
-            )
+    out += bone_warnings(checks.skin_bone_mm, measured)
     if checks.to_cut_mm is not None and checks.to_cut_mm < _CLOSE_TO_CUT * margin:
         out.append(
             f"the images end {checks.to_cut_mm:.0f} mm beyond the probe, not the {margin:g} mm asked for; "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from limbcli.case import Case, Site
 from limbcli.results import StageResult, StageWriter
 from limbcli.stages.provenance.asked import Asked
-from limbcli.stages.provenance.chain_inputs import MEASURED_SKIN_BONE, note_case
+from limbcli.stages.provenance.chain_inputs import note_case
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class MeshInputs:
     def note(self, writer: StageWriter, site: Site) -> None:
         """Record it for one site."""
         of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.asked]
-        own = ["long_axis", "layers", MEASURED_SKIN_BONE] + (["place"] if "place" not in self.asked else [])
+        own = ["long_axis", "layers"] + (["place"] if "place" not in self.asked else [])
         note_case(writer, self.case, ["probe", *of_model], site=site, own=own)
         surfaces = [name for name, path in self.segmented.files.items() if path.endswith(".ply")]
         seen = [f"layers/{site.name}"] if site.name in self.layered else []
