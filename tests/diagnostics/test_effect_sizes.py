@@ -126,10 +126,10 @@ def test_what_is_told_holds_the_first_order_and_the_refit_with_its_own_c():
 def test_sizes_are_as_wide_as_the_data_scatter(times):
     """Where they scatter more than their stated noise, sizes that are 0 are still inside at their rate."""
     rng, inside = np.random.default_rng(5), []
-    for seed in range(30):
+    for seed in range(16):
         found = diagnose(toy.make(rng, sd=times), seed=seed, n_draws=300, propose=False, max_effects=1)
         assert found.relative is (times > 1.0)
         for name in ("offset", "bias", "hump", "wave"):
             low, high = found.sizes[name][name]
             inside.append(low <= 0.0 <= high)
-    assert 0.9 <= np.mean(inside) <= 0.995  # 0.95, three deviations of 120
+    assert np.mean(inside) >= 0.87  # 0.95 less three deviations of 64; unscaled 0.46
