@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import subprocess
 import sys
 import time
@@ -78,3 +79,14 @@ def test_one_that_was_killed_leaves_nobody_at_work():
             return
         time.sleep(0.1)
     assert not Path(f"/proc/{child}").exists()
+
+
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
+def test_as_a_program_it_compiles_in_processes_that_find_it(monkeypatch):
+    """`python -m` names a module otherwise than an import does."""
+    begun: list[tuple[str, ...]] = []
+    monkeypatch.setattr(ahead, "start", lambda *words: begun.append(words))
+    monkeypatch.setattr("limbcli.solvers.reference.kernels_are_there", lambda: False)
+    monkeypatch.setattr(sys, "argv", ["kernels"])
+    runpy.run_module("limbcli.stages.machine.kernels", run_name="__main__")
+    assert begun == [("limbcli.stages.machine.kernels", part) for part in PARTS]

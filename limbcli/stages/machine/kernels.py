@@ -18,6 +18,7 @@ from limbcli import ahead
 from limbcli.config import at_most
 from limbcli.errors import LimbError
 
+_MODULE = "limbcli.stages.machine.kernels"  # also where it is called as a program, and named otherwise
 _FINE = 7  # cells along an edge of the self test's block: enough equations for single precision
 
 
@@ -34,7 +35,7 @@ def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> No
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if at_most(cores) > 1 and not ahead.at_work() and not kernels_are_there():
         for part in PARTS:
-            ahead.start(__name__, part)
+            ahead.start(_MODULE, part)
 
 
 def equations() -> None:
@@ -79,7 +80,7 @@ def compile_all() -> None:
     if kernels_are_there():
         return
     for part in PARTS:
-        ahead.start(__name__, part)
+        ahead.start(_MODULE, part)
     ahead.wait()
 
 
