@@ -9,7 +9,7 @@ from pathlib import Path
 
 from limbcli.errors import ToolError
 
-_PACKAGE = Path(__file__).resolve().parent
+PACKAGE = Path(__file__).resolve().parent
 THREADS = "LIMBCLI_THREADS"  # in the environment: the most threads of one simulation
 
 
@@ -32,12 +32,12 @@ def templates_folder(override: Path | None = None) -> Path:
                 fix="name a folder that holds feb/*.j2, or leave the option out",
             )
         return override
-    for folder in (_PACKAGE.parent / "templates", _PACKAGE / "_templates"):
+    for folder in (PACKAGE.parent / "templates", PACKAGE / "_templates"):
         if (folder / "feb").is_dir():
             return folder
     raise ToolError(
         "limbcli's templates are missing from this installation",
-        where=str(_PACKAGE),
+        where=str(PACKAGE),
         fix="install limbcli again: pip install --force-reinstall limbcli",
     )
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import limbcli
 from limbcli.results import open_stage, stage_folder
+from limbcli.stages.provenance import freshness
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
 
 
@@ -68,7 +68,8 @@ def test_key_follows_the_content_of_files(tmp_path: Path):
 
 
 def test_the_whole_package_counts_as_its_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(limbcli, "__file__", str(tmp_path / "__init__.py"))
+    assert Path(freshness.__file__).parents[2] == freshness.PACKAGE
+    monkeypatch.setattr(freshness, "PACKAGE", tmp_path)
     law = tmp_path / "materials" / "ogden.py"
     law.parent.mkdir()
     law.write_text("x = 1")

@@ -14,8 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import limbcli
-from limbcli.config import templates_folder
+from limbcli.config import PACKAGE, templates_folder
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file, sha256
 from limbcli.results import read_result, stage_folder
@@ -27,9 +26,8 @@ _ABSENT = "absent"  # in a key, of a file that `measure` has yet to write
 @cache
 def code_hash() -> str:
     """Hash of the sources and tables of the whole package, and of its templates (hex)."""
-    package = Path(limbcli.__file__).resolve().parent
     digest = hashlib.sha256()
-    for root, pattern in ((package, "*.py"), (package, "*.csv"), (templates_folder(), "*.j2")):
+    for root, pattern in ((PACKAGE, "*.py"), (PACKAGE, "*.csv"), (templates_folder(), "*.j2")):
         for path in sorted(root.rglob(pattern)):
             digest.update(str(path.relative_to(root)).encode())
             digest.update(path.read_bytes())

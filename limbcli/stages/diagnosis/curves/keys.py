@@ -15,7 +15,6 @@ from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
 
 _READING = 3  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
-USUAL_DENSITY_KG_PER_M3 = 1000.0
 READING_OF_FIELDS = 2  # the same of those with an effect that is a factor on stiffnesses
 
 
@@ -44,16 +43,14 @@ def changed_to(*models: LimbModel) -> str:
 def fingerprint(
     model: LimbModel, depths: Sequence[float], c: float, f_kappa: float, windows: Windows,
     *, enough_force: float | None = None, lines: Array | None = None,
-    density_kg_per_m3: float = USUAL_DENSITY_KG_PER_M3,
+    density_kg_per_m3: float = 1000.0,
 ) -> str:  # fmt: skip
-    """What is solved, before effects: mesh, contact, depths, tissue, the window that is read and how, the
-    end, and lines."""
+    """What is solved, before effects: mesh, contact, depths, tissue and its density, the window that is read
+    and how, the end, and lines."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]
     asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
-    asked += [] if lines is None else [plain(lines)]
-    # what was kept before the density was looked at is of the usual one
-    asked += [] if density_kg_per_m3 == USUAL_DENSITY_KG_PER_M3 else [{"density": density_kg_per_m3}]
-    digest.update(json.dumps(asked).encode())
+    asked += [density_kg_per_m3]
+    digest.update(json.dumps(asked if lines is None else [*asked, plain(lines)]).encode())
     return digest.hexdigest()[:16]

@@ -136,17 +136,12 @@ def _contrast(log_speed: Array) -> Array:
 def _error_of_contrast(site: SiteCurves) -> Array:
     """Covariance of `_contrast` by the model's error in maps."""
     protocol, middles = site.site.protocol, site.book.windows.middles
-    strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / _thickness(site)
+    thickness = site.thickness if site.has_bone else USUAL_THICKNESS
+    strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
     level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))
     of_parts = maps_model_error(middles, part, strain[level], level)
     less_mean = np.kron(np.eye(len(protocol)), np.eye(len(middles)) - 1.0 / len(middles))
     return np.asarray(less_mean @ of_parts @ less_mean.T)
-
-
-def _thickness(site: SiteCurves) -> float:
-    """mm of tissue under the probe, as far as it is known."""
-    found = [curves.thickness for curves in site.nodes.values() if curves.thickness > 0]
-    return found[0] if found else USUAL_THICKNESS
 
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:

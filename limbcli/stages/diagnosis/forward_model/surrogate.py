@@ -132,9 +132,14 @@ class SiteCurves:
         return True
 
     @property
+    def thickness(self) -> float:
+        """mm from skin to bone along the beam; NaN where it meets none in the model."""
+        return next((each.thickness for each in self.nodes.values() if each.thickness > 0), float("nan"))
+
+    @property
     def has_bone(self) -> bool:
         """Whether the beam meets bone in the model."""
-        return any(each.thickness > 0 for each in self.nodes.values())
+        return self.thickness > 0
 
     def predict(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
