@@ -1,7 +1,8 @@
 """A region of other stiffness: a scar, fibrosis.
 
-c(X) = c exp(a) in a ball at any place in the image plane, of any radius, with an edge of 1 mm; what it does
-out of the plane is taken for what a ball does whose middle lies in it.
+c(X) = c exp(a) in a ball at any place in the image plane, of any radius, with an edge that is sharp or goes
+over some millimetres; what it does out of the plane is taken for what a ball does whose middle lies in it.
+A ball that is fitted with a sharper edge than the map's comes out larger and less unlike the rest.
 FEBio: element maps of c1, c2, cp.
 Tell-tale: seen in the map at rest, at the same place at every load; the force moves little.
 Source: Bramley et al. 2021, Ann Biomed Eng 49:3176 (residual-limb tissue is patchy);
@@ -19,18 +20,21 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
-X, DEPTH, RADIUS = "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm"
-EDGE_MM = 0.5
-_FAR = 20.0  # edges outside the ball, from where 2e-9 of it are left
+X, DEPTH, RADIUS, EDGE = (
+    "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm", "inclusion_edge_mm",
+)  # fmt: skip
+_LOGISTIC = 2.0 * np.log(9.0)  # of its scale, from 10 to 90 % of a logistic's rise
+_FAR = 20.0  # scales outside the ball, from where 2e-9 of it are left
 CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=3.0, typical=1.0,
                      prior="scars 2 to 10 times as stiff")  # fmt: skip
 SHAPE = (
     Parameter.of_shape(X, 0.0, -26.0, 26.0, "under the probe"),
     Parameter.of_shape(DEPTH, 12.0, 2.0, 40.0, "below the skin under the probe's centre"),
     Parameter.of_shape(RADIUS, 7.0, 3.0, 16.0, "scars and their beds: 5 to 15 mm", extent=True),
+    Parameter.of_shape(EDGE, 3.0, 1.0, 8.0, "from 10 to 90 % of the change; scars fade out"),
 )
 _PLACES = tuple(
-    {X: float(x), DEPTH: float(depth), RADIUS: 7.0}
+    {X: float(x), DEPTH: float(depth), RADIUS: 7.0, EDGE: 3.0}
     for depth, x in itertools.product((7, 13, 19, 26), (0, -8, 8, -16, 16))
 )
 
@@ -38,19 +42,21 @@ _PLACES = tuple(
 def stiffness(places: Places, theta: Theta) -> Array:
     middle = np.array([theta.get(X, 0.0), 0.0, -theta.get(DEPTH, 12.0)])
     rise = float(np.expm1(theta[CONTRAST.name]))
-    return np.asarray(_ball(places.rows, middle, theta.get(RADIUS, 7.0), rise).reshape(places.at.shape[:-1]))
+    scale = theta.get(EDGE, 3.0) / _LOGISTIC
+    ball = _ball(places.rows, middle, theta.get(RADIUS, 7.0), scale, rise)
+    return np.asarray(ball.reshape(places.at.shape[:-1]))
 
 
 @njit(cache=True, nogil=True)
-def _ball(at, middle, radius, rise):  # type: ignore[no-untyped-def]
-    """1 (n,) at places (n, 3) outside a ball, 1 + rise within, smooth over its edge."""
+def _ball(at, middle, radius, scale, rise):  # type: ignore[no-untyped-def]
+    """1 (n,) at places (n, 3) outside a ball, 1 + rise within; its edge is a logistic of this scale (mm)."""
     out = np.ones(len(at))
-    last = (radius + _FAR * EDGE_MM) ** 2
+    last = (radius + _FAR * scale) ** 2
     for i in range(len(at)):
         x, y, z = at[i, 0] - middle[0], at[i, 1] - middle[1], at[i, 2] - middle[2]
         squared = x * x + y * y + z * z
         if squared < last:
-            out[i] += rise / (1.0 + np.exp((np.sqrt(squared) - radius) / EDGE_MM))
+            out[i] += rise / (1.0 + np.exp((np.sqrt(squared) - radius) / scale))
     return out
 
 
