@@ -36,7 +36,7 @@ from limbcli.stages.cohorts.result import (
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
-FEWEST_ROWS = 5  # of a site, for a population
+FEWEST_PEOPLE = 5  # of a site, for a population
 FEWEST_DRAWS = 30  # effective ones behind an interval that can be relied on
 _MUCH_MISSED = 0.05  # of the force, by the emulator
 
@@ -74,20 +74,21 @@ def cohort(
 
 
 def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
-    """Without sites of so few rows that they have no population."""
-    counts = {site: int((table.site == site).sum()) for site in table.sites}
-    few = [site for site, n in counts.items() if n < FEWEST_ROWS]
+    """Without sites of so few people that they are no population, however often each was measured."""
+    counts = {site: len(set(table.person[table.site == site].tolist())) for site in table.sites}
+    few = [site for site, n in counts.items() if n < FEWEST_PEOPLE]
     if len(few) == len(counts):
         raise MeasurementError(
-            f"no site has {FEWEST_ROWS} complete rows ({', '.join(f'{k}: {n}' for k, n in counts.items())})",
+            f"no site has complete rows of {FEWEST_PEOPLE} people "
+            f"({', '.join(f'{k}: {n}' for k, n in counts.items())})",
             where=str(table.path),
-            fix="a population needs people: bring more rows, or `limbcli fit` one case",
+            fix="a population needs people: bring rows of more, or `limbcli fit` one case",
         )
     if not few:
         return table, []
     keep = ~np.isin(table.site.astype(str), few)
     return table.rows(keep), [
-        f"{', '.join(few)}: fewer than {FEWEST_ROWS} complete rows, left out of everything"
+        f"{', '.join(few)}: complete rows of fewer than {FEWEST_PEOPLE} people, left out of everything"
     ]
 
 
