@@ -27,6 +27,8 @@ from limbcli.version import __version__
 
 FORMAT = 1
 CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
+ERROR_FILE = "error.json"  # what a batch leaves of a stage that failed
+_MARKS = {"segment": ("labels.nii.gz",)}
 _PICTURES = (".png", ".svg", ".html")
 
 
@@ -88,6 +90,11 @@ def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:
 def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) -> Iterator[StageWriter]:
     """Fill a stage's folder; it takes its place, whole, when the block ends well.
 
+    Raises
+    ------
+    CaseError
+        If what lies there is none of ours: it would be lost.
+
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
     >>> with open_stage(out, "mesh", subject="S1", site="p1") as writer:
@@ -97,10 +104,35 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     12
     """
     target = stage_folder(out, stage, site)
+    if is_foreign(target, stage):
+        raise CaseError(
+            f"what lies where `{stage}` leaves its result is none of limbcli's, and would be replaced",
+            where=str(target),
+            fix="move it away, or name another --out",
+        )
     with atomic_folder(target) as work:
         writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
         yield writer
         writer.result = writer.finish()
+
+
+def is_foreign(folder: Path, stage: str) -> bool:
+    """Whether there is something in a stage's place that limbcli did not leave: a file, or a folder without
+    its result, its failure, or the label map that `segment` leaves to be edited.
+
+    >>> import tempfile
+    >>> out = Path(tempfile.mkdtemp())
+    >>> is_foreign(out / "report", "report")
+    False
+    >>> (out / "report").mkdir()
+    >>> _ = (out / "report" / "thesis.txt").write_text("mine")
+    >>> is_foreign(out / "report", "report")
+    True
+    """
+    if not folder.is_dir():
+        return folder.exists()
+    ours = (f"{stage}.json", ERROR_FILE, *_MARKS.get(stage, ()))
+    return any(folder.iterdir()) and not any((folder / each).exists() for each in ours)
 
 
 class StageWriter:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from limbcli.errors import CaseError
-from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
@@ -23,7 +23,6 @@ _COMMANDS = {
     "fit-elements": "fit {case} --compare-element",
     "mesh-study": "mesh {case} --study",
 }
-ERROR_FILE = "error.json"
 
 Status = Literal["done", "failed", "missing"]
 

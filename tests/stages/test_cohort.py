@@ -10,12 +10,12 @@ import pytest
 from scipy.stats import norm
 
 from limbcli.cli.app import main
-from limbcli.errors import MeasurementError
+from limbcli.errors import CaseError, MeasurementError
 from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.measurement.cohort_checks import checked_cohort
-from limbcli.stages.cohort import cohort
+from limbcli.stages.cohort import _refuse_foreign, cohort
 from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
 from limbcli.stages.cohorts.result import holm, natural, person_scores
@@ -136,6 +136,25 @@ def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
     assert "the layers add up to" in told
     assert "limbcli check" not in told, "there is no case"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("own", ["rows.csv", "pictures/holiday.png", "pictures", "cohort.json"])
+def test_files_of_ones_own_are_not_replaced(tmp_path, own):
+    rows, _ = people(5, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(9))
+    path = tmp_path / own
+    path.parent.mkdir(exist_ok=True)
+    table = written(path, rows)
+    before = path.read_bytes()
+    if own == "pictures/holiday.png":
+        table = written(tmp_path / "people.csv", rows)
+    with pytest.raises(CaseError, match="would be replaced"):
+        cohort(table, out=tmp_path)
+    assert path.read_bytes() == before
+
+
+def test_what_a_cohort_left_may_be_replaced(twelve):
+    _, out, _ = twelve
+    _refuse_foreign(out, out.parent / "people.csv")
 
 
 def solves(mesh: str):

@@ -18,6 +18,7 @@ from limbcli.errors import CaseError
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
+from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
@@ -643,3 +644,21 @@ def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
     assert "--objective joint" in page.text
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_a_users_own_report_is_not_replaced(tmp_path, kind):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    own = out / "report" / "thesis.txt" if kind == "folder" else out / "report"
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    for _ in range(2):
+        with pytest.raises(CaseError, match="none of limbcli's") as caught:
+            report(case, out=out)
+        assert caught.value.where == str(out / "report")
+        keep_error(out, "report", None, caught.value)  # as a batch does
+    assert own.read_text() == "mine"
+    (out / "report").rename(out / "my-report")
+    assert report(case, out=out).path("page").is_file()
+    keep_error(out, "report", None, caught.value)
+    assert report(case, out=out).path("page").is_file(), "a failure of ours is replaced"

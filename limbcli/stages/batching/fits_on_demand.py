@@ -15,7 +15,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.fitting.options import FitOptions
 from limbcli.stages.provenance.asked import options_of
 from limbcli.stages.provenance.chain import Chain
@@ -74,7 +74,7 @@ def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
 def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
     """Whether a site's fit is of today's model and measurement, this version and this solver."""
     found = _there(out, "fit", site)
-    if found is None or (stage_folder(out, "fit", site) / "error.json").exists():
+    if found is None or (stage_folder(out, "fit", site) / ERROR_FILE).exists():
         return False
     same_solver = solver in ("auto", found.data.get("solver"))
     same_version = found.provenance.get("limbcli") == __version__

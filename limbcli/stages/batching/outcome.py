@@ -9,9 +9,8 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.files import atomic_file
-from limbcli.results import plain, stage_folder
+from limbcli.results import ERROR_FILE, is_foreign, plain, stage_folder
 
-ERROR_FILE = "error.json"
 _KEPT = ("segment",)  # whose result tells whether the label map beside it was edited by hand since
 
 
@@ -98,10 +97,12 @@ def keep_error(
         `segment` always does)
     """
     folder = stage_folder(out, stage, site)
-    if not keep_result and stage not in _KEPT:
-        (folder / f"{stage}.json").unlink(missing_ok=True)
+    if is_foreign(folder, stage):
+        return  # a mark of ours would make it ours
     with atomic_file(folder / ERROR_FILE) as path:
         path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
+    if not keep_result and stage not in _KEPT:
+        (folder / f"{stage}.json").unlink(missing_ok=True)
 
 
 def error_json(error: LimbError) -> dict[str, Any]:
