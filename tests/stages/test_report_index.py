@@ -85,6 +85,17 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
 
+def test_another_subjects_fit_is_not_in_the_table(tmp_path):
+    add_subject(tmp_path, "A")
+    path = tmp_path / "A" / "fit" / "p1" / "fit.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"subject": "B"}))
+    result = report_index(tmp_path)
+    assert [(row.word, row.state, row.view) for row in result.rows] == [
+        ("not fitted", "the fit is of B", None)
+    ]
+    assert "10.1" not in result.page.read_text(encoding="utf-8")
+
+
 def test_a_subject_without_a_report_shows_its_failure(tmp_path):
     folder = tmp_path / "S9" / "segment"
     folder.mkdir(parents=True)

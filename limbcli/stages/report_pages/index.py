@@ -119,11 +119,15 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         shown = tuple(_failure(each) for each in failures)
         return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, shown, assumed)
     try:
-        view = read_fit_view(read_result(out, "fit", site=site))
+        fitted = read_result(out, "fit", site=site)
     except CaseError:
         return IndexRow(
             name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
         )
+    if fitted.subject != report.subject:  # as on the page
+        state = f"the fit is of {fitted.subject}"
+        return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
+    view = read_fit_view(fitted)
     return IndexRow(
         name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
         assumed=assumed,
