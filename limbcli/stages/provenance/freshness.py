@@ -77,9 +77,12 @@ class Memory:
         return remembered == [key, sha256(folder)]
 
     def made_since(self, stage: str, site: str | None) -> bool:
-        """Whether the stage's result is not the one that was remembered: made, or made again, by hand."""
-        remembered = self._done.get(_name(stage, site))
-        return remembered is None or remembered[1] != sha256(stage_folder(self._out, stage, site))
+        """Whether the stage's result is not the one that was remembered: made, or made again, by hand.
+
+        One that was removed was not made since.
+        """
+        remembered, folder = self._done.get(_name(stage, site)), stage_folder(self._out, stage, site)
+        return remembered is None or (folder.exists() and remembered[1] != sha256(folder))
 
     def remember(self, stage: str, site: str | None, key: str) -> None:
         folder = stage_folder(self._out, stage, site)
