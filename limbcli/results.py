@@ -28,7 +28,6 @@ from limbcli.version import __version__
 FORMAT = 1
 CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
 ERROR_FILE = "error.json"  # what a batch leaves of a stage that failed
-_MARKS = {"segment": ("labels.nii.gz",)}
 _PICTURES = (".png", ".svg", ".html")
 
 
@@ -93,7 +92,7 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     Raises
     ------
     CaseError
-        If what lies there is none of ours: it would be lost.
+        If what lies there is none of ours: it would be lost (`foreign` is among its facts).
 
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
@@ -104,35 +103,26 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     12
     """
     target = stage_folder(out, stage, site)
-    if is_foreign(target, stage):
-        raise CaseError(
-            f"what lies where `{stage}` leaves its result is none of limbcli's, and would be replaced",
-            where=str(target),
-            fix="move it away, or name another --out",
-        )
     with atomic_folder(target) as work:
         writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
         yield writer
         writer.result = writer.finish()
+        _refuse_foreign(target, work, stage)
 
 
-def is_foreign(folder: Path, stage: str) -> bool:
-    """Whether there is something in a stage's place that limbcli did not leave: a file, or a folder without
-    its result, its failure, or the label map that `segment` leaves to be edited.
-
-    >>> import tempfile
-    >>> out = Path(tempfile.mkdtemp())
-    >>> is_foreign(out / "report", "report")
-    False
-    >>> (out / "report").mkdir()
-    >>> _ = (out / "report" / "thesis.txt").write_text("mine")
-    >>> is_foreign(out / "report", "report")
-    True
-    """
-    if not folder.is_dir():
-        return folder.exists()
-    ours = (f"{stage}.json", ERROR_FILE, *_MARKS.get(stage, ()))
-    return any(folder.iterdir()) and not any((folder / each).exists() for each in ours)
+def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
+    """A file, or a folder that has nothing in common with what is to take its place, is a user's own."""
+    if target.is_dir():
+        there = {each.name for each in target.iterdir()}
+        if not there or there & {ERROR_FILE, *(each.name for each in work.iterdir())}:
+            return
+    if target.exists():
+        raise CaseError(
+            f"what lies where `{stage}` leaves its result is none of limbcli's, and would be replaced",
+            where=str(target),
+            fix="move it away, or name another --out",
+            foreign=str(target),
+        )
 
 
 class StageWriter:

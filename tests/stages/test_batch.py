@@ -158,11 +158,12 @@ def test_a_place_that_cannot_be_told_leaves_the_other_sites_their_fits_and_diagn
     assert outcome.report is not None
 
 
-@pytest.mark.parametrize("stage", ["segment", "mesh", "fit", "report"])
-def test_results_that_were_removed_are_made_again(tmp_path: Path, calls: list[str], stage: str):
+@pytest.mark.parametrize("gone", ["segment", "mesh", "fit", "report", "mesh/p1/mesh.json", "fit/p1/a.txt"])
+def test_results_that_were_removed_are_made_again(tmp_path: Path, calls: list[str], gone: str):
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
     batch(case, out=out)
-    shutil.rmtree(out / stage)
+    path, stage = out / gone, gone.partition("/")[0]
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
     outcome = batch(case, out=out)
     assert not outcome.failures
     assert any(each.startswith(stage) for each in outcome.ran)

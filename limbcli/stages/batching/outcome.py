@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.files import atomic_file
-from limbcli.results import ERROR_FILE, is_foreign, plain, stage_folder
+from limbcli.results import ERROR_FILE, plain, stage_folder
 
 _KEPT = ("segment",)  # whose result tells whether the label map beside it was edited by hand since
 
@@ -97,8 +97,8 @@ def keep_error(
         `segment` always does)
     """
     folder = stage_folder(out, stage, site)
-    if is_foreign(folder, stage):
-        return  # a mark of ours would make it ours
+    if error.facts.get("foreign") == str(folder):
+        return  # a file of ours in a user's folder would make it ours
     with atomic_file(folder / ERROR_FILE) as path:
         path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
     if not keep_result and stage not in _KEPT:

@@ -31,7 +31,8 @@ class CommandStep:
     @staticmethod
     def of(result: StageResult) -> CommandStep:
         """As it was made; a joint fit with the same law and of the same sites."""
-        asked = dict(result.data.get("asked") or {})
+        given = result.data.get("asked")
+        asked = dict(given) if isinstance(given, Mapping) else {}
         if result.stage != "fit-joint":
             return CommandStep(result.stage, result.site, asked)
         law = {"law": result.data["law"]} if "law" in result.data else {}
