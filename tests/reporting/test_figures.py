@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from limbcli.measurement.elastography import SweMap
@@ -97,6 +99,19 @@ def test_a_falling_speed_is_written_with_a_minus():
 
 def test_an_undefined_r2_is_said_in_words():
     assert "R² undefined" in line_words(Line(0.0, 2.0, None, None, 3), "N")
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])
+def test_labels_of_a_profile_do_not_touch(low, high):
+    values = np.geomspace(low, high, 20)
+    curves = [ProfileCurve(name, values, np.linspace(0, 5, 20), low) for name in ("f_kappa", "m")]
+    figure = profile_figure(curves)
+    FigureCanvasAgg(figure).draw()
+    for axes in figure.axes:
+        boxes = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_text()]
+        inside = [each for each in boxes if axes.bbox.x0 <= (each.x0 + each.x1) / 2 <= axes.bbox.x1]
+        assert len(inside) >= 2
+        assert all(one.x1 < other.x0 for one, other in pairwise(inside))
 
 
 def test_profile_is_shaded_to_where_it_crosses_the_limit():
