@@ -11,8 +11,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from limbcli.drawing import figure_data
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.reporting.figures.cohort import compliance
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
@@ -128,3 +130,16 @@ def test_profile_is_shaded_to_where_it_crosses_the_limit():
         (shade,) = axes.patches
         low, high = shade.get_x(), shade.get_x() + shade.get_width()
         assert (low, high) == pytest.approx(ends, abs=0.02)
+
+
+def test_sites_of_a_cohort_are_labelled_as_they_are_named():
+    sites = [r"x$\q$", "_left", "cost $1$"]
+    rows = [
+        {"location": each, "measured_mm_per_mpa": 10.0 + k, "predicted_mm_per_mpa": 11.0}
+        for k, each in enumerate(sites)
+    ]
+    figure = compliance(rows)
+    FigureCanvasAgg(figure).draw()
+    shown = [each.get_text() for each in figure.axes[0].get_legend().get_texts()]
+    assert [each.strip().replace(r"\$", "$") for each in shown[1:]] == sorted(sites)
+    assert set(sites) <= {row[4] for row in figure_data(figure)}

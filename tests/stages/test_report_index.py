@@ -85,6 +85,13 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
 
+def test_folders_with_dollars_in_their_names_are_drawn_as_they_are_named(tmp_path):
+    for name in (r"a$\q$", "cost $1$"):
+        add_subject(tmp_path, name)
+    report_index(tmp_path)
+    assert "cost $1$" in (tmp_path / "index.html").read_text(encoding="utf-8")
+
+
 def test_another_subjects_fit_is_not_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
