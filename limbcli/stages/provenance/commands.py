@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from limbcli.pasting import typed
 from limbcli.results import StageResult
 from limbcli.stages.provenance.asked import in_words
 
@@ -48,7 +49,7 @@ class CommandStep:
         command, *words = _WORDS.get(self.stage, (self.stage,))
         sites = [word for each in (self.site, *self.sites) if each for word in ("--site", each)]
         asked = in_words({key: value for key, value in self.asked.items() if value is not None})
-        said = shlex.join(["limbcli", command, str(case), *words, *sites, "--out", str(out)])
+        said = f"limbcli {command} {typed(case)} {shlex.join([*words, *sites, '--out'])} {typed(out)}"
         return f"{said} {asked}" if asked else said
 
 
