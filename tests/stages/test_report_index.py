@@ -92,6 +92,20 @@ def test_folders_with_dollars_in_their_names_are_drawn_as_they_are_named(tmp_pat
     assert "cost $1$" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("damaged", [{"sites": None}, {"failures": [3]}, {"failures": [{"site": None}]}])
+def test_a_damaged_report_is_a_row_and_stops_no_other(tmp_path, damaged):
+    add_subject(tmp_path, "A")
+    add_subject(tmp_path, "B")
+    path = tmp_path / "B" / "report" / "report.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"data": content["data"] | damaged}))
+    (tmp_path / "B" / "mesh" / "p1").mkdir(parents=True)
+    (tmp_path / "B" / "mesh" / "p1" / "error.json").write_text('{"what": 3}')
+    rows = report_index(tmp_path).rows
+    assert [(row.subject, row.mood) for row in rows] == [("A", "fine"), ("B", "failed")]
+    assert "its results cannot be read" in rows[1].state
+
+
 def test_another_subjects_fit_is_not_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
