@@ -16,6 +16,7 @@ from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.stages.cohort import _refuse_foreign, cohort
+from limbcli.stages.cohorts.compliance import _person_share
 from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
 from limbcli.stages.cohorts.result import holm, natural, person_scores
@@ -106,6 +107,25 @@ def test_trials_of_the_same_people_do_not_narrow_the_population(tmp_path):
         (site,) = estimate_sites(table, layered_family(), noise_of(table))
         errors.append(site.population.mean_error)
     assert errors[1][0] > 0.7 * errors[0][0]  # as independent rows it would be 0.58 of it
+
+
+@pytest.mark.parametrize("n_trials", [1, 3])
+def test_what_a_persons_sites_have_in_common_is_not_what_its_trials_have(tmp_path, n_trials):
+    rng = np.random.default_rng(7)
+    rows, _ = people(60, mean=MEAN, spread=SPREAD, rng=rng)
+    own = {row["subject"]: rng.standard_normal() for row in rows}
+    several = [
+        {**row, "location": site, "trial": str(k)}
+        for site in ("LL_A", "LL_P") for row in rows for k in range(n_trials)
+    ]  # fmt: skip
+    table, _ = checked_cohort(written(tmp_path / "t.csv", several))
+    of_site = {key: rng.standard_normal() for key in zip(table.person, table.site, strict=True)}
+    common = np.array([own[each] for each in table.person])
+    apart = np.array([of_site[key] for key in zip(table.person, table.site, strict=True)])
+    # Sixty pairs tell a correlation of 0.5 to 0.1.
+    assert _person_share(table, common + apart) == pytest.approx(0.5, abs=0.3)
+    assert _person_share(table, apart) == pytest.approx(0.0, abs=0.4)
+    assert _person_share(table.rows(table.site == "LL_A"), apart[table.site == "LL_A"]) is None
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.5])
