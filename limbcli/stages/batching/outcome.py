@@ -99,10 +99,12 @@ def keep_error(
     folder = stage_folder(out, stage, site)
     if error.facts.get("foreign") == str(folder):
         return  # a file of ours in a user's folder would make it ours
-    with atomic_file(folder / ERROR_FILE) as path:
-        path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
-    if not keep_result and stage not in _KEPT:
-        (folder / f"{stage}.json").unlink(missing_ok=True)
+    try:
+        with atomic_file(folder / ERROR_FILE) as path:
+            path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
+    finally:  # also where the disk is full
+        if not keep_result and stage not in _KEPT:
+            (folder / f"{stage}.json").unlink(missing_ok=True)
 
 
 def error_json(error: LimbError) -> dict[str, Any]:
