@@ -127,7 +127,9 @@ def _plain(array: Any) -> Array:
 
 def _name(artist: Any, k: int) -> str:
     label = str(artist.get_label())
-    return label if label and not label.startswith("_") else f"{k + 1}"
+    if not label or label.startswith("_"):
+        return f"{k + 1}"
+    return label.replace(r"\$", "$").strip()
 
 
 def _cell(value: object) -> object:

@@ -20,6 +20,16 @@ _PASSING = re.compile(
 )
 
 
+def typed(path: Path | str) -> str:
+    """A path as a word of a command: one that begins with a dash is no option.
+
+    >>> typed(Path("my case")), typed("-left")
+    ("'my case'", './-left')
+    """
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
+
+
 def pasted(error: AnyError, case: Path | None, out: Path | None = None) -> AnyError:
     """The same error with the case's path in every command, and without paths of folders that were removed.
 
@@ -57,10 +67,10 @@ def _problem(content: object, case: Path | None, out: Path | None) -> object:
 def _command(found: re.Match[str], case: Path, out: Path | None) -> str:
     name, rest = found[1], found["rest"].rstrip()
     tail = found["rest"][len(rest) :]
-    words = f"limbcli {name} {shlex.quote(str(case))}{rest}"
+    words = f"limbcli {name} {typed(case)}{rest}"
     is_whole = not rest or all(each.startswith("-") for each in rest.split()[::2])
     if out is not None and name not in WITHOUT_OUT and "--out" not in rest and is_whole:
-        words += f" --out {shlex.quote(str(out))}"
+        words += f" --out {typed(out)}"
     return words + tail
 
 

@@ -27,6 +27,7 @@ from limbcli.version import __version__
 
 FORMAT = 1
 CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
+ERROR_FILE = "error.json"  # what a batch leaves of a stage that failed
 _PICTURES = (".png", ".svg", ".html")
 
 
@@ -88,6 +89,11 @@ def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:
 def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) -> Iterator[StageWriter]:
     """Fill a stage's folder; it takes its place, whole, when the block ends well.
 
+    Raises
+    ------
+    CaseError
+        If what lies there is none of ours: it would be lost (`foreign` is among its facts).
+
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
     >>> with open_stage(out, "mesh", subject="S1", site="p1") as writer:
@@ -101,6 +107,22 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
         writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
         yield writer
         writer.result = writer.finish()
+        _refuse_foreign(target, work, stage)
+
+
+def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
+    """A file, or a folder that has nothing in common with what is to take its place, is a user's own."""
+    if target.is_dir():
+        there = {each.name for each in target.iterdir()}
+        if not there or there & {ERROR_FILE, *(each.name for each in work.iterdir())}:
+            return
+    if target.exists():
+        raise CaseError(
+            f"what lies where `{stage}` leaves its result is none of limbcli's, and would be replaced",
+            where=str(target),
+            fix="move it away, or name another --out",
+            foreign=str(target),
+        )
 
 
 class StageWriter:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 
-from limbcli.pasting import AnyError, pasted
+from limbcli.pasting import AnyError, pasted, typed
 
 Options = Mapping[str, Set[str]]
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
@@ -25,14 +24,16 @@ def for_command_line(error: AnyError, arguments: Sequence[str], options: Options
     strangers = list(dict.fromkeys(_strangers(shown.fix, options.get(name, set()), options)))
     if not strangers:
         return shown
-    place = shlex.quote(str(case)) if case else "CASE"
+    place = typed(case) if case else "CASE"
     said = [f"{each} is an option of `limbcli {owner_of(each, options)} {place}`" for each in strangers]
     return type(shown)(shown.what, where=shown.where, fix=f"{shown.fix} ({'; '.join(said)})", **shown.facts)
 
 
 def case_of(arguments: Sequence[str]) -> Path | None:
     """The case folder among the arguments; None where there is none, or several."""
-    named = [Path(each) for each in arguments[1:] if not each.startswith("-")]
+    words = list(arguments[1:])
+    end = words.index("--") if "--" in words else len(words)
+    named = [Path(each) for k, each in enumerate(words) if k > end or not each.startswith("-")]
     cases = [each for each in named if (each / "case.toml").is_file()]
     return cases[0] if len(cases) == 1 else None
 

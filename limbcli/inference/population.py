@@ -9,8 +9,13 @@ expectation-maximisation: first with Laplace's approximation of every row's dist
 importance sampling from a wider t distribution round it, which is right where the row's distribution is not
 Gaussian. The effective number of draws says whether the sampling can be trusted.
 
+Standard errors come from the curvature of the likelihood with the prior: what complete rows would tell, less
+what is lost as their parameters are not seen. Rows of one person are not independent: where there are any,
+errors are no smaller than by the scatter of the people's own scores.
+
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
-sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model).
+sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226
+(the curvature); Liang and Zeger 1986, Biometrika 73:13 (rows that belong together).
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ _STILL = 1e-3
 _STEPS, _STEPS_BETWEEN = 40, 4  # of Newton's method: at the ends, and between two rounds
 _HALVINGS = 8
 _LARGEST_STEP = 1.0
+_LEAST_TOLD = 0.01  # rows' worth of information: less is the draws' graininess
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +93,13 @@ def estimate_population(
     *,
     start: Array,
     prior_deviation: Array,
+    people: Array | None = None,
     seed: int = 7,
 ) -> tuple[Population, Rows]:
     """Mean and spread of a population, and every row's own estimate.
 
     readings (n, q); noise (n, q, q), covariances; start (p,) a first mean; prior_deviation (p,) the deviation
-    that the weak prior on the spread expects.
+    that the weak prior on the spread expects; people (n,) whose each row is, None: each of somebody else.
     """
     problem = _Problem(readings, noise, _inverse(noise), model)
     prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
@@ -118,7 +125,9 @@ def estimate_population(
             break
     theta, covariance = modes(problem, mean, spread, theta)
     points, weights = _sampled(problem, mean, spread, theta, covariance, draws)
-    return _population(points, weights, mean, spread, rounds), _rows(
+    errors = _errors(points, weights, mean, spread, prior, people)
+    by_mean, by_deviation = np.split(errors, 2) * np.sqrt(np.diag(spread))
+    return Population(mean, spread, by_mean, by_deviation, rounds), _rows(
         problem, mean, spread, theta, points, weights
     )
 
@@ -224,22 +233,42 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
     return mean, np.einsum("dn,dni,dnj->nij", weights, apart, apart)
 
 
-def _population(points: Array, weights: Array, mean: Array, spread: Array, rounds: int) -> Population:
-    """Standard errors from the rows' scores, by Fisher's identity: each is its posterior mean of the score of
-    the complete data, and their squares add up to the information."""
-    precision = _inverse(spread)
+def _errors(
+    points: Array, weights: Array, mean: Array, spread: Array, prior: Array, people: Array | None
+) -> Array:
+    """Standard errors (2 p,) of means and of deviations, in deviations of the population; with the
+    correlations held."""
     deviation = np.sqrt(np.diag(spread))
-    apart = points - mean
-    by_mean = np.einsum("dn,dni->ni", weights, apart) @ precision
-    squared = np.einsum("dn,dni,dnj->nij", weights, apart, apart)
-    own = precision @ squared @ precision - precision
-    by_log_deviation = np.einsum("nij,ji->ni", own, spread)  # a common factor on each parameter's row
-    scores = np.concatenate([by_mean * deviation, by_log_deviation], axis=1)
-    scores = scores - scores.mean(axis=0)
-    information = scores.T @ scores + 1e-6 * np.eye(scores.shape[1])
-    errors = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
-    p = len(mean)
-    return Population(mean, spread, errors[:p] * deviation, errors[p:] * deviation, rounds)
+    apart, like = (points - mean) / deviation, spread / np.outer(deviation, deviation)
+    precision = _inverse(like)
+    pulled = apart @ precision
+    scores = np.concatenate([pulled, apart * pulled - 1.0], axis=2)  # of complete data, by draw and row
+    own = np.einsum("dn,dni->ni", weights, scores)
+    lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
+    complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
+    told, ways = np.linalg.eigh(complete - lost)
+    errors = (ways / np.maximum(told, _LEAST_TOLD)) @ ways.T
+    variance = np.diag(errors)
+    if people is not None and len(set(people.tolist())) < len(people):
+        _, number = np.unique(people.astype(str), return_inverse=True)
+        together = np.zeros((number.max() + 1, own.shape[1]))
+        np.add.at(together, number, own - own.mean(axis=0))
+        scatter = together.T @ together * len(together) / max(len(together) - 1, 1)
+        variance = np.maximum(variance, np.diag(errors @ scatter @ errors))
+    return np.asarray(np.sqrt(variance))
+
+
+def _complete_information(apart: Array, weights: Array, precision: Array, prior: Array) -> Array:
+    """(2 p, 2 p) of rows whose parameters were seen, and of the prior on the spread."""
+    p = len(precision)
+    summed = np.einsum("dn,dni->i", weights, apart)
+    squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + prior
+    out = np.empty((2 * p, 2 * p))
+    out[:p, :p] = apart.shape[1] * precision
+    out[:p, p:] = precision * summed + np.diag(precision @ summed)
+    out[p:, :p] = out[:p, p:].T
+    out[p:, p:] = squares * precision + np.diag(np.diag(precision @ squares))
+    return out
 
 
 def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array) -> Rows:

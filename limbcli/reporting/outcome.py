@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from limbcli.errors import CaseError
-from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.pasting import typed
+from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
@@ -23,7 +23,6 @@ _COMMANDS = {
     "fit-elements": "fit {case} --compare-element",
     "mesh-study": "mesh {case} --study",
 }
-ERROR_FILE = "error.json"
 
 Status = Literal["done", "failed", "missing"]
 
@@ -149,8 +148,8 @@ def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
 
 def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: str) -> Outcome:
     folder = stage_folder(out, stage, site)
-    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=shlex.quote(case_name))
-    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {shlex.quote(str(out))}"
+    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=typed(case_name))
+    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {typed(out)}"
     failure = _failure(folder / ERROR_FILE) or _failed_run(folder, stage)
     result = None
     if (folder / f"{stage}.json").is_file():

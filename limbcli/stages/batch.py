@@ -18,9 +18,9 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.files import sha256
 from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
-from limbcli.stages.batching.outcome import ERROR_FILE, BatchOptions, CaseOutcome, StepFailure, keep_error
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.asked import in_words

@@ -24,7 +24,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, plain, provenance
 from limbcli.stages.cohorts.compliance import compliance_left_out
 from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
-from limbcli.stages.cohorts.page import cohort_page
+from limbcli.stages.cohorts.page import PICTURES, cohort_page, is_ours
 from limbcli.stages.cohorts.result import (
     c_fat_beyond,
     family_ends,
@@ -36,7 +36,8 @@ from limbcli.stages.cohorts.result import (
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
-FEWEST_ROWS = 5  # of a site, for a population
+_ROWS_BEGIN = b"subject,location,line,"  # the header line of rows.csv
+FEWEST_PEOPLE = 5  # of a site, for a population
 FEWEST_DRAWS = 30  # effective ones behind an interval that can be relied on
 _MUCH_MISSED = 0.05  # of the force, by the emulator
 
@@ -51,10 +52,11 @@ def cohort(
     MeasurementError
         If the table cannot be used; every problem is named with its line.
     CaseError, ToolError
-        If the folder cannot be written, or the emulator's solves are missing.
+        If the folder cannot be written or holds what is none of ours, or the emulator's solves are missing.
     """
     started = time.process_time()
     progress.event("stage", name="cohort")
+    _refuse_foreign(out, table)
     read, problems = checked_cohort(table)
     raise_errors(problems, MeasurementError, then="then call `limbcli cohort` again")
     rows = checked(read, problems, MeasurementError)
@@ -73,21 +75,41 @@ def cohort(
     return _written(out, table, data, warnings, templates)
 
 
+def _refuse_foreign(out: Path, table: Path) -> None:
+    """Files of a user's under the names that a cohort leaves would be lost, the table itself among them."""
+    rows = out / ROWS
+    own_rows = rows.is_file() and not rows.read_bytes().startswith(_ROWS_BEGIN)
+    pictures = out / PICTURES
+    own_pictures = pictures.exists() and not (pictures.is_dir() and all(map(is_ours, pictures.iterdir())))
+    mine = {each.resolve() for each in (rows, out / RESULT, out / PAGE)}
+    found = [
+        *([rows] if own_rows else []), *([pictures] if own_pictures else []),
+        *([table] if table.resolve() in mine else []),
+    ]  # fmt: skip
+    if found:
+        raise CaseError(
+            f"{found[0].name} is none of what `cohort` left, and would be replaced",
+            where=str(found[0]),
+            fix="name another --out",
+        )
+
+
 def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
-    """Without sites of so few rows that they have no population."""
-    counts = {site: int((table.site == site).sum()) for site in table.sites}
-    few = [site for site, n in counts.items() if n < FEWEST_ROWS]
+    """Without sites of so few people that they are no population, however often each was measured."""
+    counts = {site: len(set(table.person[table.site == site].tolist())) for site in table.sites}
+    few = [site for site, n in counts.items() if n < FEWEST_PEOPLE]
     if len(few) == len(counts):
         raise MeasurementError(
-            f"no site has {FEWEST_ROWS} complete rows ({', '.join(f'{k}: {n}' for k, n in counts.items())})",
+            f"no site has complete rows of {FEWEST_PEOPLE} people "
+            f"({', '.join(f'{k}: {n}' for k, n in counts.items())})",
             where=str(table.path),
-            fix="a population needs people: bring more rows, or `limbcli fit` one case",
+            fix="a population needs people: bring rows of more, or `limbcli fit` one case",
         )
     if not few:
         return table, []
     keep = ~np.isin(table.site.astype(str), few)
     return table.rows(keep), [
-        f"{', '.join(few)}: fewer than {FEWEST_ROWS} complete rows, left out of everything"
+        f"{', '.join(few)}: complete rows of fewer than {FEWEST_PEOPLE} people, left out of everything"
     ]
 
 

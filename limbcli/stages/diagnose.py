@@ -110,13 +110,19 @@ def diagnose(
 
 
 def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = False) -> list[list[Site]]:
-    """Sites that share a place, together; in the order of the case."""
+    """Sites that share a place, together; in the order of the case.
+
+    One whose place cannot be told (a marker that was not found) stands alone: its own diagnosis says why.
+    """
     if separate or len(sites) < 2:
         return [[site] for site in sites]
     segmented = read_result(out, "segment")
     groups: list[tuple[np.ndarray, list[Site]]] = []
     for site in sites:
-        at = np.array(site_position(site, segmented))
+        try:
+            at = np.array(site_position(site, segmented))
+        except CaseError:
+            at = np.full(3, np.nan)  # near nothing
         near = [group for place, group in groups if np.linalg.norm(place - at) < _SAME_PLACE]
         if near:
             near[0].append(site)

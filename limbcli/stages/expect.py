@@ -23,6 +23,7 @@ segment.json and fit-joint.json.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,7 +35,10 @@ from limbcli.problems import suggestion
 from limbcli.results import read_result
 
 EXPECTED_FILE = "expected.toml"
-_RULES = frozenset({"value", "tolerance", "relative", "min", "max", "is"})
+_BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "mesh": "mesh"}  # their stages
+_OF_THE_CASE = ("segment", "fit-joint")
+_NUMBERS = frozenset({"value", "tolerance", "relative", "min", "max"})
+_RULES = _NUMBERS | {"is"}
 
 
 @dataclass(frozen=True)
@@ -69,28 +73,38 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
     except (ValueError, OSError) as error:
         raise CaseError(f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="mend it") from error
     found: list[Comparison] = []
-    for site, rules in content.get("site", {}).items():
-        found += _table(f"site.{site}", rules, out, "fit", site, path)
-    for site, rules in content.get("elements", {}).items():
-        found += _table(f"elements.{site}", rules, out, "fit-elements", site, path)
-    for site, rules in content.get("states", {}).items():
-        found += _table(f"states.{site}", rules, out, "fit-states", site, path)
-    for site, rules in content.get("mesh", {}).items():
-        found += _table(f"mesh.{site}", rules, out, "mesh", site, path)
-    for stage in ("segment", "fit-joint"):
-        if stage in content:
-            found += _table(stage, content[stage], out, stage, None, path)
+    for name, table in content.items():
+        if name in _OF_THE_CASE:
+            found += _table(name, table, out, name, None, path)
+        elif name in _BY_SITE:
+            for site, rules in _is_table(table, name, path).items():
+                found += _table(f"{name}.{site}", rules, out, _BY_SITE[name], site, path)
+        else:
+            known = {*_BY_SITE, *_OF_THE_CASE}
+            raise CaseError(
+                f"there are no expectations of {name!r}", where=str(path), fix=suggestion(name, known)
+            )
     return found
 
 
+def _is_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
+    if not isinstance(content, dict):
+        fix = f"write it as [{name}], with a line a key below it"
+        raise CaseError(f"{name} is not a table: {content!r}", where=str(path), fix=fix)
+    return content
+
+
 def _table(
-    label: str, rules: Mapping[str, Any], out: Path, stage: str, site: str | None, path: Path
+    label: str, content: object, out: Path, stage: str, site: str | None, path: Path
 ) -> list[Comparison]:
+    rules = {
+        key: _rule(f"{label}.{key}", each, path) for key, each in _is_table(content, label, path).items()
+    }
     try:
         data: Mapping[str, Any] = read_result(out, stage, site=site).data
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    return [_compare(f"{label}.{key}", _look_up(data, key), rule, path) for key, rule in rules.items()]
+    return [_compare(f"{label}.{key}", _look_up(data, key), rule) for key, rule in rules.items()]
 
 
 def _look_up(data: Mapping[str, Any], key: str) -> object:
@@ -100,18 +114,36 @@ def _look_up(data: Mapping[str, Any], key: str) -> object:
     return value
 
 
-def _compare(name: str, found: object, rule: object, path: Path) -> Comparison:
+def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
+    """The same rule, if it says something that can fail."""
+    wrong = ""
     if not isinstance(rule, dict) or not rule or set(rule) - _RULES:
-        wrong = next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else str(rule)
-        raise CaseError(
-            f"the expectation of {name} is not understood: {rule!r}",
-            where=str(path),
-            fix=suggestion(str(wrong), _RULES),
-        )
+        fix = suggestion(str(next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else rule), _RULES)
+        wrong = "is not understood"
+    elif "is" in rule:
+        wrong = "asks for `is` and more" if len(rule) > 1 else ""
+        fix = "leave the rest out: `is` means equal"
+    elif no_numbers := [key for key, each in rule.items() if not _is_number(each)]:
+        wrong, fix = f"has no number as its {no_numbers[0]}", "give a number, or `is` of anything else"
+    elif "value" not in rule and {"tolerance", "relative"} & set(rule):
+        wrong, fix = "has a tolerance of nothing", "add the value, such as value = 2.0"
+    elif min(rule.get("tolerance", 0.0), rule.get("relative", 0.0)) < 0.0:
+        wrong, fix = "has a tolerance below 0", "give 0 or more"
+    if wrong:
+        raise CaseError(f"the expectation of {name} {wrong}: {rule!r}", where=str(path), fix=fix)
+    assert isinstance(rule, dict)
+    return rule
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _compare(name: str, found: object, rule: Mapping[str, Any]) -> Comparison:
     if "is" in rule:
         return Comparison(name, found, repr(rule["is"]), found == rule["is"])
     low, high = _range(rule)
-    holds = isinstance(found, int | float) and not isinstance(found, bool) and low <= found <= high
+    holds = _is_number(found) and low <= found <= high  # type: ignore[operator]
     return Comparison(name, found, f"{low:.5g} to {high:.5g}", holds)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.faults import file_system_errors
 from limbcli.files import atomic_folder
+from limbcli.pasting import typed
 from limbcli.results import StageResult, provenance
 
 MRI, LEVELS, README = "mri", "levels.csv", "README.md"
@@ -59,7 +59,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
             f"{MRI}/: the DICOM files of one series",
             *(f"{site}/{LEVELS}: force and depth of every level" for site in names),
             f"{README}: where everything else goes",
-            f"next: limbcli check {shlex.quote(str(folder))}",
+            f"next: limbcli check {typed(folder)}",
         ),
         provenance=provenance(),
     )

@@ -12,7 +12,6 @@ the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, toleran
 
 from __future__ import annotations
 
-import shlex
 import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import atomic_folder
+from limbcli.pasting import typed
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
@@ -228,7 +228,7 @@ def _result(
         f"{subject.grid.shape[2]} slices of {subject.grid.shape[0]} x {subject.grid.shape[1]}"
         f" voxels, {size / 1e6:.1f} MB in all; sites {', '.join(data['sites'])}",
         *map(summary_of, measured),
-        f"next: limbcli {'batch' if measured else 'segment'} {shlex.quote(str(folder))}",
+        f"next: limbcli {'batch' if measured else 'segment'} {typed(folder)}",
     ]
     return StageResult(
         stage="phantom",

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from limbcli.cli.app import COMMANDS, command_options, main
-from limbcli.cli.fixes import for_command_line
+from limbcli.cli.fixes import case_of, for_command_line
 from limbcli.errors import CaseError, SolveError
 from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
+from limbcli.reporting.outcome import read_outcomes
+from limbcli.stages.provenance.commands import CommandStep
 from tests.test_case_text import two_sites
 
 PACKAGE = Path(__file__).resolve().parents[2] / "limbcli"
@@ -83,3 +85,14 @@ def test_message_of_a_command_line_is_pasted(tmp_path: Path, capsys):
     shown = capsys.readouterr().err
     assert "CASE" not in shown
     assert f"limbcli segment {folder} --out {tmp_path / 'out'}" in shown
+
+
+def test_a_folder_that_begins_with_a_dash_can_be_pasted(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    case = two_sites(Path("-left"))
+    assert case_of(["mesh", "--", "-left"]) == case
+    told = CommandStep("mesh", "p1", {}).command(case, Path("-out"))
+    assert told == "limbcli mesh ./-left --site p1 --out ./-out"
+    outcome = read_outcomes(Path("out"), ("p1",), case_name=str(case)).of("mesh", "p1")
+    assert outcome.command == "limbcli mesh ./-left --site p1 --out out"
+    assert pasted_text("run `limbcli segment CASE` first", case) == "run `limbcli segment ./-left` first"

@@ -53,6 +53,32 @@ def test_population_is_recovered_with_honest_errors(rng):
     assert (people.mean_error < 2.0 * least).all()
 
 
+@pytest.mark.parametrize("n", [5, 7, 12])
+def test_few_rows_have_the_errors_that_so_many_rows_leave(rng, n):
+    _theta, seen, noise = cohort(linear, n, 0.15, rng)
+    people, _rows = estimate_population(linear, seen, noise, start=MEAN, prior_deviation=PRIOR)
+    back = np.linalg.inv(MIX)
+    expected = np.sqrt(np.diag(people.spread + back @ noise[0] @ back.T) / n)  # of a Gaussian's mean
+    assert people.mean_error == pytest.approx(expected, rel=0.1)
+    # Of n + 3 rows (the prior weighs as three) and a Gaussian without noise: 1 / sqrt(2 (n + 3)).
+    least = people.deviation / np.sqrt(2 * (n + 3))
+    assert (people.deviation_error > 0.8 * least).all()
+    assert (people.deviation_error < 2.0 * least).all()
+
+
+def test_a_person_seen_four_times_is_not_four_people(rng):
+    theta, once, noise = cohort(linear, 20, 0.1, rng)
+    several = np.repeat(linear(theta, False)[0], 4, axis=0) + rng.normal(0, 0.1, (80, 3))
+    names = np.repeat([f"P{k}" for k in range(20)], 4)
+    usual = {"start": MEAN, "prior_deviation": PRIOR}
+    of_once, _ = estimate_population(linear, once, noise, **usual)
+    noise = np.repeat(noise, 4, axis=0)
+    of_several, _ = estimate_population(linear, several, noise, people=names, **usual)
+    of_rows, _ = estimate_population(linear, several, noise, people=np.arange(80), **usual)
+    assert (of_several.mean_error > 0.75 * of_once.mean_error).all()
+    assert (of_several.mean_error > 1.5 * of_rows.mean_error).all()
+
+
 def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
     theta, seen, noise = cohort(curved, 400, 0.15, rng)
     _, rows = estimate_population(curved, seen, noise, start=MEAN + 0.2, prior_deviation=PRIOR)

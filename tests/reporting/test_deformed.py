@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from limbcli.reporting.figures.deformed import DeformedState, section_figure
 from limbcli.reporting.figures.skin import skin_figure
@@ -35,6 +36,20 @@ def test_shortening_is_drawn_in_percent_on_the_moved_section():
     corners = np.concatenate([path.vertices for path in drawn.get_paths()])
     assert corners[:, 1].max() == pytest.approx(-0.5)
     assert corners[:, 1].min() == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize(("half_width", "height"), [(47.5, 16.6), (95.0, 49.8)])
+def test_a_probe_that_stands_high_does_not_push_the_titles_off_the_picture(half_width, height):
+    """Tissue 83 mm deep, as wide as a limb or twice that, and a probe that rises above it (mm)."""
+    tissue = CORNERS * [half_width, 40.0, 41.5]
+    wall = np.array([[-20.0, 20, 0], [20, -20, 0], [20, -20, height], [-20, 20, height]])
+    high = state(
+        points=np.concatenate([tissue, wall]), displacement=np.zeros((12, 3)),
+        probe={"quad4": np.array([[8, 9, 10, 11]])},
+    )  # fmt: skip
+    figure = section_figure(high)
+    FigureCanvasAgg(figure).draw()
+    assert max(each.get_tightbbox().y1 for each in figure.axes) <= figure.bbox.y1
 
 
 def test_without_recorded_stretch_there_is_one_panel():

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from limbcli.drawing import figure_data
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.reporting.figures.cohort import compliance
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
@@ -99,6 +103,19 @@ def test_an_undefined_r2_is_said_in_words():
     assert "R² undefined" in line_words(Line(0.0, 2.0, None, None, 3), "N")
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])
+def test_labels_of_a_profile_do_not_touch(low, high):
+    values = np.geomspace(low, high, 20)
+    curves = [ProfileCurve(name, values, np.linspace(0, 5, 20), low) for name in ("f_kappa", "m")]
+    figure = profile_figure(curves)
+    FigureCanvasAgg(figure).draw()
+    for axes in figure.axes:
+        boxes = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_text()]
+        inside = [each for each in boxes if axes.bbox.x0 <= (each.x0 + each.x1) / 2 <= axes.bbox.x1]
+        assert len(inside) >= 2
+        assert all(one.x1 < other.x0 for one, other in pairwise(inside))
+
+
 def test_profile_is_shaded_to_where_it_crosses_the_limit():
     values = np.linspace(1.0, 9.0, 33)
     crossing = 2.0 * np.sqrt(THRESHOLD_95)
@@ -113,3 +130,16 @@ def test_profile_is_shaded_to_where_it_crosses_the_limit():
         (shade,) = axes.patches
         low, high = shade.get_x(), shade.get_x() + shade.get_width()
         assert (low, high) == pytest.approx(ends, abs=0.02)
+
+
+def test_sites_of_a_cohort_are_labelled_as_they_are_named():
+    sites = [r"x$\q$", "_left", "cost $1$"]
+    rows = [
+        {"location": each, "measured_mm_per_mpa": 10.0 + k, "predicted_mm_per_mpa": 11.0}
+        for k, each in enumerate(sites)
+    ]
+    figure = compliance(rows)
+    FigureCanvasAgg(figure).draw()
+    shown = [each.get_text() for each in figure.axes[0].get_legend().get_texts()]
+    assert [each.strip().replace(r"\$", "$") for each in shown[1:]] == sorted(sites)
+    assert set(sites) <= {row[4] for row in figure_data(figure)}

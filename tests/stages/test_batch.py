@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage, read_result
 from limbcli.stages import batch as module
-from limbcli.stages import fit_elements, fit_joint
+from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
@@ -134,6 +135,38 @@ def test_one_site_failing_leaves_the_other_and_a_report(tmp_path: Path, calls: l
     stale = json.loads((out / "fit" / "p2" / "error.json").read_text())
     assert "not run" in stale["what"]
     assert not (out / "fit" / "p2" / "fit.json").exists()
+
+
+def test_a_place_that_cannot_be_told_leaves_the_other_sites_their_fits_and_diagnoses(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    toml = case / "case.toml"
+    head, _, last = toml.read_text().rpartition("position_mm")
+    toml.write_text(f"{head}marker = 9\n{last.partition(chr(10))[2]}")
+    (case / "break").touch()
+
+    def diagnosed(of: Case, *, sites: list[str], **_) -> None:
+        calls.append(f"diagnose {sites}")
+        by_hand(of.folder, out, "diagnose", sites[0])
+
+    monkeypatch.setattr(diagnose, "diagnose", diagnosed)
+    outcome = batch(case, out=out, options=BatchOptions(diagnose=True))
+    assert [(each.stage, each.site) for each in outcome.failures] == [("mesh", "p2")]
+    assert "fit p1" in calls
+    assert "diagnose ['p1']" in calls
+    assert outcome.report is not None
+
+
+@pytest.mark.parametrize("gone", ["segment", "mesh", "fit", "report", "mesh/p1/mesh.json", "fit/p1/a.txt"])
+def test_results_that_were_removed_are_made_again(tmp_path: Path, calls: list[str], gone: str):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    path, stage = out / gone, gone.partition("/")[0]
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    outcome = batch(case, out=out)
+    assert not outcome.failures
+    assert any(each.startswith(stage) for each in outcome.ran)
 
 
 def test_failure_is_tried_again_next_time(tmp_path: Path, calls: list[str]):

@@ -7,15 +7,19 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from limbcli.cli.app import main
-from limbcli.errors import MeasurementError
+from limbcli.errors import CaseError, MeasurementError
 from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
-from limbcli.stages.cohort import cohort
+from limbcli.measurement.cohort_checks import checked_cohort
+from limbcli.stages.cohort import _refuse_foreign, cohort
+from limbcli.stages.cohorts.compliance import _person_share
+from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
-from limbcli.stages.cohorts.result import natural
+from limbcli.stages.cohorts.result import holm, natural, person_scores
 from tests.cohort_rows import people, written
 
 MEAN = np.log([0.006, 0.010, 4.0])
@@ -81,8 +85,64 @@ def test_few_people_have_no_folds_and_all_else(tmp_path):
     assert "7 people are too few for 10 folds" in found["reason"]
     assert any("too few" in each for each in result.warnings)
     assert len(result.data["rows"]) == 7
-    with pytest.raises(MeasurementError, match="no site has 5 complete rows"):
-        cohort(written(tmp_path / "few.csv", rows[:4]), out=tmp_path / "out2")
+    own = result.data["sites"]["LL_P"]["population"]
+    for key, factor in (("c_muscle_kpa", 2.0), ("c_fat_kpa", 3.0), ("m", 3.0)):
+        found = own[key]  # of seven people: the middle is known within a factor, not within decades
+        assert (
+            found["geometric_mean"] / factor < found["low"] < found["high"] < factor * found["geometric_mean"]
+        )
+        assert found["spread_of_ln_high"] < 1.5
+    several = [{**row, "trial": str(k)} for k in range(2) for row in rows[:4]]
+    for few in (rows[:4], several):
+        with pytest.raises(MeasurementError, match="no site has complete rows of 5 people"):
+            cohort(written(tmp_path / "few.csv", few), out=tmp_path / "out2")
+
+
+def test_trials_of_the_same_people_do_not_narrow_the_population(tmp_path):
+    rows, _ = people(6, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(8))
+    several = [{**row, "trial": str(k)} for k in range(3) for row in rows]
+    errors = []
+    for each in (rows, several):
+        table, _ = checked_cohort(written(tmp_path / "t.csv", each))
+        (site,) = estimate_sites(table, layered_family(), noise_of(table))
+        errors.append(site.population.mean_error)
+    assert errors[1][0] > 0.7 * errors[0][0]  # as independent rows it would be 0.58 of it
+
+
+@pytest.mark.parametrize("n_trials", [1, 3])
+def test_what_a_persons_sites_have_in_common_is_not_what_its_trials_have(tmp_path, n_trials):
+    rng = np.random.default_rng(7)
+    rows, _ = people(60, mean=MEAN, spread=SPREAD, rng=rng)
+    own = {row["subject"]: rng.standard_normal() for row in rows}
+    several = [
+        {**row, "location": site, "trial": str(k)}
+        for site in ("LL_A", "LL_P") for row in rows for k in range(n_trials)
+    ]  # fmt: skip
+    table, _ = checked_cohort(written(tmp_path / "t.csv", several))
+    of_site = {key: rng.standard_normal() for key in zip(table.person, table.site, strict=True)}
+    common = np.array([own[each] for each in table.person])
+    apart = np.array([of_site[key] for key in zip(table.person, table.site, strict=True)])
+    # Sixty pairs tell a correlation of 0.5 to 0.1.
+    assert _person_share(table, common + apart) == pytest.approx(0.5, abs=0.3)
+    assert _person_share(table, apart) == pytest.approx(0.0, abs=0.4)
+    assert _person_share(table.rows(table.site == "LL_A"), apart[table.site == "LL_A"]) is None
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.5])
+def test_nobody_stands_out_where_all_are_alike_however_many_sites_each_has(alike):
+    rng = np.random.default_rng(7)
+    counts = [4] * 20 + [3] * 3 + [2] * 3 + [1] * 3
+    n_told = 0
+    for _ in range(400):
+        own = np.sqrt(alike) * rng.standard_normal(len(counts))
+        scores = [
+            each + np.sqrt(1 - alike) * rng.standard_normal(n) for each, n in zip(own, counts, strict=True)
+        ]
+        n_told += bool((holm(2 * norm.sf(np.abs(person_scores(scores)))) < 0.05).any())
+    assert n_told / 400 < 0.08  # 5 % and three deviations of the count
+    scores[22] = scores[22] + 6.0
+    z = person_scores(scores)
+    assert np.argmax(np.abs(z)) == 22
 
 
 def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
@@ -96,6 +156,25 @@ def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
     assert "the layers add up to" in told
     assert "limbcli check" not in told, "there is no case"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("own", ["rows.csv", "pictures/holiday.png", "pictures", "cohort.json"])
+def test_files_of_ones_own_are_not_replaced(tmp_path, own):
+    rows, _ = people(5, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(9))
+    path = tmp_path / own
+    path.parent.mkdir(exist_ok=True)
+    table = written(path, rows)
+    before = path.read_bytes()
+    if own == "pictures/holiday.png":
+        table = written(tmp_path / "people.csv", rows)
+    with pytest.raises(CaseError, match="would be replaced"):
+        cohort(table, out=tmp_path)
+    assert path.read_bytes() == before
+
+
+def test_what_a_cohort_left_may_be_replaced(twelve):
+    _, out, _ = twelve
+    _refuse_foreign(out, out.parent / "people.csv")
 
 
 def solves(mesh: str):

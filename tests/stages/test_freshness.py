@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.results import open_stage, stage_folder
+from limbcli.results import open_stage, read_result, stage_folder
 from limbcli.stages.provenance import freshness
+from limbcli.stages.provenance.commands import CommandStep
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
 
 
@@ -38,10 +39,28 @@ def test_sites_remember_side_by_side(tmp_path: Path):
     assert Memory(tmp_path, site="p2").asked("mesh", "p2") == {"size": 3.0}
 
 
-def test_damaged_memory_only_means_more_work(tmp_path: Path):
+@pytest.mark.parametrize(
+    "damaged",
+    ["{", "[]", "null", '{"mesh/p1": 3}', '{"mesh/p1": [1]}', '{"asked": []}', '{"asked": {"mesh/p1": 3}}'],
+)
+def test_damaged_memory_only_means_more_work(tmp_path: Path, damaged: str):
     make(tmp_path)
-    (tmp_path / ".batch.json").write_text("{")
-    assert not Memory(tmp_path).is_fresh("mesh", "p1", "key")
+    (tmp_path / ".batch.json").write_text(damaged)
+    memory = Memory(tmp_path)
+    assert not memory.is_fresh("mesh", "p1", "key")
+    assert memory.made_since("mesh", "p1")
+    assert memory.asked("mesh", "p1") == {}
+    memory.remember("mesh", "p1", "key")
+    assert Memory(tmp_path).asked("mesh", "p1") == {}
+
+
+@pytest.mark.parametrize("asked", [None, 3, [], "x"])
+def test_damaged_options_of_a_result_are_none(tmp_path: Path, asked: object):
+    with open_stage(tmp_path, "mesh", subject="S1", site="p1") as writer:
+        writer.data["asked"] = asked
+    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {}
+    found = read_result(tmp_path, "mesh", site="p1")
+    assert CommandStep.of(found).command(Path("c"), Path("o")) == "limbcli mesh c --site p1 --out o"
 
 
 def test_what_was_asked_for_another_subject_is_forgotten(tmp_path: Path):

@@ -18,6 +18,7 @@ from limbcli.errors import CaseError
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
+from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
@@ -643,3 +644,60 @@ def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
     assert "--objective joint" in page.text
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_a_users_own_report_is_not_replaced(tmp_path, kind):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    own = out / "report" / "thesis.txt" if kind == "folder" else out / "report"
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    for _ in range(2):
+        with pytest.raises(CaseError, match="none of limbcli's") as caught:
+            report(case, out=out)
+        assert caught.value.where == str(out / "report")
+        keep_error(out, "report", None, caught.value)  # as a batch does
+    assert own.read_text() == "mine"
+    (out / "report").rename(out / "my-report")
+    assert report(case, out=out).path("page").is_file()
+    keep_error(out, "report", None, caught.value)
+    assert report(case, out=out).path("page").is_file(), "a failure of ours is replaced"
+
+
+def add_diagnosis(out: Path, *, subject: str = "S1") -> None:
+    stage = {"explanation": [], "chi2_per_nu": 4.0, "held_out": {}, "placebo_percentile": None, "values": {}}
+    with open_stage(out, "diagnose", subject=subject, site="p1") as writer:
+        for name in ("gap", "candidates"):
+            small_png(writer.file(name, f"{name}.png"))
+        writer.data.update(
+            verdict="named", added=["skin_layer"], sentences=["The skin is stiff."], candidates=[],
+            not_evaluated={}, blind_spots=[],
+            shrink=[stage, {**stage, "explanation": ["skin_layer"], "chi2_per_nu": 1.0}],
+        )  # fmt: skip
+
+
+def test_a_diagnosis_is_on_the_page_of_its_own_subject_only(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    add_diagnosis(out)
+    result = report(case, out=out)
+    assert any("skin_layer (named)" in each for each in result.summary)
+    assert "The skin is stiff." in result.path("page").read_text()
+    add_diagnosis(out, subject="S2")
+    result = report(case, out=out)
+    assert not any("skin_layer" in each for each in result.summary)
+    page = result.path("page").read_text()
+    assert "The skin is stiff." not in page
+    assert "the result is of S2, the case of S1" in page
+
+
+def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_diagnosis(out)
+    (out / "diagnose" / "p1" / "gap.png").unlink()
+    page = report(case, out=out).path("page").read_text()
+    assert "The skin is stiff." in page
+    path = out / "diagnose" / "p1" / "diagnose.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
+    result = report(case, out=out)
+    assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()

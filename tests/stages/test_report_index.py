@@ -85,6 +85,38 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
 
+def test_folders_with_dollars_in_their_names_are_drawn_as_they_are_named(tmp_path):
+    for name in (r"a$\q$", "cost $1$"):
+        add_subject(tmp_path, name)
+    report_index(tmp_path)
+    assert "cost $1$" in (tmp_path / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("damaged", [{"sites": None}, {"failures": [3]}, {"failures": [{"site": None}]}])
+def test_a_damaged_report_is_a_row_and_stops_no_other(tmp_path, damaged):
+    add_subject(tmp_path, "A")
+    add_subject(tmp_path, "B")
+    path = tmp_path / "B" / "report" / "report.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"data": content["data"] | damaged}))
+    (tmp_path / "B" / "mesh" / "p1").mkdir(parents=True)
+    (tmp_path / "B" / "mesh" / "p1" / "error.json").write_text('{"what": 3}')
+    rows = report_index(tmp_path).rows
+    assert [(row.subject, row.mood) for row in rows] == [("A", "fine"), ("B", "failed")]
+    assert "its results cannot be read" in rows[1].state
+
+
+def test_another_subjects_fit_is_not_in_the_table(tmp_path):
+    add_subject(tmp_path, "A")
+    path = tmp_path / "A" / "fit" / "p1" / "fit.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"subject": "B"}))
+    result = report_index(tmp_path)
+    assert [(row.word, row.state, row.view) for row in result.rows] == [
+        ("not fitted", "the fit is of B", None)
+    ]
+    assert "10.1" not in result.page.read_text(encoding="utf-8")
+
+
 def test_a_subject_without_a_report_shows_its_failure(tmp_path):
     folder = tmp_path / "S9" / "segment"
     folder.mkdir(parents=True)

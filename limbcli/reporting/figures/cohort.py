@@ -19,6 +19,7 @@ from limbcli.reporting.figures.style import (
     PURPLE,
     QUIET,
     VERMILION,
+    literal,
     new_figure,
     style,
 )
@@ -47,7 +48,8 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
                 _bar(axes, place + 0.34, sites[name]["population"][key])
             axes.set(yscale="log", ylabel=label)
             axes.grid(axis="x", visible=False)
-        axes.set_xticks(range(len(names)), names, rotation=0 if len(names) <= _LABELS_UPRIGHT else 30)
+        shown = [literal(each) for each in names]
+        axes.set_xticks(range(len(names)), shown, rotation=0 if len(names) <= _LABELS_UPRIGHT else 30)
     return figure
 
 
@@ -123,7 +125,7 @@ def compliance(entries: Sequence[Row]) -> Figure:
                 ms=5,
                 alpha=0.7,
                 color=_COLOURS[k % len(_COLOURS)],
-                label=site,
+                label=literal(site),
             )
         axes.set(
             xscale="log",

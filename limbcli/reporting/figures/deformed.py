@@ -54,7 +54,7 @@ def section_figure(state: DeformedState) -> Figure:
     """x-z section at y = 0: displacement magnitude, and shortening where the run recorded it."""
     with_stretch = state.stretch is not None and bool(np.isfinite(state.stretch).any())
     with style():
-        span = np.ptp(state.points[np.unique(state.cells)], axis=0)
+        span = _span(state)
         width = 3.3 if with_stretch else 5.0
         figure = new_figure(7.6 if with_stretch else 5.8, min(width * span[2] / span[0], 6.0) + 2.1)
         panels = figure.subplots(1, 2 if with_stretch else 1, sharey=True, squeeze=False)[0]
@@ -69,6 +69,14 @@ def section_figure(state: DeformedState) -> Figure:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
+
+
+def _span(state: DeformedState) -> Array:
+    """(3,) mm of all that a section shows: the tissue, and the probe where it ends."""
+    probe = [facets.ravel() for facets in state.probe.values()]
+    shown = [state.points[np.unique(state.cells)]]
+    shown += [state.points[np.unique(each)] + state.probe_shift for each in probe]
+    return np.asarray(np.ptp(np.concatenate(shown), axis=0))
 
 
 def _displacement_panel(axes: Axes, state: DeformedState) -> None:

@@ -14,6 +14,7 @@ from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_fig
 
 # 95 % quantile of chi-square with one degree of freedom.
 THRESHOLD_95 = 3.8415
+_MANY_DECADES = 200.0  # largest over smallest value: beyond it labels at 1, 2 and 5 would touch
 _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
 
@@ -44,7 +45,8 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
             axes.axvline(profile.estimate, color=INK, lw=1.0, ls=":", label="the fit")
             if values.min() > 0 and values.max() > 5 * values.min():
                 axes.set_xscale("log")
-                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                wide = values.max() > _MANY_DECADES * values.min()
+                axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
             symbol = _SYMBOLS.get(profile.name, profile.name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from limbcli.reporting.figures.style import INK, new_figure, style
+from limbcli.reporting.figures.style import INK, literal, new_figure, style
 from limbcli.reporting.fit_view import EstimateView
 
 _COLUMNS = (("c", "c [kPa]"), ("m", "m [–]"), ("κ′", "κ′ [kPa]"))
@@ -35,7 +35,7 @@ def study_figure(rows: Sequence[StudyRow]) -> Figure:
             axes.set_xscale("log")
             axes.set(xlabel=label)
             axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
-        panels[0].set_yticks(range(len(rows)), [row.label for row in rows])
+        panels[0].set_yticks(range(len(rows)), [literal(row.label) for row in rows])
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
     return figure
 

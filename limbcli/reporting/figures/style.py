@@ -46,6 +46,16 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
+def literal(text: str) -> str:
+    """A name of the user's, for a label: dollars are no mathematics, and a legend lists what begins with `_`.
+
+    >>> literal("cost $1$"), literal("_left"), literal("p1")
+    ('cost \\\\$1\\\\$', ' _left', 'p1')
+    """
+    shown = text.replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown
+
+
 @contextlib.contextmanager
 def style() -> Iterator[None]:
     """Our settings for the drawings made in this block; the caller's own come back after it."""

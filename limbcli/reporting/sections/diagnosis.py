@@ -5,25 +5,35 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli.errors import LimbError
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head
-from limbcli.results import StageResult, read_result
+from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.results import StageResult
 
 TITLE = "What is missing in the model, if anything?"
+_UNLIKE_OURS = (KeyError, IndexError, TypeError, ValueError, AttributeError)  # of a damaged or older result
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 
 
 def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Verdict, gap before and after, candidates, what stays unseen; None where `diagnose` was not run."""
-    try:
-        result = read_result(page.out, "diagnose", site=site.name)
-    except LimbError:
+    outcome = page.outcomes.maybe("diagnose", site.name)
+    if outcome is None:
         return None
+    key = f"diagnosis-{site.name}"
+    if outcome.usable is None:
+        return placeholder(key, TITLE, outcome)
+    try:
+        return _told(key, site, outcome.usable)
+    except _UNLIKE_OURS as error:
+        text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
+        return Reportlet(key, TITLE, "failed", site.name, warned=(text,), command=outcome.command)
+
+
+def _told(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
     data = result.data
     return Reportlet(
-        f"diagnosis-{site.name}",
+        key,
         TITLE,
         _MOODS.get(str(data["verdict"]), "warning"),
         site.name,
@@ -40,12 +50,14 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
 
 
 def in_short(page: ReportData, site: SiteMaterial) -> str | None:
-    """One line: what is missing, and the gap before and after; None where `diagnose` was not run."""
-    try:
-        data = read_result(page.out, "diagnose", site=site.name).data
-    except LimbError:
+    """One line: what is missing, and the gap before and after; None where `diagnose` left nothing to tell."""
+    outcome = page.outcomes.maybe("diagnose", site.name)
+    if outcome is None or outcome.usable is None:
         return None
-    return in_words(data)
+    try:
+        return in_words(outcome.usable.data)
+    except _UNLIKE_OURS:
+        return None
 
 
 def in_words(data: Mapping[str, Any]) -> str:
@@ -67,17 +79,16 @@ def in_words(data: Mapping[str, Any]) -> str:
 
 
 def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
-    return (
-        Picture(f"diagnosis-gap-{name}", "Measured minus predicted in deviations, before and after",
-                source=result.path("gap")),
-        Picture(f"diagnosis-candidates-{name}", "Adjusted p and detectable size of every candidate",
-                source=result.path("candidates")),
-        *(
-            Picture(f"diagnosis-{key}-{name}", words, source=result.path(key))
-            for key, words in (("sizes", "How large each effect could be, in plausible sizes (95 %)"),)
-            if key in result.files
-        ),
-    )  # fmt: skip
+    texts = {
+        "gap": "Measured minus predicted in deviations, before and after",
+        "candidates": "Adjusted p and detectable size of every candidate",
+        "sizes": "How large each effect could be, in plausible sizes (95 %)",
+    }
+    return tuple(
+        Picture(f"diagnosis-{key}-{name}", words, source=result.path(key))
+        for key, words in texts.items()
+        if key in result.files and result.path(key).is_file()
+    )
 
 
 def _candidates(data: Mapping[str, Any]) -> PageTable:

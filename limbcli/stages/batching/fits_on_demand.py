@@ -7,15 +7,16 @@ unchanged, made again in the same way where it is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.files import sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.fitting.options import FitOptions
 from limbcli.stages.provenance.asked import options_of
 from limbcli.stages.provenance.chain import Chain
@@ -71,16 +72,22 @@ def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
         return None
 
 
+def _asked(found: StageResult) -> Mapping[str, Any]:
+    """What a fit was asked for beyond its defaults; nothing where that is damaged."""
+    given = found.data.get("asked")
+    return given if isinstance(given, Mapping) else {}
+
+
 def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
     """Whether a site's fit is of today's model and measurement, this version and this solver."""
     found = _there(out, "fit", site)
-    if found is None or (stage_folder(out, "fit", site) / "error.json").exists():
+    if found is None or (stage_folder(out, "fit", site) / ERROR_FILE).exists():
         return False
     same_solver = solver in ("auto", found.data.get("solver"))
     same_version = found.provenance.get("limbcli") == __version__
     study = stage_folder(out, "mesh-study", site) / "mesh-study.json"
     used = "mesh-study" in found.provenance.get("inputs_sha256", {})
-    asked = found.data.get("asked", {})
+    asked = _asked(found)
     unknown = study.is_file() and not used and "gain_deviation" not in asked
     current = _is_current(case, out, found, (site,), labelled=False)
     return same_solver and same_version and current and not unknown
@@ -110,7 +117,7 @@ def _remade_joint(
 ) -> Callable[[], object]:
     from limbcli.stages.fit_joint import JointOptions, fit_joint
 
-    asked = found.data.get("asked", {})
+    asked = _asked(found)
     joint = JointOptions(
         law=str(found.data.get("law", "ogden")), compare_laws=bool(found.data.get("laws")),
         gain_deviation=asked.get("gain_deviation"),
@@ -130,5 +137,5 @@ def _remade_elements(
 ) -> Callable[[], object]:
     from limbcli.stages.fit_elements import compare_elements
 
-    options = options_of(FitOptions, found.data.get("asked", {}))
+    options = options_of(FitOptions, _asked(found))
     return lambda: compare_elements(case, out=out, sites=[site], options=options, progress=progress)

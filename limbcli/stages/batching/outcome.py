@@ -9,9 +9,8 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.files import atomic_file
-from limbcli.results import plain, stage_folder
+from limbcli.results import ERROR_FILE, plain, stage_folder
 
-ERROR_FILE = "error.json"
 _KEPT = ("segment",)  # whose result tells whether the label map beside it was edited by hand since
 
 
@@ -98,10 +97,14 @@ def keep_error(
         `segment` always does)
     """
     folder = stage_folder(out, stage, site)
-    if not keep_result and stage not in _KEPT:
-        (folder / f"{stage}.json").unlink(missing_ok=True)
-    with atomic_file(folder / ERROR_FILE) as path:
-        path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
+    if error.facts.get("foreign") == str(folder):
+        return  # a file of ours in a user's folder would make it ours
+    try:
+        with atomic_file(folder / ERROR_FILE) as path:
+            path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
+    finally:  # also where the disk is full
+        if not keep_result and stage not in _KEPT:
+            (folder / f"{stage}.json").unlink(missing_ok=True)
 
 
 def error_json(error: LimbError) -> dict[str, Any]:

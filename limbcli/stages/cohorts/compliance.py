@@ -178,14 +178,21 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
 
 
 def _person_share(table: CohortTable, residual: Array) -> float | None:
-    """Share of the residuals' variance that a person's sites have in common (0: each site on its own)."""
-    centred = residual.copy()
+    """Share of the residuals' variance that a person's sites have in common (0: each site on its own).
+
+    Trials of one person's site are that one site, by their mean.
+    """
+    groups: dict[tuple[str, str], list[float]] = {}
+    for each, *key in zip(residual, table.person.astype(str), table.site.astype(str), strict=True):
+        groups.setdefault((key[0], key[1]), []).append(float(each))
+    people, sites = np.array(list(groups)).T
+    centred = np.array([np.mean(each) for each in groups.values()])
     for site in table.sites:
-        here = table.site == site
+        here = sites == str(site)
         centred[here] -= centred[here].mean()
     products: list[float] = []
-    for person in table.people:
-        own = centred[table.person == person]
+    for person in sorted(set(people.tolist())):
+        own = centred[people == person]
         if len(own) > 1:
             total = float(own.sum() ** 2 - np.sum(own**2))
             products += [total / (len(own) * (len(own) - 1))] * (len(own) - 1)

@@ -69,8 +69,9 @@ def estimate_sites(
         seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
         covariance = reading_noise(part.shortened, noise.layers.shortened, noise.slope, family.error)
         population, own = estimate_population(
-            model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, seed=seed
-        )
+            model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, people=part.person,
+            seed=seed,
+        )  # fmt: skip
         found.append(SiteEstimate(site, rows, model, seen, covariance, population, own))
         progress.event("task", name="sites", done=k + 1, total=len(table.sites))
     return found

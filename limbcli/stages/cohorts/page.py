@@ -12,6 +12,8 @@ from limbcli.reporting.page import embed, render, save_pictures
 
 PICTURES = "pictures"
 TEMPLATE = "cohort.html.j2"
+_NAMES = frozenset({"distributions", "misfits", "one-tissue", "left-out"})
+_ENDINGS = (".png", ".svg", "-data.csv")
 
 
 def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None) -> Path:
@@ -31,3 +33,12 @@ def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Pat
     with atomic_file(out / name) as path:
         path.write_text(html, encoding="utf-8")
     return out / name
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a file in the folder of pictures has a name that a cohort's has.
+
+    >>> is_ours(Path("pictures/left-out-data.csv")), is_ours(Path("pictures/holiday.png"))
+    (True, False)
+    """
+    return any(path.name.removesuffix(each) in _NAMES for each in _ENDINGS if path.name.endswith(each))

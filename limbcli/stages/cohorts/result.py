@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -196,14 +197,10 @@ def row_entries(
 def told_apart(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
     """Rows and people that their population does not expect, after Holm's adjustment over all looked at."""
     rows, p_rows = [], []
-    scores: dict[str, list[float]] = {}
     for site in sites:
-        apart = site.found.mean - site.population.mean
-        z = apart[:, C_MUSCLE] / max(float(site.found.mean[:, C_MUSCLE].std()), 1e-9)
         for i, row in enumerate(site.rows):
             rows.append((str(table.person[row]), site.name, int(table.lines[row])))
             p_rows.append(float(chi2.sf(site.found.misfit[i], site.readings.shape[1])))
-            scores.setdefault(str(table.person[row]), []).append(float(z[i]))
     adjusted = holm(np.array(p_rows))
     listed = [
         {
@@ -216,29 +213,47 @@ def told_apart(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
         for k in np.argsort(adjusted, kind="stable")
         if adjusted[k] < _LEVEL
     ]
-    return {"level": _LEVEL, "rows": listed, "people": _people(scores)}
+    return {"level": _LEVEL, "rows": listed, "people": people_apart(table, sites)}
 
 
-def _people(scores: dict[str, list[float]]) -> list[dict[str, Any]]:
+def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str, Any]]:
     """People whose muscle is stiffer or softer than others' over all of their sites."""
+    scores: dict[str, list[float]] = {}
+    for site in sites:
+        persons = table.person[site.rows].astype(str)
+        apart = site.found.mean[:, C_MUSCLE] - site.population.mean[C_MUSCLE]
+        own = {each: float(apart[persons == each].mean()) for each in sorted(set(persons.tolist()))}
+        scale = max(float(np.std(list(own.values()))), 1e-9)
+        for name, value in own.items():
+            scores.setdefault(name, []).append(value / scale)
     names = sorted(scores)
-    total = np.array([np.mean(scores[each]) for each in names])
-    counts = np.array([len(scores[each]) for each in names])
-    expected = np.array([np.std(total[counts == n]) if (counts == n).sum() > 2 else np.nan for n in counts])
-    usual = np.where(np.isfinite(expected) & (expected > 0), expected, np.nanmax([*expected, 1e-9]))
-    z = total / usual
+    z = person_scores([scores[each] for each in names])
     adjusted = holm(2 * norm.sf(np.abs(z)))
     order = [k for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL]
     return [
         {
             "subject": names[k],
-            "n_rows": int(counts[k]),
+            "n_rows": int(np.sum(table.person.astype(str) == names[k])),
             "muscle": "stiffer" if z[k] > 0 else "softer",
             "z": float(z[k]),
             "p_adjusted": float(adjusted[k]),
         }
         for k in order
     ]
+
+
+def person_scores(scores: Sequence[Sequence[float]]) -> Array:
+    """z (n,) of people's means over their sites, by each one's scores, which have variance 1 at every site.
+
+    What is expected of a mean over so many sites follows from how alike the sites of all people are, not from
+    the few who were measured at as many.
+    """
+    counts = np.array([len(each) for each in scores])
+    total = np.array([np.sum(each) for each in scores])
+    squares = np.array([np.sum(np.square(each)) for each in scores])
+    pairs = int(np.sum(counts * (counts - 1)))
+    alike = float(np.clip(np.sum(total**2 - squares) / pairs, 0.0, 1.0)) if pairs else 0.0
+    return np.asarray(total / counts / np.sqrt(alike + (1.0 - alike) / counts))
 
 
 def holm(p: Array) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from limbcli.pasting import typed
 from limbcli.results import StageResult
 from limbcli.stages.provenance.asked import in_words
 
@@ -31,7 +32,8 @@ class CommandStep:
     @staticmethod
     def of(result: StageResult) -> CommandStep:
         """As it was made; a joint fit with the same law and of the same sites."""
-        asked = dict(result.data.get("asked") or {})
+        given = result.data.get("asked")
+        asked = dict(given) if isinstance(given, Mapping) else {}
         if result.stage != "fit-joint":
             return CommandStep(result.stage, result.site, asked)
         law = {"law": result.data["law"]} if "law" in result.data else {}
@@ -47,7 +49,7 @@ class CommandStep:
         command, *words = _WORDS.get(self.stage, (self.stage,))
         sites = [word for each in (self.site, *self.sites) if each for word in ("--site", each)]
         asked = in_words({key: value for key, value in self.asked.items() if value is not None})
-        said = shlex.join(["limbcli", command, str(case), *words, *sites, "--out", str(out)])
+        said = f"limbcli {command} {typed(case)} {shlex.join([*words, *sites, '--out'])} {typed(out)}"
         return f"{said} {asked}" if asked else said
 
 

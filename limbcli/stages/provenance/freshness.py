@@ -77,9 +77,12 @@ class Memory:
         return remembered == [key, sha256(folder)]
 
     def made_since(self, stage: str, site: str | None) -> bool:
-        """Whether the stage's result is not the one that was remembered: made, or made again, by hand."""
-        remembered = self._done.get(_name(stage, site))
-        return remembered is None or remembered[1] != sha256(stage_folder(self._out, stage, site))
+        """Whether the stage's result is not the one that was remembered: made, or made again, by hand.
+
+        One that was removed was not made since.
+        """
+        remembered, folder = self._done.get(_name(stage, site)), stage_folder(self._out, stage, site)
+        return remembered is None or (folder.exists() and remembered[1] != sha256(folder))
 
     def remember(self, stage: str, site: str | None, key: str) -> None:
         folder = stage_folder(self._out, stage, site)
@@ -92,7 +95,8 @@ class Memory:
             with contextlib.suppress(CaseError):
                 found = read_result(self._out, stage, site=site)
                 is_ours = self._subject in ("", found.subject)
-                return dict(found.data.get("asked", {})) if is_ours else {}
+                given = found.data.get("asked")
+                return dict(given) if is_ours and isinstance(given, dict) else {}
         return dict(self._done[_ASKED].get(_name(stage, site), {}))
 
     def keep_asked(self, stage: str, site: str | None, asked: Mapping[str, Any]) -> None:
@@ -113,7 +117,11 @@ def _remembered(path: Path, subject: str) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     usable = isinstance(found, dict) and isinstance(found.get(_ASKED, {}), dict)
-    return found if usable and found.get(_SUBJECT, subject) == subject else {}
+    if not usable or found.get(_SUBJECT, subject) != subject:
+        return {}
+    asked = {name: each for name, each in found.get(_ASKED, {}).items() if isinstance(each, dict)}
+    done = {name: each for name, each in found.items() if isinstance(each, list) and len(each) == 2}
+    return {**done, _ASKED: asked}
 
 
 def _of_site(done: Mapping[str, Any], site: str) -> dict[str, Any]:

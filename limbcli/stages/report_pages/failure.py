@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 from limbcli.errors import LimbError
-from limbcli.pasting import pasted
+from limbcli.pasting import pasted, typed
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import render
 from limbcli.results import StageResult, open_stage, provenance
@@ -30,7 +29,7 @@ def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
             "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
             "own": own,
             "failure": failure,
-            "command": f"limbcli check {shlex.quote(str(folder))}",
+            "command": f"limbcli check {typed(folder)}",
         }
         page = render("failure.html.j2", facts)
         writer.file("page", PAGE_FILE).write_text(page, encoding="utf-8")

@@ -22,6 +22,7 @@ from limbcli.reporting.page import data_uri, render
 from limbcli.results import StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
+_UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError)  # of a damaged or older result
 
 
 @dataclass(frozen=True)
@@ -101,13 +102,18 @@ def _is_output(folder: Path) -> bool:
 
 
 def _rows(out: Path, folder: Path) -> list[IndexRow]:
+    """Of one subject; results that are not as limbcli leaves them stop no other's rows."""
     try:
         report = read_result(out, "report")
+        link = quote(relative(report.path("page"), folder))
+        sites = list(report.data.get("sites", {})) or [""]
+        return [_row(out, report, site, link) for site in sites]
     except CaseError as error:
         return [_row_without_report(out, error)]
-    link = quote(relative(report.path("page"), folder))
-    sites = list(report.data.get("sites", {})) or [""]
-    return [_row(out, report, site, link) for site in sites]
+    except _UNLIKE_OURS as error:
+        what = f"its results cannot be read ({type(error).__name__}: {error})"
+        fix = "run `limbcli batch` or `limbcli report` of this case again"
+        return [_row_without_report(out, CaseError(what, where=str(out), fix=fix))]
 
 
 def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
@@ -119,11 +125,15 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         shown = tuple(_failure(each) for each in failures)
         return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, shown, assumed)
     try:
-        view = read_fit_view(read_result(out, "fit", site=site))
+        fitted = read_result(out, "fit", site=site)
     except CaseError:
         return IndexRow(
             name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
         )
+    if fitted.subject != report.subject:  # as on the page
+        state = f"the fit is of {fitted.subject}"
+        return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
+    view = read_fit_view(fitted)
     return IndexRow(
         name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
         assumed=assumed,
@@ -144,7 +154,7 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
             what = content["what"].splitlines()[0]
             state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
             break
-        except (ValueError, KeyError, TypeError, IndexError):
+        except _UNLIKE_OURS:
             continue
     name = out.resolve().name
     return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))
