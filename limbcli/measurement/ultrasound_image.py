@@ -185,17 +185,15 @@ def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
 
 def _dicom_frame(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
     import pydicom
-    from pydicom.pixels import apply_color_lut, convert_color_space
+    from pydicom.pixels import apply_color_lut
 
     dataset = pydicom.dcmread(path)
-    pixels = dataset.pixel_array
+    pixels = dataset.pixel_array  # RGB already where the file holds luminance and two colour differences
     if int(dataset.get("NumberOfFrames", 1) or 1) > 1:
         pixels = pixels[0]
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if kind == "PALETTE COLOR":
         pixels = apply_color_lut(pixels, dataset)
-    elif kind.startswith("YBR") and pixels.ndim == 3:
-        pixels = convert_color_space(pixels, kind, "RGB")
     return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset)
 
 
