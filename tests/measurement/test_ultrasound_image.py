@@ -13,6 +13,7 @@ from pydicom.encaps import encapsulate
 from pydicom.pixels import convert_color_space
 from pydicom.uid import ExplicitVRLittleEndian, JPEGBaseline8Bit, UltrasoundImageStorage, generate_uid
 
+from limbcli.errors import MeasurementError
 from limbcli.measurement.ultrasound_image import read_image
 
 ROWS, COLUMNS = 64, 80
@@ -69,3 +70,25 @@ def test_the_screen_s_colours_come_out_however_they_are_stored(tmp_path, kind):
     found = read_image(path).rgb.astype(int)
     for place in ((4, 4), (40, 10), (40, 70)):
         assert np.abs(found[place] - rgb[place]).max() <= 4
+
+
+@pytest.mark.parametrize(
+    ("row", "depth_cm", "face"), [(21, 0.0, 21), (0, 0.0, 0), (31, 0.1, 21), (-5, 0.0, 0)]
+)
+def test_depth_begins_where_the_reference_pixel_puts_the_probe_face(tmp_path, row, depth_cm, face):
+    reference = {"ReferencePixelY0": row, "ReferencePixelPhysicalValueY": depth_cm}
+    image = read_image(stored(tmp_path / "a.dcm", screen().tobytes(), **reference))
+    assert image.main_region().top == face
+
+
+def test_a_picture_that_begins_below_the_face_is_refused_until_its_box_is_told(tmp_path):
+    reference = {"ReferencePixelY0": -80, "ReferencePixelPhysicalValueY": 0.0}
+    path = stored(tmp_path / "a.dcm", screen().tobytes(), **reference)
+    with pytest.raises(MeasurementError, match=r"begins 8\.0 mm below the probe face"):
+        read_image(path).main_region()
+    assert read_image(path, box_pixels=(0, 3, 79, 60)).main_region().top == 3
+
+
+def test_of_a_real_convex_probe_s_picture_the_face_is_8_mm_below_the_region_s_top(shared):
+    region = read_image(shared / "data" / "us-dicom" / "gdcm-US-ALOKA-16.dcm").main_region()
+    assert region.top == 45  # its corner is at 24, its reference pixel 21 below
