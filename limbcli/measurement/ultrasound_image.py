@@ -144,7 +144,7 @@ def read_image(
     MeasurementError
         If the file is no image, or a scale is neither in it nor given.
     """
-    rgb, regions = _read_dicom(path) if _is_dicom(path) else (_read_picture(path), ())
+    rgb, regions = _read_dicom(path) if is_dicom(path) else (_read_picture(path), ())
     if mm_per_pixel is not None:
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
@@ -170,7 +170,8 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
     return replace(image, regions=(region,))
 
 
-def _is_dicom(path: Path) -> bool:
+def is_dicom(path: Path) -> bool:
+    """By how the file begins, or by its ending. Raises MeasurementError where there is no file."""
     if not path.is_file():
         raise MeasurementError("the image is not there", where=str(path), fix="correct its name")
     with path.open("rb") as stream:
