@@ -51,6 +51,24 @@ def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteC
     )
 
 
+@dataclass(frozen=True)
+class LayersKept:
+    """Share of the layers' thickness asked for that a model has: at the probe's centre (NaN without skin
+    there), and the least under its face. Over bone they thin out so that other tissue is left."""
+
+    centre: float
+    least: float
+
+
+def layers_kept(domain: TissueDomain, core: TissueDomain, probe: ProbeShape, total: float) -> LayersKept:
+    """Layers of `total` mm, measured along the beam: from the skin of the domain to that of its core."""
+    x, y = probe.plan(2.0)
+    x, y = np.append(x, 0.0), np.append(y, 0.0)
+    share = (beam(domain, x, y)[0] - beam(core, x, y)[0]) / total
+    known = share[np.isfinite(share)]
+    return LayersKept(float(share[-1]), float(known.min()) if len(known) else float("nan"))
+
+
 def _to_plane(normal: Array, offset: float, probe: ProbeShape) -> float:
     """Distance from the face's outline to a plane."""
     half = np.array([probe.length / 2, probe.width / 2, 0.0])

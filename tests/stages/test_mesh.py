@@ -14,13 +14,13 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
-from limbcli.meshing.checks import SiteChecks
+from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
 from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, warnings_now
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, warnings_now
 
 CASE = """format = 1
 [subject]
@@ -146,6 +146,7 @@ def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     assert result.data["frame"]["skin_point_mm"] == pytest.approx([30, 0, 0], abs=0.6)
     model = load_model(result.path("model"))
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
+    assert result.data["layers_made"]["at_centre"]["fat_mm"] == pytest.approx(4.0, abs=0.15)
     with pytest.raises(CaseError, match="several sites"):
         mesh(case, out=tmp_path, place=(90.0, 60.0))
 
@@ -172,6 +173,12 @@ def checks(**changes: float | None) -> SiteChecks:
 def test_model_is_checked_against_the_measurement(found, measured, said):
     warnings = geometry_warnings(found, measured=measured, margin=40.0, site="p1")
     assert [said in each for each in warnings] == ([True] if said else [])
+
+
+def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
+    assert layer_warnings(LayersKept(centre=1.0, least=0.95), 7.5) == []
+    (said,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
+    assert "5.4 mm are left under the probe, 6.0 mm at its centre" in said
 
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
