@@ -123,20 +123,40 @@ def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> lis
 def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) -> Triangles:
     """Holes closed by fans, faces turned outward; the holes' rims are added to `loops`."""
     body = _coherent(body, notes, name)
-    rims = boundary_loops(body)
-    points, faces = [body.points], [body.faces]
-    n = len(body.points)
-    for rim in rims:
-        centre = body.points[rim].mean(axis=0)
-        fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1)
-        points.append(centre[None])
-        faces.append(fan)
-        n += 1
-        loops.append(body.points[rim])
-    closed = Triangles(np.concatenate(points), np.concatenate(faces).astype(np.int64))
+    closed, rims = _lidded(body)
+    loops += rims
     if rims:
         notes.append(f"{name}: {len(rims)} open rim{'s' if len(rims) > 1 else ''} closed")
     return closed if closed.volume > 0 else closed.flipped()
+
+
+def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
+    """The body with its open rims closed by fans, and the rims' points."""
+    points, faces = [body.points], [body.faces]
+    n = len(body.points)
+    rims = boundary_loops(body)
+    for rim in rims:
+        points.append(body.points[rim].mean(axis=0)[None])
+        faces.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1))
+        n += 1
+    closed = Triangles(np.concatenate(points), np.concatenate(faces).astype(np.int64))
+    return closed, [body.points[rim] for rim in rims]
+
+
+def turned_inward(body: Triangles) -> bool:
+    """Whether a body's normals point inward; open rims are closed for the answer."""
+    return _lidded(body)[0].volume < 0
+
+
+def enclosed(body: Triangles) -> float:
+    """Volume (mm3) of a body with its open rims closed, wherever it lies and however its faces are turned.
+
+    >>> from limbcli.meshing.surfaces import tetrahedron
+    >>> open_box = tetrahedron().moved(np.eye(4) + 9.0 * np.eye(4, k=3)).part(np.arange(3))
+    >>> round(enclosed(open_box), 6), round(enclosed(open_box.flipped()), 6)
+    (0.166667, 0.166667)
+    """
+    return _closed(body, [], "body", []).volume
 
 
 def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:

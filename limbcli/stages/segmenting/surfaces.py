@@ -12,7 +12,7 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
 from limbcli.meshing.bone_places import put_back
-from limbcli.meshing.mending import skin_and_bones
+from limbcli.meshing.mending import enclosed, skin_and_bones, turned_inward
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
@@ -99,7 +99,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
 
 def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
     """Skin and bones out of one file that holds them all."""
-    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
+    skin, *bones = _bodies_of(surface)
     if not bones:
         raise CaseError(
             "the skin's file holds one body only, and no bones are named",
@@ -155,17 +155,27 @@ def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurfac
     warnings = []
     if not surface.is_closed:
         warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
-    if surface.volume < 0:
+    if turned_inward(_largest(surface)):
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
         warnings.append(f"the normals of {path.name} pointed inward and were turned")
     return surface, warnings
 
 
+def _largest(surface: ClosedSurface) -> Triangles:
+    """Its largest body: a skin's file may hold bones too, and stray bits."""
+    return _bodies_of(surface)[0]
+
+
+def _bodies_of(surface: ClosedSurface) -> list[Triangles]:
+    return skin_and_bones(Triangles(surface.points, surface.triangles))
+
+
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
-    """skin.ply, bone_*.ply, and their volumes."""
+    """skin.ply, bone_*.ply, and the volumes that they enclose."""
     volumes = {}
     for name, surface in surfaces.items():
         write_surface(writer.file(name, f"{name}.ply"), surface)
-        volumes[name] = surface.volume / 1e3
+        bodies = [_largest(surface)] if name == SKIN else _bodies_of(surface)
+        volumes[name] = sum(enclosed(each) for each in bodies) / 1e3
         writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
     writer.data["volume_cm3"] = volumes
