@@ -19,6 +19,7 @@ _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are 
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
 _CAP_COSINE = 0.97
 _CAP_SLAB = 1.5  # mm in which a cap is flat
+_RIM_SHARE = 0.5  # of the section just inside: a smaller rim is a hole in the skin, no end
 _INSIDE = 1.5  # mm: the fresh cut lies this far inside an open or capped end
 
 
@@ -143,6 +144,13 @@ def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
     return closed, [body.points[rim] for rim in rims]
 
 
+def open_rims(body: Triangles) -> list[tuple[Array, float]]:
+    """Middle (3,) and width (mm) of every open rim, the widest first."""
+    rims = [body.points[each] for each in boundary_loops(body)]
+    found = [(each.mean(axis=0), float(np.linalg.norm(np.ptp(each, axis=0)))) for each in rims]
+    return sorted(found, key=lambda each: -each[1])
+
+
 def turned_inward(body: Triangles) -> bool:
     """Whether a body's normals point inward; open rims are closed for the answer."""
     return _lidded(body)[0].volume < 0
@@ -205,12 +213,25 @@ def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[P
         normal = np.linalg.svd(rim - middle)[2][2]
         normal = normal if normal @ (middle - centre) > 0 else -normal
         radius = np.linalg.norm(rim - middle, axis=1).mean()
-        if radius < 15.0:  # mm: a hole, not an end
+        if radius < 15.0 or not _is_end(skin, rim, normal):  # mm: a hole, not an end
             continue
         near = [each for each in loops if abs((each.mean(0) - middle) @ normal) < 15.0]
         offset = min(float((each @ normal).min()) for each in near) - _INSIDE
         planes.append(Plane(normal, offset, "open"))
     return planes
+
+
+def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
+    """Whether an open rim goes round the limb: a cut inside it is about as large as the rim itself.
+
+    Beside a hole in the limb's side the section there runs along the limb. The area vectors beyond a plane
+    add up to the section in it (closed surface).
+    """
+    spokes = rim - rim.mean(axis=0)
+    opening = abs(float(0.5 * np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal))
+    beyond = skin.centroids @ normal > float((rim @ normal).min()) - _INSIDE
+    section = abs(float((skin.area_vectors[beyond] @ normal).sum()))
+    return opening > _RIM_SHARE * section
 
 
 def _flat_ends(skin: Triangles) -> list[Plane]:
