@@ -14,12 +14,15 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.meshing.anatomy import limb_problems
 from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
+from limbcli.problems import errors_of
 from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
+from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, warnings_now
 
 CASE = """format = 1
@@ -136,6 +139,20 @@ def test_sizes_out_of_range_are_refused(folder, out):
 def test_without_segment_it_says_what_to_run(folder, tmp_path):
     with pytest.raises(CaseError, match="no result of `segment`"):
         mesh(Case.open(folder), out=tmp_path)
+
+
+def test_drawn_bodies_whose_triangles_span_the_limb_are_a_limb(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "drawn")
+    for name, body in (
+        ("skin", prism(30.0, -60.0, 60.0, along=2)),
+        ("tibia", prism(8.0, -60.0, 60.0, along=2)),
+    ):
+        meshio.write(tmp_path / "drawn" / f"{name}.ply", meshio.Mesh(body.points, [("triangle", body.faces)]))
+    surfaces = triangles_of(read_surfaces(Case.open(tmp_path / "drawn"))[0])
+    assert errors_of(limb_problems(surfaces, limb="left", where="drawn")) == []
+    assert surfaces["skin"].volume == pytest.approx(prism(30.0, -60.0, 60.0).volume)
+    corners = surfaces["skin"].corners
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 12.0
 
 
 @pytest.mark.slow

@@ -12,11 +12,16 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
 from limbcli.meshing.bone_places import put_back
-from limbcli.meshing.mending import enclosed, skin_and_bones, turned_inward
+from limbcli.meshing.facets import divided
+from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.places import tell_places
+
+_LONGEST_EDGE = (
+    12.0  # mm: what follows looks at points and triangles; those of drawn bodies span the whole limb
+)
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
@@ -121,6 +126,7 @@ def _bone_names(case: Case) -> list[str]:
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
+    """The surface in triangles of a limb's scale, if its size is a body's."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
         raise CaseError(
@@ -129,7 +135,7 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
             fix="save it in mm (patient LPS frame)",
             size_mm=float(size),
         )
-    return surface
+    return ClosedSurface(*divided(surface.points, surface.triangles, _LONGEST_EDGE))
 
 
 def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
@@ -154,7 +160,9 @@ def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) 
 def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
     warnings = []
     if not surface.is_closed:
-        warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
+        warnings.append(
+            f"{name} ({path.name}) is not closed{_rims(surface)}; it will be closed when the model is cut"
+        )
     if turned_inward(_largest(surface)):
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
         warnings.append(f"the normals of {path.name} pointed inward and were turned")
@@ -168,6 +176,16 @@ def _largest(surface: ClosedSurface) -> Triangles:
 
 def _bodies_of(surface: ClosedSurface) -> list[Triangles]:
     return skin_and_bones(Triangles(surface.points, surface.triangles))
+
+
+def _rims(surface: ClosedSurface) -> str:
+    """Where it is open, in words: a flat lid stands there in the model."""
+    rims = [rim for each in _bodies_of(surface) for rim in open_rims(each)]
+    if not rims:
+        return ""
+    (x, y, z), width = max(rims, key=lambda each: each[1])
+    several = f", {len(rims)} open rims" if len(rims) > 1 else ""
+    return f" (an opening of {width:.0f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm{several})"
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
