@@ -145,9 +145,9 @@ def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
 
 
 def open_rims(body: Triangles) -> list[tuple[Array, float]]:
-    """Middle (3,) and width (mm) of every open rim, the widest first."""
+    """Middle (3,) and longest side (mm) of every open rim, the widest first."""
     rims = [body.points[each] for each in boundary_loops(body)]
-    found = [(each.mean(axis=0), float(np.linalg.norm(np.ptp(each, axis=0)))) for each in rims]
+    found = [(each.mean(axis=0), float(np.ptp(each, axis=0).max())) for each in rims]
     return sorted(found, key=lambda each: -each[1])
 
 

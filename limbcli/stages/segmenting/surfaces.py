@@ -14,6 +14,7 @@ from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
 from limbcli.meshing.bone_places import put_back
 from limbcli.meshing.facets import divided
 from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
+from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
@@ -183,9 +184,9 @@ def _rims(surface: ClosedSurface) -> str:
     rims = [rim for each in _bodies_of(surface) for rim in open_rims(each)]
     if not rims:
         return ""
-    (x, y, z), width = max(rims, key=lambda each: each[1])
+    middle, width = max(rims, key=lambda each: each[1])
     several = f", {len(rims)} open rims" if len(rims) > 1 else ""
-    return f" (an opening of {width:.0f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm{several})"
+    return f" (an opening of {width:.0f} mm at {triple(middle)} mm{several})"
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
