@@ -10,12 +10,12 @@ import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
-from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks
+from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks, to_cut
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.layers import Layer, core_of, with_layers
-from limbcli.meshing.mending import Limb
+from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import MeshQuality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
@@ -85,7 +85,7 @@ def site_model(
     Raises
     ------
     CaseError
-        If site, probe or options cannot be used.
+        If site, probe or options cannot be used, or the images end under the probe.
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
@@ -95,7 +95,9 @@ def site_model(
     progress.event("task", name="mesh: frame and crop", done=0, total=4)
     frame = site_frame(limb, np.asarray(position, float), long_axis, probe, where=f"site {name}")
     local = limb.moved(frame.to_model)
-    domain = make_domain(local, crop_planes(local, probe, options.margin), spacing=options.spacing)
+    planes = crop_planes(local, probe, options.margin)
+    _require_tissue_to_the_edge(planes, probe, name)
+    domain = make_domain(local, planes, spacing=options.spacing)
     progress.event("task", name="mesh: volume", done=1, total=4)
     core = core_of(domain, options.layers) if options.layers else None
     volume, kinds = _fill(domain, core, probe, options)
@@ -118,6 +120,19 @@ def site_model(
         (*domain.notes, *volume.notes),
         None if core is None else layers_kept(domain, core, probe, _thickness(options)),
     )
+
+
+def _require_tissue_to_the_edge(planes: tuple[Plane, ...], probe: ProbeShape, name: str) -> None:
+    """A cut is held like bone: under the face it would carry the probe."""
+    reach = to_cut(planes, probe)
+    if reach is not None and reach < 0:
+        raise CaseError(
+            f"the images end {-reach:.0f} mm inside the probe's face: part of it lies over nothing that is "
+            "known",
+            where=f"site {name}",
+            fix="move position_mm away from the end, check long_axis, or bring images that reach beyond it",
+            to_cut_mm=reach,
+        )
 
 
 def _thickness(options: MeshOptions) -> float:
