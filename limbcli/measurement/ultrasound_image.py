@@ -82,6 +82,12 @@ class UltrasoundImage:
         """
         return self._from_the_face(max(self.calibrated(), key=_area))
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing tells where in the image the ultrasound picture lies."""
+        rows, columns = self.rgb.shape[:2]
+        return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
+
     def calibrated(self) -> tuple[Region, ...]:
         """All regions; raises MeasurementError where there is none."""
         if not self.regions:
@@ -135,7 +141,8 @@ def read_image(
 ) -> UltrasoundImage:
     """Read one frame (of a multi-frame file the first).
 
-    mm_per_pixel : overrides, or stands in for, the file's own calibration.
+    mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
+        image stays as the file tells it, else the whole image is taken.
     box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
         its top is the probe face.
 
@@ -149,10 +156,18 @@ def read_image(
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
-        rows, columns = rgb.shape[:2]
-        regions = (Region(0, 0, columns - 1, rows - 1, mm_per_pixel, mm_per_pixel),)
+        regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (_whole(rgb),))
     image = UltrasoundImage(rgb, regions, path)
     return image if box_pixels is None else _within(image, box_pixels)
+
+
+def _whole(rgb: NDArray[np.uint8]) -> Region:
+    return Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
+
+
+def _at_scale(region: Region, mm_per_pixel: float) -> Region:
+    cut_off = region.cut_off * mm_per_pixel / region.mm_per_pixel_y
+    return replace(region, mm_per_pixel_x=mm_per_pixel, mm_per_pixel_y=mm_per_pixel, cut_off=cut_off)
 
 
 def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> UltrasoundImage:

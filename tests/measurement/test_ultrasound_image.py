@@ -92,3 +92,15 @@ def test_a_picture_that_begins_below_the_face_is_refused_until_its_box_is_told(t
 def test_of_a_real_convex_probe_s_picture_the_face_is_8_mm_below_the_region_s_top(shared):
     region = read_image(shared / "data" / "us-dicom" / "gdcm-US-ALOKA-16.dcm").main_region()
     assert region.top == 45  # its corner is at 24, its reference pixel 21 below
+
+
+def test_a_scale_that_is_stated_leaves_the_picture_where_the_file_has_it(tmp_path):
+    reference = {"ReferencePixelY0": 21, "ReferencePixelPhysicalValueY": 0.0}
+    path = stored(tmp_path / "a.dcm", screen().tobytes(), RegionLocationMinX0=8, **reference)
+    region = read_image(path, mm_per_pixel=0.2).main_region()
+    assert (region.left, region.top, region.mm_per_pixel_x, region.mm_per_pixel_y) == (8, 21, 0.2, 0.2)
+    assert not read_image(path).is_whole
+    Image.fromarray(screen()).save(tmp_path / "a.png")
+    picture = read_image(tmp_path / "a.png", mm_per_pixel=0.2)
+    assert picture.is_whole
+    assert picture.main_region().bottom == ROWS - 1

@@ -94,7 +94,7 @@ def measured_speeds(
     from limbcli.measurement.picture import draw_speeds
 
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
-    if table["image_pixels"] is None and table["mm_per_pixel"] is not None:
+    if table["image_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
             "the top of the elastography pictures is taken for the probe face and their middle for its "
             "centre; say where the ultrasound image lies in them with image_pixels"
