@@ -143,7 +143,7 @@ def _is_alive(pid: int) -> bool:
 
 
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points (n, 3) and triangles (m, 3) of a surface file as they stand; quadrilaterals are halved.
+    """Points (n, 3) and triangles (m, 3) of a surface file as they stand; other polygons are cut into them.
 
     m is 0 where the file holds other cells only; points may be no numbers: that is the reader's to judge.
 
@@ -160,16 +160,29 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         with np.errstate(all="ignore"):  # meshio guesses at a size that may not fit
             mesh = meshio.read(path)
         points = np.asarray(mesh.points, dtype=np.float64)
-        blocks = [np.asarray(each.data, dtype=np.int64) for each in mesh.cells if each.type in _SIDES]
+        blocks = [np.asarray(each.data, dtype=np.int64) for each in mesh.cells if _is_face(each.type)]
     except _FOREIGN as error:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise OSError("its points have no three coordinates")
-    halves = [each if each.shape[1] == 3 else each[:, [[0, 1, 2], [0, 2, 3]]] for each in blocks if each.size]
-    faces = np.concatenate([np.zeros((0, 3), np.int64), *(each.reshape(-1, 3) for each in halves)])
+    faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in blocks if each.size)])
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
         raise OSError(f"a triangle names a point that is not there (of {len(points)})")
     return points[:, :3], faces
+
+
+def _is_face(kind: str) -> bool:
+    return kind in _SIDES or kind.startswith("polygon")
+
+
+def _fans(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (n (k - 2), 3) of polygons (n, k), all from their first corners.
+
+    >>> _fans(np.array([[4, 5, 6, 7]])).tolist()
+    [[4, 5, 6], [4, 6, 7]]
+    """
+    k = np.arange(1, polygons.shape[1] - 1)
+    return polygons[:, np.column_stack([np.zeros_like(k), k, k + 1])].reshape(-1, 3)
 
 
 def gunzip(content: bytes, *, limit: int) -> bytes:

@@ -219,7 +219,8 @@ def turned_over(dataset: Dataset) -> bool:
 
 
 def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -> NDArray[np.float32]:
-    """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over."""
+    """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over, padding is air."""
+    pixels = _without_padding(pixels, header)
     if turned_over(header):
         top = 2 ** int(header.get("BitsStored", 16)) - 1
         pixels = (-1 if int(header.get("PixelRepresentation", 0)) else top) - pixels.astype(np.int64)
@@ -232,3 +233,21 @@ def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -
         except (TypeError, ValueError) as error:
             raise CaseError(f"{keyword} ({tag}) is no number", where=name, fix=_EXPORT) from error
     return pixels.astype(np.float32) * np.float32(values[0]) + np.float32(values[1])
+
+
+def _without_padding(pixels: NDArray, header: Dataset) -> NDArray:
+    """What stands where nothing was measured (Pixel Padding Value, PS3.3 C.7.5.1.1.2) is made the darkest.
+
+    Padding among the values of the image itself stays: it is as dark as air, or it cannot be told apart.
+    """
+    try:
+        value = int(header.PixelPaddingValue)
+        ends = value, int(header.get("PixelPaddingRangeLimit", value))
+    except (AttributeError, TypeError, ValueError):
+        return pixels
+    padding = (pixels >= min(ends)) & (pixels <= max(ends))
+    measured = pixels[~padding]
+    if not padding.any() or not len(measured) or measured.min() < max(ends) < measured.max():
+        return pixels
+    dark = measured.max() if turned_over(header) else measured.min()
+    return np.where(padding, dark, pixels)

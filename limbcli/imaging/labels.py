@@ -16,13 +16,15 @@ from scipy import ndimage
 from limbcli.errors import CaseError
 from limbcli.files import atomic_file
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import one_geometry
+from limbcli.imaging.nifti import must_tell_place, one_geometry
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.model import Array
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
+_LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
 
 
 def write_labels(path: Path, labels: Volume) -> None:
@@ -49,8 +51,8 @@ def read_labels(path: Path) -> Volume:
     Raises
     ------
     CaseError
-        If the file cannot be read, is not three-dimensional, or holds values other than
-        0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
+        If the file cannot be read, is not three-dimensional, does not say how it lies in the patient, or
+        holds values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
     """
     try:
         image = nib.load(path)
@@ -67,6 +69,8 @@ def read_labels(path: Path) -> Volume:
         ) from error
     while values.ndim > 3 and values.shape[-1] == 1:
         values = values[..., 0]
+    fix = "export it again from 3D Slicer with the MRI series as its reference volume"
+    must_tell_place(image, path, noun="label map", fix=fix)
     one_geometry(image, path, noun="label map")
     return checked_labels(Volume(values, RAS_FROM_LPS @ affine), path)
 
@@ -108,28 +112,45 @@ def segmentation_from(labels: Volume) -> Segmentation:
     turned, _, _ = labels.along_limb()
     limb = np.isin(turned.values, (SOFT_TISSUE, BONE, FAT))
     limb = filled_by_slice(largest(limb))
-    bones = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
+    bones, specks = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
+    markers, dots = _markers(turned, limb)
     return Segmentation(
         labels=labels,
         skin=turned.with_values(limb),
         bones=tuple(turned.with_values(each) for each in bones),
         fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
-        markers=_markers(turned, limb),
+        markers=markers,
+        notes=(*_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
     )
 
 
-def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> list[NDArray[np.bool_]]:
-    """Connected parts of at least `least` mm^3, largest first."""
+def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
+    """What is said of specks, by the voxel indices (n, 3) of their middles."""
+    if not len(places):
+        return ()
+    x, y, z = volume.to_patient(places[:1])[0]
+    several = "s" if len(places) > 1 else ""
+    where = f"at ({x:.0f}, {y:.0f}, {z:.0f}) mm" + (" and elsewhere" if several else "")
+    return (f"{len(places)} speck{several} of {kind} in the label map, {where}, left out",)
+
+
+def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[list[NDArray[np.bool_]], Array]:
+    """Connected parts of at least `least` mm^3, largest first; the middles (n, 3) of the others, voxels."""
     parts, n_parts = ndimage.label(mask)
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:] * volume.voxel_volume
     order = np.argsort(-sizes, kind="stable")
-    return [parts == n + 1 for n in order if sizes[n] >= least]
+    small = np.flatnonzero(sizes < least) + 1
+    middles = np.array(ndimage.center_of_mass(mask, parts, small)).reshape(-1, 3)
+    return [parts == n + 1 for n in order if sizes[n] >= least], middles
 
 
-def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[MarkerCapsule, ...]:
+def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[tuple[MarkerCapsule, ...], Array]:
+    """The capsules, and the middles (n, 3) of specks, which would take a capsule's number, voxels."""
     parts, n_parts = ndimage.label(volume.values == MARKER, np.ones((3, 3, 3), bool))
     if n_parts == 0:
-        return ()
+        return (), np.zeros((0, 3))
     centres = np.array(ndimage.center_of_mass(parts > 0, parts, np.arange(1, n_parts + 1)))
     sizes = np.asarray(np.bincount(parts.ravel())[1:] * volume.voxel_volume, dtype=np.float64)
-    return number_markers(volume.to_patient(centres), sizes, volume, limb)
+    whole = sizes >= _LEAST_MARKER * sizes.max()
+    found = number_markers(volume.to_patient(centres[whole]), sizes[whole], volume, limb)
+    return found, centres[~whole]

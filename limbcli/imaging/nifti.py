@@ -42,13 +42,8 @@ def read_nifti(path: Path) -> Volume:
             where=str(path),
             fix="crop it to the limb",
         )
-    header = image.header
-    if not header["qform_code"] and not header["sform_code"]:
-        raise CaseError(
-            "the image does not say how it lies in the patient (qform_code and sform_code are 0)",
-            where=str(path),
-            fix="convert the DICOM series again (dcm2niix writes both), or name the DICOM folder itself",
-        )
+    fix = "convert the DICOM series again (dcm2niix writes both), or name the DICOM folder itself"
+    must_tell_place(image, path, noun="image", fix=fix)
     one_geometry(image, path, noun="image")
     try:
         values = np.asarray(image.dataobj, dtype=np.float32).reshape(shape)
@@ -94,6 +89,20 @@ def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
             fix="bring the whole volume",
         )
     return int(shape[0]), int(shape[1]), int(shape[2])
+
+
+def must_tell_place(image: object, path: Path, *, noun: str, fix: str) -> None:
+    """A NIfTI without qform and sform has voxel sizes only: which side is left nobody knows.
+
+    Raises
+    ------
+    CaseError
+        If it has neither.
+    """
+    header = getattr(image, "header", None)
+    if isinstance(header, nib.Nifti1Header) and not header["qform_code"] and not header["sform_code"]:
+        what = f"the {noun} does not say how it lies in the patient (qform_code and sform_code are 0)"
+        raise CaseError(what, where=str(path), fix=fix)
 
 
 def one_geometry(image: object, path: Path, *, noun: str) -> None:

@@ -3,6 +3,7 @@
 A DICOM ultrasound image may hold several regions (B-mode, colour box, Doppler
 trace); each states its corners and what a pixel means (PS3.3 C.8.5.5). A region
 whose deltas are zero or whose unit is not cm is not calibrated and is not used.
+Depth 0 is the probe face: the row that the region's reference pixel tells, else its top.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +27,15 @@ _DAMAGED = (
     RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
 )  # fmt: skip
 _OVER_EDGE = 2  # pixels by which a box may stand over the edge of its region
-_DICOM_SUFFIXES = {".dcm", ".dicom", ""}
+_MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that a picture may lack; it is neglected
 
 
 @dataclass(frozen=True)
 class Region:
-    """A calibrated part of the image: pixel corners (inclusive) and mm per pixel."""
+    """A calibrated part of the image: pixel corners (inclusive) and mm per pixel; its top is the probe face.
+
+    cut_off : mm of tissue below the face that are not in the picture
+    """
 
     left: int
     top: int
@@ -38,6 +43,7 @@ class Region:
     bottom: int
     mm_per_pixel_x: float
     mm_per_pixel_y: float
+    cut_off: float = 0.0
 
     def holds(self, box: tuple[int, int, int, int]) -> bool:
         """Whether a box (left, top, right, bottom) lies within, but for a pixel or two."""
@@ -72,15 +78,36 @@ class UltrasoundImage:
         Raises
         ------
         MeasurementError
-            If none is calibrated.
+            If none is calibrated, or it begins below the probe face.
         """
+        return self._from_the_face(max(self.calibrated(), key=_area))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing tells where in the image the ultrasound picture lies."""
+        rows, columns = self.rgb.shape[:2]
+        return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
+
+    def calibrated(self) -> tuple[Region, ...]:
+        """All regions; raises MeasurementError where there is none."""
         if not self.regions:
             raise MeasurementError(
                 "the image has no calibrated region",
                 where=str(self.path),
                 fix="state mm_per_pixel (read it off the depth scale), or export DICOM with regions",
             )
-        return max(self.regions, key=_area)
+        return self.regions
+
+    def _from_the_face(self, region: Region) -> Region:
+        if region.cut_off > _MOST_CUT_OFF:
+            raise MeasurementError(
+                f"the picture begins {region.cut_off:.1f} mm below the probe face (Reference Pixel Y0, "
+                "0018,6022): depths cannot be counted from its top",
+                where=str(self.path),
+                fix="export the frame without zoom; if the face is in the picture, say where: its box "
+                "(box_pixels of [site.b_mode], image_pixels of [site.swe_images]), whose top is the face",
+            )
+        return region
 
     def region_of(self, box: tuple[int, int, int, int]) -> Region:
         """The calibrated region that a box lies in: the largest, where regions lie in one another.
@@ -90,9 +117,9 @@ class UltrasoundImage:
         Raises
         ------
         MeasurementError
-            If none is calibrated, or the box lies in none or across two.
+            If none is calibrated, the box lies in none or across two, or its region begins below the face.
         """
-        self.main_region()
+        self.calibrated()
         holding = [each for each in self.regions if each.holds(box)]
         if not holding:
             places = ", ".join(str([r.left, r.top, r.right, r.bottom]) for r in self.regions)
@@ -102,7 +129,7 @@ class UltrasoundImage:
                 fix="correct box_pixels, or state the picture that it lies in: image_pixels = [left, top, "
                 "right, bottom], its top the probe face",
             )
-        return max(holding, key=_area)
+        return self._from_the_face(max(holding, key=_area))
 
 
 def _area(region: Region) -> int:
@@ -114,7 +141,8 @@ def read_image(
 ) -> UltrasoundImage:
     """Read one frame (of a multi-frame file the first).
 
-    mm_per_pixel : overrides, or stands in for, the file's own calibration.
+    mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
+        image stays as the file tells it, else the whole image is taken.
     box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
         its top is the probe face.
 
@@ -123,15 +151,23 @@ def read_image(
     MeasurementError
         If the file is no image, or a scale is neither in it nor given.
     """
-    rgb, regions = _read_dicom(path) if _is_dicom(path) else (_read_picture(path), ())
+    rgb, regions = _read_dicom(path) if is_dicom(path) else (_read_picture(path), ())
     if mm_per_pixel is not None:
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
-        rows, columns = rgb.shape[:2]
-        regions = (Region(0, 0, columns - 1, rows - 1, mm_per_pixel, mm_per_pixel),)
+        regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (_whole(rgb),))
     image = UltrasoundImage(rgb, regions, path)
     return image if box_pixels is None else _within(image, box_pixels)
+
+
+def _whole(rgb: NDArray[np.uint8]) -> Region:
+    return Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
+
+
+def _at_scale(region: Region, mm_per_pixel: float) -> Region:
+    cut_off = region.cut_off * mm_per_pixel / region.mm_per_pixel_y
+    return replace(region, mm_per_pixel_x=mm_per_pixel, mm_per_pixel_y=mm_per_pixel, cut_off=cut_off)
 
 
 def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> UltrasoundImage:
@@ -144,13 +180,13 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
             where=str(image.path),
             fix="state box_pixels = [left, top, right, bottom]",
         )
-    image.main_region()
-    main = max(image.regions, key=lambda each: (each.shared(box), _area(each)))
+    main = max(image.calibrated(), key=lambda each: (each.shared(box), _area(each)))
     region = Region(left, top, right, bottom, main.mm_per_pixel_x, main.mm_per_pixel_y)
     return replace(image, regions=(region,))
 
 
-def _is_dicom(path: Path) -> bool:
+def is_dicom(path: Path) -> bool:
+    """By how the file begins, or by its ending. Raises MeasurementError where there is no file."""
     if not path.is_file():
         raise MeasurementError("the image is not there", where=str(path), fix="correct its name")
     with path.open("rb") as stream:
@@ -185,17 +221,15 @@ def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
 
 def _dicom_frame(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
     import pydicom
-    from pydicom.pixels import apply_color_lut, convert_color_space
+    from pydicom.pixels import apply_color_lut
 
     dataset = pydicom.dcmread(path)
-    pixels = dataset.pixel_array
+    pixels = dataset.pixel_array  # RGB already where the file holds luminance and two colour differences
     if int(dataset.get("NumberOfFrames", 1) or 1) > 1:
         pixels = pixels[0]
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if kind == "PALETTE COLOR":
         pixels = apply_color_lut(pixels, dataset)
-    elif kind.startswith("YBR") and pixels.ndim == 3:
-        pixels = convert_color_space(pixels, kind, "RGB")
     return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset)
 
 
@@ -232,5 +266,18 @@ def _regions(dataset: object) -> tuple[Region, ...]:
             )
         ]
         left, top, right, bottom = corners
-        found.append(Region(left, top, right, bottom, dx, dy))
+        face = _face_row(each, top, bottom)
+        found.append(Region(left, max(top, round(face)), right, bottom, dx, dy, max(0.0, (top - face) * dy)))
     return tuple(found)
+
+
+def _face_row(region: Any, top: int, bottom: int) -> float:
+    """The row of depth 0: where the reference pixel, counted from the region's corner, and its depth put it.
+
+    Without one, or with one that lies below the region, the region's top.
+    """
+    row, depth = region.get("ReferencePixelY0"), region.get("ReferencePixelPhysicalValueY")
+    if row is None or depth is None:
+        return top
+    face = top + float(row) - float(depth) / float(region.PhysicalDeltaY)
+    return face if np.isfinite(face) and face < bottom else top

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from limbcli.meshing.domain import TissueDomain
+from limbcli.meshing.mending import Plane
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array
 
@@ -40,21 +42,41 @@ def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteC
     skin, thickness = beam(domain, np.append(x, 0.0), np.append(y, 0.0))
     centre = thickness[-1]
     under = np.isfinite(thickness[:-1])
-    reach = [_to_plane(each.normal, each.offset, probe) for each in domain.planes]
+    reach = to_cut(domain.planes, probe)
     return SiteChecks(
         skin_bone_mm=float(centre) if np.isfinite(centre) else None,
         thinnest_under_probe_mm=float(np.nanmin(thickness)) if np.isfinite(thickness).any() else None,
         over_tissue_share=float((skin[:-1] > -probe.width).mean()),
         bone_share=float(under.mean()),
-        to_cut_mm=float(min(reach)) if reach else None,
+        to_cut_mm=reach,
         gap_at_first_touch_mm=float(np.nanmax(-skin[:-1])) if np.isfinite(skin).any() else float("nan"),
     )
 
 
-def _to_plane(normal: Array, offset: float, probe: ProbeShape) -> float:
-    """Distance from the face's outline to a plane."""
+@dataclass(frozen=True)
+class LayersKept:
+    """Share of the layers' thickness asked for that a model has: at the probe's centre (NaN without skin
+    there), and the least under its face. Over bone they thin out so that other tissue is left."""
+
+    centre: float
+    least: float
+
+
+def layers_kept(domain: TissueDomain, core: TissueDomain, probe: ProbeShape, total: float) -> LayersKept:
+    """Layers of `total` mm, measured along the beam: from the skin of the domain to that of its core."""
+    x, y = probe.plan(2.0)
+    x, y = np.append(x, 0.0), np.append(y, 0.0)
+    share = (beam(domain, x, y)[0] - beam(core, x, y)[0]) / total
+    known = share[np.isfinite(share)]
+    return LayersKept(float(share[-1]), float(known.min()) if len(known) else float("nan"))
+
+
+def to_cut(planes: Sequence[Plane], probe: ProbeShape) -> float | None:
+    """mm from the face's outline to the nearest cut, in the site's frame; negative where it lies under the
+    face, None without cuts."""
     half = np.array([probe.length / 2, probe.width / 2, 0.0])
-    return float(offset - np.abs(normal * half).sum())
+    reach = [float(each.offset - np.abs(each.normal * half).sum()) for each in planes]
+    return min(reach, default=None)
 
 
 def beam(domain: TissueDomain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:

@@ -54,6 +54,26 @@ def split_long(
     return np.vstack([points, added]), new_faces, labels[parent]
 
 
+def divided(points: Array, faces: IntArray, longest: float) -> tuple[Array, IntArray]:
+    """Any triangles, their edges longer than `longest` (mm) halved until there is none; the shape stays.
+
+    >>> wedge = np.array([[0.0, 0, 0], [40, 0, 0], [0, 9, 0]])
+    >>> points, faces = divided(wedge, np.array([[0, 1, 2]]), 12.0)
+    >>> bool(np.linalg.norm(points[faces] - points[np.roll(faces, 1, axis=1)], axis=2).max() <= 12.0)
+    True
+    """
+    while True:
+        pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        edges, number = np.unique(pairs, axis=0, return_inverse=True)
+        long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest
+        if not long.any():
+            return points, faces
+        middle = np.full(len(edges), -1)
+        middle[long] = len(points) + np.arange(int(long.sum()))
+        points = np.vstack([points, points[edges[long]].mean(axis=1)])
+        faces, _ = _divide(faces, middle[number].reshape(-1, 3))
+
+
 def _divide(faces: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
     """Faces cut at the middles (-1: none) of their edges 01, 12, 20; and each piece's parent."""
     count = (middle >= 0).sum(axis=1)

@@ -19,6 +19,7 @@ _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are 
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
 _CAP_COSINE = 0.97
 _CAP_SLAB = 1.5  # mm in which a cap is flat
+_RIM_SHARE = 0.5  # of the section just inside: a smaller rim is a hole in the skin, no end
 _INSIDE = 1.5  # mm: the fresh cut lies this far inside an open or capped end
 
 
@@ -123,20 +124,47 @@ def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> lis
 def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) -> Triangles:
     """Holes closed by fans, faces turned outward; the holes' rims are added to `loops`."""
     body = _coherent(body, notes, name)
-    rims = boundary_loops(body)
-    points, faces = [body.points], [body.faces]
-    n = len(body.points)
-    for rim in rims:
-        centre = body.points[rim].mean(axis=0)
-        fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1)
-        points.append(centre[None])
-        faces.append(fan)
-        n += 1
-        loops.append(body.points[rim])
-    closed = Triangles(np.concatenate(points), np.concatenate(faces).astype(np.int64))
+    closed, rims = _lidded(body)
+    loops += rims
     if rims:
         notes.append(f"{name}: {len(rims)} open rim{'s' if len(rims) > 1 else ''} closed")
     return closed if closed.volume > 0 else closed.flipped()
+
+
+def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
+    """The body with its open rims closed by fans, and the rims' points."""
+    points, faces = [body.points], [body.faces]
+    n = len(body.points)
+    rims = boundary_loops(body)
+    for rim in rims:
+        points.append(body.points[rim].mean(axis=0)[None])
+        faces.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1))
+        n += 1
+    closed = Triangles(np.concatenate(points), np.concatenate(faces).astype(np.int64))
+    return closed, [body.points[rim] for rim in rims]
+
+
+def open_rims(body: Triangles) -> list[tuple[Array, float]]:
+    """Middle (3,) and longest side (mm) of every open rim, the widest first."""
+    rims = [body.points[each] for each in boundary_loops(body)]
+    found = [(each.mean(axis=0), float(np.ptp(each, axis=0).max())) for each in rims]
+    return sorted(found, key=lambda each: -each[1])
+
+
+def turned_inward(body: Triangles) -> bool:
+    """Whether a body's normals point inward; open rims are closed for the answer."""
+    return _lidded(body)[0].volume < 0
+
+
+def enclosed(body: Triangles) -> float:
+    """Volume (mm3) of a body with its open rims closed, wherever it lies and however its faces are turned.
+
+    >>> from limbcli.meshing.surfaces import tetrahedron
+    >>> open_box = tetrahedron().moved(np.eye(4) + 9.0 * np.eye(4, k=3)).part(np.arange(3))
+    >>> round(enclosed(open_box), 6), round(enclosed(open_box.flipped()), 6)
+    (0.166667, 0.166667)
+    """
+    return _closed(body, [], "body", []).volume
 
 
 def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
@@ -185,12 +213,25 @@ def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[P
         normal = np.linalg.svd(rim - middle)[2][2]
         normal = normal if normal @ (middle - centre) > 0 else -normal
         radius = np.linalg.norm(rim - middle, axis=1).mean()
-        if radius < 15.0:  # mm: a hole, not an end
+        if radius < 15.0 or not _is_end(skin, rim, normal):  # mm: a hole, not an end
             continue
         near = [each for each in loops if abs((each.mean(0) - middle) @ normal) < 15.0]
         offset = min(float((each @ normal).min()) for each in near) - _INSIDE
         planes.append(Plane(normal, offset, "open"))
     return planes
+
+
+def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
+    """Whether an open rim goes round the limb: a cut inside it is about as large as the rim itself.
+
+    Beside a hole in the limb's side the section there runs along the limb. The area vectors beyond a plane
+    add up to the section in it (closed surface).
+    """
+    spokes = rim - rim.mean(axis=0)
+    opening = abs(float(0.5 * np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal))
+    beyond = skin.centroids @ normal > float((rim @ normal).min()) - _INSIDE
+    section = abs(float((skin.area_vectors[beyond] @ normal).sum()))
+    return opening > _RIM_SHARE * section
 
 
 def _flat_ends(skin: Triangles) -> list[Plane]:

@@ -10,12 +10,12 @@ import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
-from limbcli.meshing.checks import SiteChecks, site_checks
+from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks, to_cut
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.layers import Layer, core_of, with_layers
-from limbcli.meshing.mending import Limb
+from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import MeshQuality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
@@ -56,7 +56,7 @@ class MeshOptions:
 
 @dataclass(frozen=True, eq=False)
 class SiteModel:
-    """The model and what was found while making it."""
+    """The model and what was found while making it; `layers` is None where it has none."""
 
     model: LimbModel
     frame: SiteFrame
@@ -65,6 +65,7 @@ class SiteModel:
     checks: SiteChecks
     maker: str
     notes: tuple[str, ...]
+    layers: LayersKept | None = None
 
 
 def site_model(
@@ -84,7 +85,7 @@ def site_model(
     Raises
     ------
     CaseError
-        If site, probe or options cannot be used.
+        If site, probe or options cannot be used, or the images end under the probe.
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
@@ -94,9 +95,12 @@ def site_model(
     progress.event("task", name="mesh: frame and crop", done=0, total=4)
     frame = site_frame(limb, np.asarray(position, float), long_axis, probe, where=f"site {name}")
     local = limb.moved(frame.to_model)
-    domain = make_domain(local, crop_planes(local, probe, options.margin), spacing=options.spacing)
+    planes = crop_planes(local, probe, options.margin)
+    _require_tissue_to_the_edge(planes, probe, name)
+    domain = make_domain(local, planes, spacing=options.spacing)
     progress.event("task", name="mesh: volume", done=1, total=4)
-    volume, kinds = _fill(domain, probe, options)
+    core = core_of(domain, options.layers) if options.layers else None
+    volume, kinds = _fill(domain, core, probe, options)
     progress.event("task", name="mesh: model", done=3, total=4)
     checks = site_checks(domain, probe, options.margin)
     rigid = probe_mesh(probe)
@@ -114,17 +118,35 @@ def site_model(
         checks,
         volume.maker,
         (*domain.notes, *volume.notes),
+        None if core is None else layers_kept(domain, core, probe, _thickness(options)),
     )
 
 
-def _fill(domain: TissueDomain, probe: ProbeShape, options: MeshOptions) -> tuple[VolumeMesh, IntArray]:
-    """Cells and the number of the block each belongs to."""
-    if not options.layers:
+def _require_tissue_to_the_edge(planes: tuple[Plane, ...], probe: ProbeShape, name: str) -> None:
+    """A cut is held like bone: under the face it would carry the probe."""
+    reach = to_cut(planes, probe)
+    if reach is not None and reach < 0:
+        raise CaseError(
+            f"the images end {-reach:.0f} mm inside the probe's face: part of it lies over nothing that is "
+            "known",
+            where=f"site {name}",
+            fix="move position_mm away from the end, check long_axis, or bring images that reach beyond it",
+            to_cut_mm=reach,
+        )
+
+
+def _thickness(options: MeshOptions) -> float:
+    return sum(each.thickness for each in options.layers)
+
+
+def _fill(
+    domain: TissueDomain, core: TissueDomain | None, probe: ProbeShape, options: MeshOptions
+) -> tuple[VolumeMesh, IntArray]:
+    """Cells and the number of the block each belongs to; `core` is what lies below the layers."""
+    if core is None:
         volume = mesh_volume(domain, probe, options.sizes)
         return volume, np.zeros(len(volume.cells), np.int64)
-    core = core_of(domain, options.layers)
-    depth = sum(each.thickness for each in options.layers)
-    sizes = replace(options.sizes, reach=options.sizes.reach + depth)
+    sizes = replace(options.sizes, reach=options.sizes.reach + _thickness(options))
     return with_layers(mesh_volume(core, probe, sizes), core, domain.skin, options.layers)
 
 

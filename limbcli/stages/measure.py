@@ -132,6 +132,12 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     from limbcli.measurement.picture import draw_bone_lines
 
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
+    if table["box_pixels"] is None and images[0].is_whole:
+        writer.warnings.append(
+            "the top of the B-mode pictures is taken for the probe face: if a frame or text lies above it, "
+            "say where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to bone and "
+            "layers depend on it, the depth of indentation does not"
+        )
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
     borders = read_borders(images, table, lines, writer)

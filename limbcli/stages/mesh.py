@@ -18,7 +18,6 @@ from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.places import MOVED_MM, place_problems
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.quality import MeshQuality
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
@@ -30,7 +29,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.asked import asked_of
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.site_model.fibres import leave_fibres, note_fibres, with_fibres
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, measured_skin_bone
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, measured_skin_bone
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 from limbcli.stages.site_model.mesh_study import study_site
 from limbcli.stages.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
@@ -195,16 +194,22 @@ def mesh_site(
         )
         _report(writer, found, options, limb, segmented, site)
         leave_fibres(fibres, model, probe, site, writer)
-        _tell_layers(writer, options.layers, layer_sources, found.quality)
+        _tell_layers(writer, options.layers, layer_sources, found)
     assert writer.result is not None
     return writer.result
 
 
 def _tell_layers(
-    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], figures: MeshQuality
+    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], found: SiteModel
 ) -> None:
+    """What was asked for, and what of it the model has: over bone layers thin out."""
+    figures, kept = found.quality, found.layers
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
     writer.data["layer_sources"] = sources
+    if kept is not None:
+        made = {f"{each.name}_mm": kept.centre * each.thickness for each in layers}
+        writer.data["layers_made"] = {"at_centre": made, "least_share_under_probe": kept.least}
+        writer.warnings.extend(layer_warnings(kept, sum(each.thickness for each in layers)))
     for each in layers:
         writer.summary.append(f"layer {each.name}: {each.thickness:.1f} mm ({sources[each.name]})")
     low = (

@@ -188,7 +188,9 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    _write(case, image, segmentation_from(labels), options, writer, progress)
+    found = segmentation_from(labels)
+    writer.warnings.extend(found.notes)
+    _write(case, image, found, options, writer, progress)
 
 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
@@ -221,7 +223,9 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.warnings.append(text)
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    _write(case, image, segmentation_from(labels), options, writer, progress)
+    found = segmentation_from(labels)
+    writer.warnings.extend(found.notes)
+    _write(case, image, found, options, writer, progress)
 
 
 def _ignored(options: _Options, writer: StageWriter) -> None:

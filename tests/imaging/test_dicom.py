@@ -200,6 +200,21 @@ def test_monochrome1_is_turned_over(ramp, tmp_path):
     assert any("turned over" in note for note in series.notes)
 
 
+@pytest.mark.parametrize("padding", [-32768, 32767])
+def test_padding_beside_the_picture_is_as_dark_as_its_air(ramp, tmp_path, padding):
+    def padded(dataset, _):
+        pixels = dataset.pixel_array.astype("<i2")
+        pixels[:2] = padding
+        dataset.PixelRepresentation, dataset.PixelData = 1, pixels.tobytes()
+        dataset.BitsStored, dataset.HighBit = 16, 15
+        dataset.add_new("PixelPaddingValue", "SS", padding)
+
+    write_dicom(tmp_path, ramp, change=padded)
+    values = read_series(tmp_path).volume.values
+    assert np.array_equal(values[:, 2:], ramp.values[:, 2:])
+    assert (values[:, :2] == ramp.values[:, 2:].min(axis=(0, 1))).all()
+
+
 def test_monochrome1_of_ct_concerns_the_display_only(ramp, tmp_path):
     def turn(dataset, k):
         dataset.PhotometricInterpretation, dataset.Modality = "MONOCHROME1", "CT"

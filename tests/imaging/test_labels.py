@@ -33,6 +33,28 @@ def test_the_file_places_voxels_in_ras_as_3d_slicer_expects(truth, tmp_path):
     np.testing.assert_allclose(image.get_sform(), image.get_qform(), atol=1e-4)
 
 
+def test_a_label_map_that_does_not_say_how_it_lies_is_refused(truth, tmp_path):
+    """Its readers would take either side for the left."""
+    nib.save(nib.Nifti1Image(truth.values, None), tmp_path / "labels.nii.gz")
+    with pytest.raises(CaseError, match="does not say how it lies"):
+        read_labels(tmp_path / "labels.nii.gz")
+
+
+def test_a_stray_voxel_is_no_marker_and_no_bone_and_that_is_told(truth):
+    """Markers are numbered from distal: a speck would take the number of the site's own."""
+    values = truth.values.copy()
+    limb = np.argwhere(values == 1)
+    low = limb[np.argmin(truth.to_patient(limb)[:, 2])]
+    values[tuple(low)] = 3
+    values[tuple(low + [3, 3, 0] * np.sign(np.array(values.shape) // 2 - low))] = 2
+    before, after = (segmentation_from(truth.with_values(each)) for each in (truth.values, values))
+    assert [each.position for each in after.markers] == [each.position for each in before.markers]
+    assert len(after.bones) == len(before.bones)
+    assert before.notes == ()
+    assert "1 speck of marker" in after.notes[1]
+    assert "1 speck of bone" in after.notes[0]
+
+
 def test_a_label_map_comes_back_as_written(truth, tmp_path):
     write_labels(tmp_path / "labels.nii.gz", truth)
     again = read_labels(tmp_path / "labels.nii.gz")

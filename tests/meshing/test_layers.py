@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
-from limbcli.meshing.domain import boundary
-from limbcli.meshing.layers import layers_of
+from limbcli.meshing.checks import layers_kept
+from limbcli.meshing.crop import crop_planes
+from limbcli.meshing.domain import boundary, make_domain
+from limbcli.meshing.frame import site_frame
+from limbcli.meshing.layers import core_of, layers_of
+from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.remesh import Sizes
@@ -78,3 +82,16 @@ def test_layers_reach_into_the_corners_of_four_cuts(made_axial):
 def test_impossible_thickness_is_refused():
     with pytest.raises(CaseError, match="--fat-mm"):
         layers_of(fat=100.0)
+
+
+@pytest.mark.parametrize(("bone_depth", "least", "centre"), [(25.0, 1.0, 1.0), (9.0, 0.72, 0.72)])
+def test_how_much_of_the_layers_is_left_over_bone_is_measured(make_tube, bone_depth, least, centre):
+    """60 % of 9 mm are 5.4 mm, of the 7.5 mm that are asked for; 25 mm have room for them."""
+    skin = make_tube((0, 0, -90), (0, 0, 90), (42, 42), around=90)
+    middle = 42.0 - bone_depth - 10.0
+    limb = mend(skin, [make_tube((0, middle, -120), (0, middle, 120), (10, 10))])
+    limb = limb.moved(site_frame(limb, np.array([0.0, 42.0, 0.0]), "axial", PROBE).to_model)
+    domain = make_domain(limb, crop_planes(limb, PROBE, 20.0), spacing=1.5)
+    kept = layers_kept(domain, core_of(domain, layers_of(skin=SKIN, fat=FAT)), PROBE, SKIN + FAT)
+    assert kept.centre == pytest.approx(centre, abs=0.03)  # a distance grid of 1.5 mm
+    assert kept.least == pytest.approx(least, abs=0.05)

@@ -21,6 +21,22 @@ def test_open_proximal_end_is_closed_and_becomes_a_cut(make_tube):
     assert any("rim closed" in note for note in limb.notes)
 
 
+def test_a_hole_in_the_side_is_closed_and_cuts_nothing_off(make_tube):
+    skin = make_tube((0, 0, -120), (0, 0, 120), (45, 45), around=90, along=60)
+    x, y, z = skin.centroids.T
+    limb = mend(skin.part(~((np.hypot(x, z + 20) < 25) & (y < 0))), [])
+    assert boundary_loops(limb.skin) == []
+    assert [each.name for each in limb.ends] == ["flat", "flat"]
+    assert limb.skin.volume == pytest.approx(skin.volume, rel=0.02)
+
+
+def test_a_slanted_open_end_is_an_end_still(make_tube):
+    skin = make_tube((0, 0, 0), (0, 0, 200), (40, 45), around=60, along=60)
+    limb = mend(skin.part(skin.centroids @ np.array([0.0, 0.5, 0.866]) < 130.0), [])
+    assert [each.name for each in limb.ends] == ["open"]
+    assert limb.ends[0].normal == pytest.approx([0.0, 0.5, 0.866], abs=0.05)
+
+
 def test_flat_ends_of_a_scan_become_cuts_and_round_ends_do_not(leg, make_ball):
     assert sorted(round(float(each.normal[2])) for each in leg.ends) == [-1, 1]
     assert mend(make_ball((0, 0, 0), 40.0), []).ends == ()

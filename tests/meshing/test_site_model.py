@@ -118,3 +118,10 @@ def test_tet4_has_the_corners_of_tet10(leg, made):
 def test_unknown_element_is_refused(leg):
     with pytest.raises(CaseError, match="hex8"):
         site_model(leg, (0.0, 42.0, 0.0), "axial", PROBE, MeshOptions(element="hex8"))
+
+
+@pytest.mark.parametrize(("height", "axis"), [(97.0, "transverse"), (85.0, "axial")])
+def test_a_face_that_reaches_beyond_the_images_is_refused(leg, height, axis):
+    """The limb ends at 100 mm, the cut lies 1.5 mm inside; half of the face is 7 mm across, 20 mm along."""
+    with pytest.raises(CaseError, match="inside the probe's face"):
+        site_model(leg, (0.0, 40.0 + 0.05 * height, height), axis, PROBE, OPTIONS)

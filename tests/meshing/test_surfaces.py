@@ -50,3 +50,17 @@ def test_absent_and_unreadable_files_say_what_to_do(tmp_path):
 def test_part_leaves_out_unused_points():
     square = Triangles(np.eye(4, 3), np.array([[0, 1, 2], [0, 2, 3]]))
     assert len(square.part(np.array([True, False])).points) == 3
+
+
+def test_faces_of_many_corners_are_read_as_well(tmp_path):
+    """A prism on a hexagon of 10 mm: its ends are drawn as one face each, as drawing programs leave them."""
+    angle = np.pi / 3 * np.arange(6)
+    ring = 10.0 * np.c_[np.cos(angle), np.sin(angle)]
+    points = np.vstack([np.c_[ring, np.zeros(6)], np.c_[ring, np.full(6, 20.0)]])
+    sides = [f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}" for k in range(6)]
+    ends = ["f 6 5 4 3 2 1", "f 7 8 9 10 11 12"]
+    path = tmp_path / "prism.obj"
+    path.write_text("\n".join([*(f"v {x} {y} {z}" for x, y, z in points), *sides, *ends]) + "\n")
+    surface = read_surface(path)
+    assert boundary_loops(surface) == []
+    assert surface.volume == pytest.approx(1.5 * np.sqrt(3.0) * 100.0 * 20.0)

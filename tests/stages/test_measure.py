@@ -15,9 +15,11 @@ from limbcli.measurement.elastography import read_map
 from limbcli.measurement.indentation import read_levels
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
+from limbcli.stages.measuring.images import images_of
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
 from tests.measurement.test_swe_image import BAR, BOX, ramp, render
+from tests.measurement.test_ultrasound_image import screen, stored
 from tests.test_case_text import HEAD, SITE
 
 FORCES = (0.0, 2.0, 4.0, 6.0)
@@ -58,6 +60,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         speed = np.clip(ramp() * (1 + 0.1 * k), 0, 10)
         Image.fromarray(render(rng, speed).rgb).save(folder / "swe" / f"{k}.png")
     return folder
+
+
+def test_images_follow_the_numbers_in_their_names(tmp_path: Path):
+    for k in range(12):
+        Image.fromarray(np.full((20, 20, 3), k, np.uint8)).save(tmp_path / f"level{k}.png")
+    (tmp_path / "._level0.png").write_bytes(b"what a Mac leaves")
+    images = images_of({"path": tmp_path, "mm_per_pixel": 0.1})
+    assert [int(each.rgb[0, 0, 0]) for each in images] == list(range(12))
+
+
+def test_dicom_images_need_no_ending(tmp_path: Path):
+    for k in range(3):
+        stored(tmp_path / f"IM_{k}", screen().tobytes())
+    (tmp_path / "notes").write_text("as measured")
+    assert len(images_of({"path": tmp_path, "mm_per_pixel": None})) == 3
 
 
 def test_levels_are_those_the_instruments_saw(folder: Path, tmp_path: Path):

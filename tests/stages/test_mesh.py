@@ -14,13 +14,16 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
-from limbcli.meshing.checks import SiteChecks
+from limbcli.meshing.anatomy import limb_problems
+from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
+from limbcli.problems import errors_of
 from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, warnings_now
+from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
+from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, warnings_now
 
 CASE = """format = 1
 [subject]
@@ -138,6 +141,20 @@ def test_without_segment_it_says_what_to_run(folder, tmp_path):
         mesh(Case.open(folder), out=tmp_path)
 
 
+def test_drawn_bodies_whose_triangles_span_the_limb_are_a_limb(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "drawn")
+    for name, body in (
+        ("skin", prism(30.0, -60.0, 60.0, along=2)),
+        ("tibia", prism(8.0, -60.0, 60.0, along=2)),
+    ):
+        meshio.write(tmp_path / "drawn" / f"{name}.ply", meshio.Mesh(body.points, [("triangle", body.faces)]))
+    surfaces = triangles_of(read_surfaces(Case.open(tmp_path / "drawn"))[0])
+    assert errors_of(limb_problems(surfaces, limb="left", where="drawn")) == []
+    assert surfaces["skin"].volume == pytest.approx(prism(30.0, -60.0, 60.0).volume)
+    corners = surfaces["skin"].corners
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 12.0
+
+
 @pytest.mark.slow
 def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     shutil.copytree(out / "segment", tmp_path / "segment")
@@ -146,6 +163,7 @@ def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     assert result.data["frame"]["skin_point_mm"] == pytest.approx([30, 0, 0], abs=0.6)
     model = load_model(result.path("model"))
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
+    assert result.data["layers_made"]["at_centre"]["fat_mm"] == pytest.approx(4.0, abs=0.15)
     with pytest.raises(CaseError, match="several sites"):
         mesh(case, out=tmp_path, place=(90.0, 60.0))
 
@@ -172,6 +190,12 @@ def checks(**changes: float | None) -> SiteChecks:
 def test_model_is_checked_against_the_measurement(found, measured, said):
     warnings = geometry_warnings(found, measured=measured, margin=40.0, site="p1")
     assert [said in each for each in warnings] == ([True] if said else [])
+
+
+def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
+    assert layer_warnings(LayersKept(centre=1.0, least=0.95), 7.5) == []
+    (said,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
+    assert "5.4 mm are left under the probe, 6.0 mm at its centre" in said
 
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):

@@ -182,6 +182,23 @@ def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
     assert any("inward" in line for line in result.warnings)
 
 
+def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(segmented, tmp_path):
+    _, first, _ = segmented
+    skin, tibia = (read_surface(first.path(name)) for name in ("skin", "bone_tibia"))
+    height = skin.points[skin.triangles].mean(axis=1)[:, 2]
+    opened = skin.triangles[height < np.quantile(height, 0.9)]
+    volumes = []
+    for number, shift in enumerate(np.diag([0.0, 0.0, 900.0])[[0, 2]]):  # the phantom lies at -418 mm
+        for name, surface, triangles in (("skin", skin, opened), ("tibia", tibia, tibia.triangles)):
+            write_surface(tmp_path / f"{name}.ply", ClosedSurface(surface.points + shift, triangles))
+        case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(tmp_path / "tibia.ply",))
+        result = segment(case, out=tmp_path / str(number))
+        assert not any("inward" in line for line in result.warnings)
+        volumes.append(result.data["volume_cm3"]["skin"])
+    assert volumes[0] == pytest.approx(volumes[1], rel=1e-4)
+    assert 0.75 < volumes[0] / first.data["volume_cm3"]["skin"] < 1.0
+
+
 def test_surfaces_in_metres_are_refused(segmented, tmp_path):
     _, first, _ = segmented
     skin = read_surface(first.path("skin"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap, map_file, statistics, write_map
 from limbcli.measurement.overlay_places import find_bar, find_box
 from limbcli.measurement.swe_image import Box, DecodedMap, Overlay, decode_overlay
-from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
+from limbcli.measurement.ultrasound_image import UltrasoundImage, is_dicom, read_image
 from limbcli.progress import Progress
 from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain import Chain
@@ -61,13 +62,29 @@ def tissue_between(
 
 
 def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
-    """One image a level, in the order of their names."""
+    """One image a level, in the order of their names; numbers in them count as numbers (9 before 10)."""
     folder: Path = table["path"]
-    paths = sorted(each for each in folder.iterdir() if each.suffix.lower() in _IMAGE_SUFFIXES)
+    paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))
     if not paths:
         fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
         raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
     return [read_image(each, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels) for each in paths]
+
+
+def _is_image(path: Path) -> bool:
+    """By its ending, or, as scanners often leave DICOM without one, by how it begins; not what is hidden."""
+    if path.name.startswith(".") or path.name == "DICOMDIR" or not path.is_file():
+        return False
+    return path.suffix.lower() in _IMAGE_SUFFIXES or is_dicom(path)
+
+
+def _by_numbers(name: str) -> list[tuple[int, str]]:
+    """
+    >>> sorted(["level10.png", "level9.png", "Level_1.png"], key=_by_numbers)
+    ['level9.png', 'level10.png', 'Level_1.png']
+    """
+    parts = re.split(r"(\d+)", name.lower())
+    return [(int(each), "") if k % 2 else (-1, each) for k, each in enumerate(parts)]
 
 
 def measured_speeds(
@@ -77,7 +94,7 @@ def measured_speeds(
     from limbcli.measurement.picture import draw_speeds
 
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
-    if table["image_pixels"] is None and table["mm_per_pixel"] is not None:
+    if table["image_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
             "the top of the elastography pictures is taken for the probe face and their middle for its "
             "centre; say where the ultrasound image lies in them with image_pixels"

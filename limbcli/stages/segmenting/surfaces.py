@@ -12,11 +12,17 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
 from limbcli.meshing.bone_places import put_back
-from limbcli.meshing.mending import skin_and_bones
+from limbcli.meshing.facets import divided
+from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
+from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.places import tell_places
+
+_LONGEST_EDGE = (
+    12.0  # mm: what follows looks at points and triangles; those of drawn bodies span the whole limb
+)
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
@@ -99,7 +105,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
 
 def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
     """Skin and bones out of one file that holds them all."""
-    skin, *bones = skin_and_bones(Triangles(surface.points, surface.triangles))
+    skin, *bones = _bodies_of(surface)
     if not bones:
         raise CaseError(
             "the skin's file holds one body only, and no bones are named",
@@ -121,6 +127,7 @@ def _bone_names(case: Case) -> list[str]:
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
+    """The surface in triangles of a limb's scale, if its size is a body's."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
         raise CaseError(
@@ -129,7 +136,7 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
             fix="save it in mm (patient LPS frame)",
             size_mm=float(size),
         )
-    return surface
+    return ClosedSurface(*divided(surface.points, surface.triangles, _LONGEST_EDGE))
 
 
 def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
@@ -154,18 +161,40 @@ def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) 
 def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
     warnings = []
     if not surface.is_closed:
-        warnings.append(f"{name} ({path.name}) is not closed; it will be closed when the model is cut")
-    if surface.volume < 0:
+        warnings.append(
+            f"{name} ({path.name}) is not closed{_rims(surface)}; it will be closed when the model is cut"
+        )
+    if turned_inward(_largest(surface)):
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
         warnings.append(f"the normals of {path.name} pointed inward and were turned")
     return surface, warnings
 
 
+def _largest(surface: ClosedSurface) -> Triangles:
+    """Its largest body: a skin's file may hold bones too, and stray bits."""
+    return _bodies_of(surface)[0]
+
+
+def _bodies_of(surface: ClosedSurface) -> list[Triangles]:
+    return skin_and_bones(Triangles(surface.points, surface.triangles))
+
+
+def _rims(surface: ClosedSurface) -> str:
+    """Where it is open, in words: a flat lid stands there in the model."""
+    rims = [rim for each in _bodies_of(surface) for rim in open_rims(each)]
+    if not rims:
+        return ""
+    middle, width = max(rims, key=lambda each: each[1])
+    several = f", {len(rims)} open rims" if len(rims) > 1 else ""
+    return f" (an opening of {width:.0f} mm at {triple(middle)} mm{several})"
+
+
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
-    """skin.ply, bone_*.ply, and their volumes."""
+    """skin.ply, bone_*.ply, and the volumes that they enclose."""
     volumes = {}
     for name, surface in surfaces.items():
         write_surface(writer.file(name, f"{name}.ply"), surface)
-        volumes[name] = surface.volume / 1e3
+        bodies = [_largest(surface)] if name == SKIN else _bodies_of(surface)
+        volumes[name] = sum(enclosed(each) for each in bodies) / 1e3
         writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
     writer.data["volume_cm3"] = volumes

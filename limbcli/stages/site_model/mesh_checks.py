@@ -7,12 +7,13 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import read_levels
-from limbcli.meshing.checks import SiteChecks
+from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.results import StageResult
 
 OVER_TISSUE = 0.95  # part of the face that should have skin below
 SKIN_BONE_TOLERANCE = 0.10  # of the measured distance
 _CLOSE_TO_CUT = 0.9  # of the margin asked for
+_LAYERS_KEPT = 0.9  # of their thickness asked for; thinner ones are others than were meant
 
 
 def measured_skin_bone(site: Site) -> float | None:
@@ -74,3 +75,15 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
             "the fixed end stiffens the model"
         )
     return out
+
+
+def layer_warnings(kept: LayersKept, total: float) -> list[str]:
+    """Whether layers of `total` mm are thinner in the model than was asked for."""
+    if not kept.least < _LAYERS_KEPT:
+        return []
+    centre = "" if np.isnan(kept.centre) else f", {kept.centre * total:.1f} mm at its centre"
+    return [
+        f"the layers, {total:.1f} mm together, thin out over bone, where other tissue must lie below them: "
+        f"{kept.least * total:.1f} mm are left under the probe{centre}; check the bone's depth, or give "
+        "thinner layers"
+    ]
