@@ -93,8 +93,8 @@ class Case:
         raise CaseError(f"there is no site {name!r}", where=str(self.file), fix=f"the sites are: {names}")
 
     def selected(self, names: list[str] | None) -> tuple[Site, ...]:
-        """The sites named, or all."""
-        return tuple(self.site(name) for name in names) if names else self.sites
+        """The sites named, each once, or all."""
+        return tuple(self.site(name) for name in dict.fromkeys(names)) if names else self.sites
 
 
 def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
