@@ -131,11 +131,21 @@ def maybe_path(path: PathLike | None, name: str) -> Path | None:
     return None if path is None else folder_of(path, name)
 
 
-def names_of(sites: str | Iterable[str] | None) -> list[str] | None:
-    """
+def names_of(sites: str | Iterable[str] | None, name: str = "sites") -> list[str] | None:
+    """Names that the caller gave; None: all.
+
+    Raises
+    ------
+    CaseError
+        If they are no names, or none at all: an empty selection does not mean everything.
+
     >>> names_of("p1"), names_of(("p1", "p2")), names_of(None)
     (['p1'], ['p1', 'p2'], None)
     """
     if sites is None:
         return None
-    return [sites] if isinstance(sites, str) else list(sites)
+    found = [sites] if isinstance(sites, str) else list(sites) if isinstance(sites, Iterable) else [sites]
+    if not found or not all(isinstance(each, str) for each in found):
+        what = f"{name} is {sites!r}, " + ("not a name or several" if found else "which names nothing")
+        raise CaseError(what, where=name, fix="give a name or several, or leave it out: all")
+    return found

@@ -131,7 +131,7 @@ def synth(
     from limbcli.stages.simulated_subjects.hidden_effects import hide
     from limbcli.stages.simulated_subjects.known_stretches import known_stretches
 
-    hidden = tuple(hide(each) for each in names_of(effects) or ())
+    hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     stretches = known_stretches(
         stretch_along or {}, stretch_around or {}, Stretch(unloaded_stretch_along, unloaded_stretch_around)
     )
@@ -195,7 +195,7 @@ def make_phantom(
     from limbcli.stages import phantom as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
 
-    hidden = tuple(hide(each) for each in names_of(effects) or ())
+    hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     plan = _plan(
         "phantom", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
