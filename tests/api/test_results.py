@@ -186,7 +186,7 @@ def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path:
 
 def test_fits_of_several_sites_and_of_both_elements(chain: dict[str, Any]):
     case, out = chain["case"], chain["out"]
-    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False, max_iterations=8)
+    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False)
     assert joint.sites == ("p1",)
     assert joint.law == "ogden"
     assert joint.parameter("c_kpa").value > 0
