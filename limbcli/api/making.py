@@ -201,6 +201,8 @@ def make_phantom(
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
     )  # fmt: skip
+    if no_measurement:
+        stage.refuse_unheard(plan)
     options = stage.PhantomOptions(
         seed=seed, subject_id=subject, site_names=tuple(names_of(sites) or stage.USUAL_SITES),
         element=element or "tet10", synth=None if no_measurement else plan,
