@@ -22,6 +22,7 @@ from limbcli.api.call import (
 )
 from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
+from limbcli.config import default_out
 from limbcli.results import StageResult
 from limbcli.writing import one_writer
 
@@ -251,7 +252,7 @@ def run_feb(
 
     with foreseen():
         file, heard = folder_of(feb, "feb"), listening(progress)
-        target = Path("out") / file.name.split(".")[0] if out is None else folder_of(out)
+        target = default_out(Path(stage.model_name(file))) if out is None else folder_of(out)
         with one_writer(target, wait=wait, progress=heard):
             found = stage.run_file(
                 file, out=target, solver=solver, febio=maybe_path(febio, "febio"),

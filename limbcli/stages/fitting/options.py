@@ -14,8 +14,8 @@ from limbcli.stages.provenance.asked import asked_of_options, in_words
 OBJECTIVES = ("force", "joint", "states")
 COMPARISON = "--compare-element"
 
-# Fields of FitOptions that say nothing to what is asked for. The likelihoods of `joint` and `states` search on
-# a surrogate to its own end, always with intervals; a comparison of elements is of the two fits alone.
+# Fields of FitOptions that say nothing to what is asked for. The likelihoods of `joint` and `states` search
+# on a surrogate to its own end, always with intervals; a comparison of elements is of the two fits alone.
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
