@@ -9,6 +9,7 @@ from typing import Any
 
 from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
+from limbcli.stages.build_feb import C_KPA
 from limbcli.stages.provenance.asked import asked_of_options, in_words
 
 OBJECTIVES = ("force", "joint", "states")
@@ -145,7 +146,7 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
     gain_deviation = options.gain_deviation if gain_deviation is None else gain_deviation
     rules = (
-        ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
+        ("--c-kpa", options.c_kpa, *C_KPA, "c = 2 mu in kPa; soft tissue has 2 to 50"),
         ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
         ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
         ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),
