@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,8 +62,15 @@ class StageCall:
 
 
 @contextlib.contextmanager
-def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard) -> Iterator[StageCall]:
-    """The case, and its output folder to write into alone.
+def at_work(
+    case: CaseLike,
+    out: PathLike | None,
+    *,
+    wait: bool,
+    progress: Heard,
+    opening: Callable[[Path], Case] = Case.open,
+) -> Iterator[StageCall]:
+    """The case, and its output folder to write into alone; opening : of a case that is named by its folder.
 
     Raises
     ------
@@ -72,11 +80,21 @@ def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard
         If the disk is full or the memory does not suffice.
     """
     with foreseen():
-        opened = case if isinstance(case, Case) else Case.open(folder_of(case, "case"))
+        opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
         target = default_out(opened.folder) if out is None else folder_of(out)
         heard = listening(progress)
         with one_writer(target, wait=wait, progress=heard):
             yield StageCall(opened, target, heard)
+
+
+def _still_there(case: Case) -> Case:
+    if not case.file.is_file():
+        raise CaseError(
+            f"the case that was opened from {case.folder} is not there, seen from {Path.cwd()}",
+            where=str(case.file),
+            fix="open it by its whole path, or open it again where it is now",
+        )
+    return case
 
 
 @contextlib.contextmanager
@@ -124,7 +142,8 @@ def folder_of(path: PathLike, name: str = "out") -> Path:
     """
     if isinstance(path, str | os.PathLike):
         return Path(path)
-    raise CaseError(f"{name} is {path!r}, not a path", where=name, fix="give a path, as str or pathlib.Path")
+    what = f"{name} is {reprlib.repr(path)}, not a path"
+    raise CaseError(what, where=name, fix="give a path, as str or pathlib.Path")
 
 
 def maybe_path(path: PathLike | None, name: str) -> Path | None:
