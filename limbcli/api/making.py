@@ -49,7 +49,7 @@ class MadeCase(Result):
     def of(cls, found: StageResult) -> Self:
         path = found.path("truth") if "truth" in found.files else Path(found.data["truth"])
         truth = tomllib.loads(path.read_text(encoding="utf-8"))
-        return cls(found, Case.open(found.folder), truth)
+        return cls(found, Case.open(found.folder.absolute()), truth)
 
     def rows(self) -> list[dict[str, Any]]:
         names = ("force_n", "depth_mm", "swe_mean_m_per_s")
