@@ -109,7 +109,7 @@ def mesh_options(
     for name, value, low, high in (
         ("--size-mm", sizes.under_probe, 0.8, 10.0),
         ("--far-size-mm", sizes.far, sizes.under_probe, 25.0),
-        ("--margin-mm", margin, 5.0, 200.0),
+        ("--margin-mm", margin, 5.0, 150.0),
     ):
         if not low <= value <= high:
             raise CaseError(f"{name} is {value:g}", where=case.subject, fix=f"give {low:g} to {high:g} mm")
