@@ -179,6 +179,7 @@ def _contradictions(case: Any) -> list[Problem]:
         )
     shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
     problems += _caught(lambda: check_shape(shape, where=str(case.file)))
+    problems += _shared_files(case)
     for site in case.sites:
         problems += _unmeasured(site, case.folder)
         problems += _too_few(site) + _other_distance(site, str(case.file))
@@ -192,6 +193,23 @@ def _contradictions(case: Any) -> list[Problem]:
                     severity="warning",
                 )
             )
+    return problems
+
+
+def _shared_files(case: Any) -> list[Problem]:
+    """A file of readings that two sites name: copied with its [[site]], and counted twice by a joint fit."""
+    owner: dict[Path, str] = {}
+    problems = []
+    for site in case.sites:
+        own = [each.levels for each in site.states] if site.states else [site.levels]
+        for path in (*own, site.trace, site.swe_maps):
+            first = owner.setdefault(path.resolve(), site.name) if path is not None else site.name
+            if first != site.name:
+                what = f"sites {first} and {site.name} name the same {path.name}"
+                fix = (
+                    "a measurement belongs to one site: give each its own, or it counts twice in a joint fit"
+                )
+                problems.append(Problem(what, str(path), fix, severity="warning"))
     return problems
 
 

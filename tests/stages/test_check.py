@@ -17,7 +17,7 @@ from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
 from limbcli.stages.site_model.mesh_checks import bone_warnings, measured_skin_bone
-from tests.test_case_text import ONE_SITE
+from tests.test_case_text import ONE_SITE, SITE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -138,6 +138,17 @@ def test_a_distance_that_only_the_site_states_is_held_against_the_mesh(folder: P
     measured = measured_skin_bone(Case.open(folder).sites[0])
     assert measured == 20.0
     assert "48.0 mm in the model, 20.0 mm" in bone_warnings(48.0, measured)[0]
+
+
+def test_readings_that_two_sites_share_are_told(folder: Path):
+    (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    second = SITE.format(name="p2", levels="./levels.csv")
+    (folder / "case.toml").write_text(ONE_SITE + second)
+    (told,) = [each for each in check(folder).problems if "name the same" in each.what]
+    assert (told.what, told.severity) == ("sites p1 and p2 name the same levels.csv", "warning")
+    (folder / "second.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    (folder / "case.toml").write_text(ONE_SITE + second.replace("./levels.csv", "second.csv"))
+    assert not any("name the same" in each.what for each in check(folder).problems)
 
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
