@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from limbcli.cli.app import COMMANDS, command_options, main
-from limbcli.cli.fixes import for_command_line
+from limbcli.cli.fixes import for_command_line, out_of
 from limbcli.errors import CaseError, SolveError
 from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
 from tests.test_case_text import two_sites
@@ -83,3 +83,8 @@ def test_message_of_a_command_line_is_pasted(tmp_path: Path, capsys):
     shown = capsys.readouterr().err
     assert "CASE" not in shown
     assert f"limbcli segment {folder} --out {tmp_path / 'out'}" in shown
+
+
+@pytest.mark.parametrize("words", [["--out", "my out"], ["--out=my out"], ["-o", "my out"], ["-omy out"]])
+def test_the_output_folder_is_found_however_it_is_named(words: list[str]):
+    assert out_of(["mesh", "case", *words]) == Path("my out")
