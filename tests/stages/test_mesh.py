@@ -176,7 +176,7 @@ def test_model_is_checked_against_the_measurement(found, measured, said):
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
     """Levels may be read after the mesh was made, or corrected: what is said of the mesh goes with them."""
-    site = SimpleNamespace(levels=tmp_path / "levels.csv")
+    site = SimpleNamespace(levels=tmp_path / "levels.csv", skin_bone=None)
 
     def told(then: float | None, now: float | None) -> list[str]:
         warnings = ("a voxel is large", *geometry_warnings(checks(), measured=then, margin=40.0, site="p1"))
