@@ -69,6 +69,8 @@ def mesh(
     chosen = case.selected(sites)
     if place is not None and len(chosen) != 1:
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
+    if place is not None and not np.isfinite(place).all():
+        raise CaseError(f"--at is {place}", where="--at", fix="give an angle in degrees and a height in mm")
     options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
     thickness = Layering(skin_layer, fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))

@@ -21,6 +21,7 @@ def case(tmp_path: Path) -> Path:
     ("arguments", "code", "fix"),
     [
         (["--c-kpa", "nan"], 2, "finite number"),
+        (["--c-kpa", "1e999"], 2, "finite number"),
         (["--c-kpa", "8000"], 2, "kPa"),
         (["--tolerance", "0"], 2, "1e-3"),
         (["--c-deviation-fraction", "-1"], 2, "share of c"),

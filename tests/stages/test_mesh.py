@@ -148,6 +148,8 @@ def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
     with pytest.raises(CaseError, match="several sites"):
         mesh(case, out=tmp_path, place=(90.0, 60.0))
+    with pytest.raises(CaseError, match="--at is"):
+        mesh(case, out=tmp_path, sites=["p1"], place=(90.0, float("inf")))
 
 
 def checks(**changes: float | None) -> SiteChecks:
