@@ -7,6 +7,7 @@ checked by the package that reads them; `limbcli check` runs all of these at onc
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -93,8 +94,8 @@ class Case:
         raise CaseError(f"there is no site {name!r}", where=str(self.file), fix=f"the sites are: {names}")
 
     def selected(self, names: list[str] | None) -> tuple[Site, ...]:
-        """The sites named, or all."""
-        return tuple(self.site(name) for name in names) if names else self.sites
+        """The sites named, each once, or all."""
+        return tuple(self.site(name) for name in dict.fromkeys(names)) if names else self.sites
 
 
 def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
@@ -192,7 +193,8 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         fix = "name a folder that holds a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
     if not path.is_file():
-        fix = f"name the folder that holds it; `limbcli new {folder / 'subject'}` writes one to fill in"
+        subject = shlex.quote(str(folder / "subject"))
+        fix = f"name the folder that holds it; `limbcli new {subject}` writes one to fill in"
         return None, [Problem("the folder holds no case.toml", str(folder), fix)]
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig")), []

@@ -9,6 +9,17 @@ from typing import Literal, TypeVar
 
 from limbcli.errors import LimbError
 
+# Units that our names end in, as people write them; those within others last.
+_UNITS = {
+    "_mpa_per_mm": "MPa/mm", "_kg_per_m3": "kg/m^3", "_m_per_s": "m/s", "_mpa": "MPa", "_kpa": "kPa",
+    "_deg": "degrees", "_mm2": "mm^2", "_mm": "mm", "_n": "N", "_s": "s", "_g": "g",
+}  # fmt: skip
+_OTHER_UNITS = (
+    "um", "mm", "cm", "m", "in", "inch", "n", "mn", "cn", "kn", "gf", "g", "kg", "kgf", "lb", "lbf", "pa",
+    "hpa", "kpa", "mpa", "ms", "s", "min", "mm_per_s", "cm_per_s", "m_per_s", "km_per_h", "g_per_cm3",
+    "cm2", "mm2", "m2", "rad", "deg",
+)  # fmt: skip
+
 AnyError = TypeVar("AnyError", bound=LimbError)
 Checked = TypeVar("Checked")
 
@@ -75,11 +86,23 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
     >>> suggestion("lenght_mm", ["length_mm", "width_mm"])
     "did you mean 'length_mm'?"
+    >>> suggestion("depth_cm", ["depth_mm", "force_n"])
+    "did you mean 'depth_mm'? Then convert the values: that one is in mm"
     >>> suggestion("colour", ["length_mm"])
     "known here: 'length_mm'"
     """
     known = sorted(known)
     near = get_close_matches(name, known, n=1, cutoff=0.6)
     if near:
-        return f"did you mean {near[0]!r}?"
+        return f"did you mean {near[0]!r}?" + _other_unit(name.lower(), near[0])
     return "known here: " + ", ".join(repr(each) for each in known)
+
+
+def _other_unit(name: str, near: str) -> str:
+    """What to add where two names are those of one thing in two units; nothing elsewhere."""
+    for suffix, unit in _UNITS.items():
+        stem = near.removesuffix(suffix)
+        rest = name.removeprefix(f"{stem}_")
+        if stem != near and name != near and rest != name and rest in _OTHER_UNITS:
+            return f" Then convert the values: that one is in {unit}"
+    return ""

@@ -122,3 +122,9 @@ def test_unknown_site_names_the_known_ones(folder: Path):
     case = Case.open(write(folder, GOOD))
     with pytest.raises(CaseError, match="the sites are: p1"):
         case.selected(["p9"])
+
+
+def test_a_site_named_twice_is_taken_once(folder: Path):
+    """A likelihood that counted its readings twice would tell intervals that are too narrow."""
+    case = Case.open(write(folder, GOOD))
+    assert [each.name for each in case.selected(["p1", "p1"])] == ["p1"]

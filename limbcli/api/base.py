@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 from limbcli.api.call import folder_of
 from limbcli.api.tables import Row, Tabular
 from limbcli.errors import CaseError
-from limbcli.results import StageResult, plain, read_result
+from limbcli.results import StageResult, plain, read_result, stage_folder
 
 if TYPE_CHECKING:
     from limbcli.api.call import PathLike
@@ -28,6 +28,14 @@ class Result(Tabular):
     stage: ClassVar[str] = ""
     stage_result: StageResult = field(repr=False)
 
+    def __post_init__(self) -> None:
+        """Paths lead to the same place from any working folder."""
+        home = replace(self.stage_result, folder=self.stage_result.folder.absolute())
+        object.__setattr__(self, "stage_result", home)
+        for each in fields(self):
+            if isinstance(path := getattr(self, each.name), Path):
+                object.__setattr__(self, each.name, path.absolute())
+
     @classmethod
     def of(cls, found: StageResult) -> Self:
         """From what a stage returned."""
@@ -42,6 +50,7 @@ class Result(Tabular):
         CaseError
             If the stage has not been run for that site, or what it left cannot be read.
         """
+        _refuse_other_site(folder_of(out), cls.stage, site)
         return cls.of(read_result(folder_of(out), cls.stage, site=site))
 
     @property
@@ -95,6 +104,19 @@ class Result(Tabular):
         """The row, with whose it is in front."""
         site = {"site": self.site} if self.site else {}
         return {"subject": self.subject, **site, **plain(row)}
+
+
+def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:
+    """A site that was not named, misspelt, or named in vain, where the stage has been run."""
+    sites = sorted(each.parent.name for each in (out / stage).glob(f"*/{stage}.json"))
+    if (stage_folder(out, stage, site) / f"{stage}.json").is_file():
+        return
+    if sites:
+        what = f"there is no result of `{stage}`" + (f" for site {site}" if site else " without a site")
+        raise CaseError(what, where=str(out / stage), fix=f"name one of its sites: {', '.join(sites)}")
+    if site is not None and (out / stage / f"{stage}.json").is_file():
+        what = f"the result of `{stage}` is the whole subject's, not that of site {site}"
+        raise CaseError(what, where=str(out / stage), fix="leave the site out")
 
 
 AnyResult = TypeVar("AnyResult", bound=Result)

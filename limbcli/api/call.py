@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,8 +62,15 @@ class StageCall:
 
 
 @contextlib.contextmanager
-def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard) -> Iterator[StageCall]:
-    """The case, and its output folder to write into alone.
+def at_work(
+    case: CaseLike,
+    out: PathLike | None,
+    *,
+    wait: bool,
+    progress: Heard,
+    opening: Callable[[Path], Case] = Case.open,
+) -> Iterator[StageCall]:
+    """The case, and its output folder to write into alone; opening : of a case that is named by its folder.
 
     Raises
     ------
@@ -72,11 +80,21 @@ def at_work(case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard
         If the disk is full or the memory does not suffice.
     """
     with foreseen():
-        opened = case if isinstance(case, Case) else Case.open(folder_of(case, "case"))
+        opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
         target = default_out(opened.folder) if out is None else folder_of(out)
         heard = listening(progress)
         with one_writer(target, wait=wait, progress=heard):
             yield StageCall(opened, target, heard)
+
+
+def _still_there(case: Case) -> Case:
+    if not case.file.is_file():
+        raise CaseError(
+            f"the case that was opened from {case.folder} is not there, seen from {Path.cwd()}",
+            where=str(case.file),
+            fix="open it by its whole path, or open it again where it is now",
+        )
+    return case
 
 
 @contextlib.contextmanager
@@ -124,18 +142,29 @@ def folder_of(path: PathLike, name: str = "out") -> Path:
     """
     if isinstance(path, str | os.PathLike):
         return Path(path)
-    raise CaseError(f"{name} is {path!r}, not a path", where=name, fix="give a path, as str or pathlib.Path")
+    what = f"{name} is {reprlib.repr(path)}, not a path"
+    raise CaseError(what, where=name, fix="give a path, as str or pathlib.Path")
 
 
 def maybe_path(path: PathLike | None, name: str) -> Path | None:
     return None if path is None else folder_of(path, name)
 
 
-def names_of(sites: str | Iterable[str] | None) -> list[str] | None:
-    """
+def names_of(sites: str | Iterable[str] | None, name: str = "sites") -> list[str] | None:
+    """Names that the caller gave; None: all.
+
+    Raises
+    ------
+    CaseError
+        If they are no names, or none at all: an empty selection does not mean everything.
+
     >>> names_of("p1"), names_of(("p1", "p2")), names_of(None)
     (['p1'], ['p1', 'p2'], None)
     """
     if sites is None:
         return None
-    return [sites] if isinstance(sites, str) else list(sites)
+    found = [sites] if isinstance(sites, str) else list(sites) if isinstance(sites, Iterable) else [sites]
+    if not found or not all(isinstance(each, str) for each in found):
+        what = f"{name} is {sites!r}, " + ("not a name or several" if found else "which names nothing")
+        raise CaseError(what, where=name, fix="give a name or several, or leave it out: all")
+    return found

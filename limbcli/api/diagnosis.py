@@ -148,9 +148,10 @@ def diagnose(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = stage.DiagnoseOptions(
-            effects=tuple(names_of(effects) or ()), effect_file=maybe_path(effect_file, "effect_file"),
-            max_effects=max_effects, seed=seed, size=size_mm, far_size=far_size_mm,
-            templates=maybe_path(templates, "templates"), interventions=interventions, separate=separate,
+            effects=tuple(names_of(effects or None, "effects") or ()),
+            effect_file=maybe_path(effect_file, "effect_file"), max_effects=max_effects, seed=seed,
+            size=size_mm, far_size=far_size_mm, templates=maybe_path(templates, "templates"),
+            interventions=interventions, separate=separate,
             measured=dict(measured or {}), solver=solver, febio=maybe_path(febio, "febio"),
         )  # fmt: skip
         found = stage.diagnose(

@@ -72,8 +72,9 @@ def fit(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = _options(
-            c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, time_limit_s, cycle,
-            stiffness_map=stiffness_map, intervals=intervals, gain_deviation=gain_deviation_fraction,
+            c_kpa, c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
+            contact_check=contact_check, time_limit_s=time_limit_s, cycle=cycle, stiffness_map=stiffness_map,
+            intervals=intervals, gain_deviation=gain_deviation_fraction,
             templates=maybe_path(templates, "templates"),
         )  # fmt: skip
         found = stage.fit(
@@ -94,8 +95,6 @@ def fit_joint(
     c_kpa: float | None = None,
     c_deviation_fraction: float | None = None,
     gain_deviation_fraction: float | None = None,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
     contact_check: bool = True,
     cycle: int | str = "last",
     wait: bool = True,
@@ -109,6 +108,8 @@ def fit_joint(
     sites : those that share the tissue; None: all
     law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow" or "fibres"
     compare_laws : fit every law, and compare them by the error of levels left out
+    c_kpa, c_deviation_fraction : c is free. By hand it is where the search begins, and, where a site has no
+        speeds, what c is near to, by so much
     the others : as of `fit`
 
     Raises
@@ -119,7 +120,7 @@ def fit_joint(
     from limbcli.stages import fit_joint as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(c_kpa, c_deviation_fraction, tolerance, max_iterations, contact_check, None, cycle)
+        options = _options(c_kpa, c_deviation_fraction, contact_check=contact_check, cycle=cycle)
         within("fit", gain_deviation_fraction=gain_deviation_fraction)
         joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
         found = stage.fit_joint(
@@ -197,7 +198,9 @@ def compare_elements(
     from limbcli.stages import fit_elements as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(c_kpa, None, tolerance, max_iterations, False, None, cycle)
+        options = _options(
+            c_kpa, None, tolerance=tolerance, max_iterations=max_iterations, contact_check=False, cycle=cycle
+        )
         found = stage.compare_elements(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
@@ -207,11 +210,12 @@ def compare_elements(
 def _options(
     c_kpa: float | None,
     c_deviation_fraction: float | None,
-    tolerance: float,
-    max_iterations: int,
+    *,
     contact_check: bool,
-    time_limit_s: float | None,
     cycle: int | str,
+    tolerance: float = 1e-3,
+    max_iterations: int = 50,
+    time_limit_s: float | None = None,
     **others: Any,
 ) -> FitOptions:
     """As the stage takes them; the stage itself says which numbers are possible."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, records_call
 from limbcli.api.limits import one_of, within
+from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.results import StageResult
 
@@ -114,7 +115,7 @@ class MeshResult(Result):
         )  # fmt: skip
 
     def rows(self) -> list[dict[str, Any]]:
-        names = [name for name in self.__dataclass_fields__ if name not in ("stage_result", "study")]
+        names = [each.name for each in fields(self) if each.name not in ("stage_result", "study")]
         return [self._named({name: getattr(self, name) for name in names})]
 
     def model(self) -> LimbModel:
@@ -143,7 +144,7 @@ def segment(
 
     Parameters
     ----------
-    case : a `Case`, or the folder that holds case.toml
+    case : a `Case`, or the folder that holds case.toml, whose sites and probe may still be to come
     out : output folder; None: out/<name of the case's folder>
     seeds : ("bone", (x, y, z)), patient LPS in mm, in the marrow of a bone that was missed; ("soft", ...)
         in what was taken for bone and is none
@@ -165,9 +166,9 @@ def segment(
     one_of("segment", ("left", "right"), limb=limb)
     from limbcli.stages import segment as stage
 
-    with at_work(case, out, wait=wait, progress=progress) as work:
+    with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
         found = stage.segment(
-            work.case, out=work.out, seeds=tuple(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
+            work.case, out=work.out, seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
             fresh=fresh, progress=work.progress,
         )  # fmt: skip
     return SegmentResult.of(found)
@@ -247,3 +248,20 @@ def _thickness(name: str, value: float | str | None) -> Any:
         return thickness_of(value, name)
     within("mesh", **{name: value})
     return None if value is None else float(value)
+
+
+def _seeds(seeds: Any) -> tuple[tuple[Literal["bone", "soft"], Point], ...]:
+    """As the stage takes them, which looks at the kinds.
+
+    >>> _seeds([("bone", (1, -2.5, 30))])
+    (('bone', (1.0, -2.5, 30.0)),)
+    """
+    try:
+        found = []
+        for kind, place in seeds:
+            x, y, z = (float(each) for each in place)
+            found.append((kind, (x, y, z)))
+    except (TypeError, ValueError):
+        what, fix = f"seeds is {seeds!r}", 'give a list such as [("bone", (12.0, 40.0, -60.0))]'
+        raise CaseError(what, where="segment(seeds=...)", fix=fix) from None
+    return tuple(found)

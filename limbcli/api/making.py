@@ -49,7 +49,7 @@ class MadeCase(Result):
     def of(cls, found: StageResult) -> Self:
         path = found.path("truth") if "truth" in found.files else Path(found.data["truth"])
         truth = tomllib.loads(path.read_text(encoding="utf-8"))
-        return cls(found, Case.open(found.folder), truth)
+        return cls(found, Case.open(found.folder.absolute()), truth)
 
     def rows(self) -> list[dict[str, Any]]:
         names = ("force_n", "depth_mm", "swe_mean_m_per_s")
@@ -131,7 +131,7 @@ def synth(
     from limbcli.stages.simulated_subjects.hidden_effects import hide
     from limbcli.stages.simulated_subjects.known_stretches import known_stretches
 
-    hidden = tuple(hide(each) for each in names_of(effects) or ())
+    hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     stretches = known_stretches(
         stretch_along or {}, stretch_around or {}, Stretch(unloaded_stretch_along, unloaded_stretch_around)
     )
@@ -195,12 +195,14 @@ def make_phantom(
     from limbcli.stages import phantom as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
 
-    hidden = tuple(hide(each) for each in names_of(effects) or ())
+    hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     plan = _plan(
         "phantom", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
     )  # fmt: skip
+    if no_measurement:
+        stage.refuse_unheard(plan)
     options = stage.PhantomOptions(
         seed=seed, subject_id=subject, site_names=tuple(names_of(sites) or stage.USUAL_SITES),
         element=element or "tet10", synth=None if no_measurement else plan,

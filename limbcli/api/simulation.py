@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
@@ -22,6 +22,8 @@ from limbcli.api.call import (
 )
 from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
+from limbcli.config import default_out
+from limbcli.errors import CaseError
 from limbcli.results import StageResult
 from limbcli.writing import one_writer
 
@@ -64,7 +66,7 @@ class BuildFebResult(Result):
         )  # fmt: skip
 
     def rows(self) -> list[dict[str, Any]]:
-        names = [name for name in self.__dataclass_fields__ if name not in ("stage_result", "feb")]
+        names = [each.name for each in fields(self) if each.name not in ("stage_result", "feb")]
         return [self._named({name: getattr(self, name) for name in names})]
 
     def model(self) -> LimbModel:
@@ -166,6 +168,9 @@ def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """The laws, held against the rules of case.toml."""
     from limbcli.stages.site_model.site_layers import parse_law
 
+    if not isinstance(layers, Mapping) or not all(isinstance(each, Mapping) for each in layers.values()):
+        fix = 'give a table of tables such as {"fat": {"c_kpa": 2.0}}'
+        raise CaseError(f"layers is {layers!r}", where="build_feb(layers=...)", fix=fix)
     texts = (
         f"{name}:" + ",".join(f"{key}={value}" for key, value in table.items())
         for name, table in layers.items()
@@ -251,7 +256,7 @@ def run_feb(
 
     with foreseen():
         file, heard = folder_of(feb, "feb"), listening(progress)
-        target = Path("out") / file.name.split(".")[0] if out is None else folder_of(out)
+        target = default_out(Path(stage.model_name(file))) if out is None else folder_of(out)
         with one_writer(target, wait=wait, progress=heard):
             found = stage.run_file(
                 file, out=target, solver=solver, febio=maybe_path(febio, "febio"),

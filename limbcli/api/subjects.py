@@ -20,6 +20,7 @@ from limbcli.api.call import (
     records_call,
 )
 from limbcli.api.tables import Tabular, plain_rows, read_columns
+from limbcli.case import Case
 from limbcli.problems import Problem
 from limbcli.results import StageResult
 
@@ -70,12 +71,12 @@ class MeasureResult(Result):
         return [self._named(row) for row in plain_rows(read_columns(self.levels))]
 
 
-def check(case: PathLike, *, progress: Heard = None) -> CheckResult:
+def check(case: CaseLike, *, progress: Heard = None) -> CheckResult:
     """Everything about a case folder that can be known before computing, all problems at once.
 
     Parameters
     ----------
-    case : the folder that holds case.toml
+    case : the folder that holds case.toml, or a `Case`, whose folder is read again
     progress : called with (kind, facts) at every event; None: silence
 
     It raises nothing for what is wrong with the case: that is in `problems`.
@@ -83,7 +84,8 @@ def check(case: PathLike, *, progress: Heard = None) -> CheckResult:
     from limbcli.stages import check as stage
 
     with foreseen():
-        found = stage.check(folder_of(case, "case"), progress=listening(progress))
+        folder = case.folder if isinstance(case, Case) else folder_of(case, "case")
+        found = stage.check(folder, progress=listening(progress))
     return CheckResult(found.case, found.looked_at, found.problems)
 
 

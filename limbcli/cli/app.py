@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -111,13 +112,25 @@ def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
 
 
 def _refuse_no_numbers(arguments: Sequence[str]) -> None:
-    """`nan` and `inf` read as numbers, and pass any comparison with a bound or none: no option means them."""
+    """`nan`, `inf` and 1e999 read as numbers, and pass any comparison with a bound or none: no option means
+    them."""
     for before, text in itertools.pairwise(["", *arguments]):
         option, _, value = (
             text.rpartition("=") if text.startswith("--") and "=" in text else (before, "", text)
         )
-        if option.startswith("-") and value.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        if option.startswith("-") and _is_no_finite_number(value):
             raise CaseError(f"{value!r} is not a number", where=option, fix="give a finite number")
+
+
+def _is_no_finite_number(text: str) -> bool:
+    """
+    >>> [each for each in ("nan", "-Inf", "1e999", "2.5", "ogden", "") if _is_no_finite_number(each)]
+    ['nan', '-Inf', '1e999']
+    """
+    try:
+        return not math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def report_error(error: LimbError, *, as_json: bool) -> None:

@@ -79,6 +79,7 @@ def command(
     check_choice(
         objective, compare_element=compare_element, solver=solver, stiffness_map=stiffness_map,
         joint_only=[name for name, is_given in given.items() if is_given],
+        options=options, febio=febio,
     )  # fmt: skip
     opened, folder = Case.open(case), out or default_out(case)
     progress = terminal(quiet=quiet, verbose=verbose)

@@ -45,6 +45,8 @@ def out_of(arguments: Sequence[str]) -> Path | None:
             return Path(text)
         if text.startswith("--out="):
             return Path(text.removeprefix("--out="))
+        if text.startswith("-o") and len(text) > 2:  # as in -oresults
+            return Path(text[2:])
     return None
 
 

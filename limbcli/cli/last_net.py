@@ -13,6 +13,8 @@ def output_folder(arguments: Sequence[str]) -> Path | None:
 
     >>> output_folder(["mesh", "case", "--out=/tmp"]).as_posix(), output_folder(["mesh", "-o", "/nowhere"])
     ('/tmp', None)
+    >>> output_folder(["mesh", "-o/tmp"]).as_posix()
+    '/tmp'
     """
     named = [
         value
@@ -31,4 +33,6 @@ def output_folder(arguments: Sequence[str]) -> Path | None:
 def _value_of(before: str, text: str) -> list[str]:
     if before in ("--out", "-o"):
         return [text]
-    return [text.removeprefix("--out=")] if text.startswith("--out=") else []
+    if text.startswith("--out="):
+        return [text.removeprefix("--out=")]
+    return [text[2:]] if text.startswith("-o") and len(text) > 2 else []

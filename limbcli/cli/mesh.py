@@ -13,13 +13,17 @@ from limbcli.writing import one_writer
 SizeOpt = Annotated[
     float | None,
     typer.Option(
-        "--size-mm", min=0.3, max=20, help="Edge length under the probe; default 2.5.", show_default=False
+        "--size-mm", min=0.8, max=10, help="Edge length under the probe; default 2.5.", show_default=False
     ),
 ]
 FarSizeOpt = Annotated[
     float | None,
     typer.Option(
-        "--far-size-mm", min=0.3, max=50, help="Edge length far from it; default 8.", show_default=False
+        "--far-size-mm",
+        min=0.8,
+        max=25,
+        help="Edge length far from it; default 8, or --size-mm.",
+        show_default=False,
     ),
 ]
 ElementOpt = Annotated[

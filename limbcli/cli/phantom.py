@@ -44,8 +44,10 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """A synthetic subject whose truth is known: MRI, measurements, truth."""
-    from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom
+    from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom, refuse_unheard
 
+    if no_measurement:
+        refuse_unheard(plan)
     options = PhantomOptions(
         seed=seed,
         subject_id=name,

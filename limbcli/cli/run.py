@@ -45,13 +45,18 @@ def command(
     verbose: VerboseOpt = 0,
 ) -> None:
     """Simulate the indentation with FEBio, or with the bundled reference solver."""
-    from limbcli.stages.run import RunOptions, run, run_file
+    from limbcli.config import default_out
+    from limbcli.stages.run import RunOptions, model_name, run, run_file
 
     options = RunOptions(time_limit_s=time_limit_s, vtu=vtu)
     progress = terminal(quiet=quiet, verbose=verbose)
     file = feb or (case if case is not None and is_model_file(case) else None)
     if file is not None and (case is None or file == case):
-        target = out or Path("out") / file.name.split(".")[0]
+        if site:
+            raise CaseError(
+                "a model file has no sites", where="--site", fix="leave --site out, or name a case folder"
+            )
+        target = out or default_out(Path(model_name(file)))
         with one_writer(target, wait=not no_wait, progress=progress):
             one = run_file(file, out=target, solver=solver, febio=febio, options=options, progress=progress)
         emit(one, as_json=json)
@@ -63,7 +68,6 @@ def command(
             fix="limbcli run CASE, or limbcli run FILE.feb",
         )
     from limbcli.case import Case
-    from limbcli.config import default_out
 
     opened, target = Case.open(case), out or default_out(case)
     with one_writer(target, wait=not no_wait, progress=progress):

@@ -69,11 +69,11 @@ SynthElementOpt = Annotated[
 ]
 SynthSizeOpt = Annotated[
     float,
-    typer.Option("--size-mm", min=0.3, max=20, help="Edge length under the probe.", rich_help_panel=_MESH),
+    typer.Option("--size-mm", min=0.8, max=10, help="Edge length under the probe.", rich_help_panel=_MESH),
 ]
 SynthFarSizeOpt = Annotated[
     float,
-    typer.Option("--far-size-mm", min=0.3, max=50, help="Edge length far from it.", rich_help_panel=_MESH),
+    typer.Option("--far-size-mm", min=0.8, max=25, help="Edge length far from it.", rich_help_panel=_MESH),
 ]
 SynthMarginOpt = Annotated[
     float | None,

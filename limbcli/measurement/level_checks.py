@@ -281,7 +281,7 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     speed = levels.swe_mean_m_per_s
     problems = []
     if not levels.has_swe:
-        fix = "add swe_mean_m_per_s, or give `fit` the stiffness with --c-kpa"
+        fix = "add swe_mean_m_per_s, or give the stiffness by hand: --c-kpa to both `build-feb` and `fit`"
         return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
     for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
         unit = "is it in cm/s?" if speed[k] > _SPEED_HIGH_M_PER_S else "is it in kPa, or a masked value?"
@@ -293,7 +293,7 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"
         problems.append(problem(what, path, fix, line=table.lines[0], warning=True))
     if not np.isfinite(speed[0]):
-        fix = "c comes from the speed at level 0; measure it, or give `fit` --c-kpa"
+        fix = "c comes from the speed at level 0; measure it, or give --c-kpa to both `build-feb` and `fit`"
         problems.append(
             problem("level 0 has no shear-wave speed", path, fix, line=table.lines[0], warning=True)
         )

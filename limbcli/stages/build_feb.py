@@ -53,6 +53,7 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
 _WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
+C_KPA = (0.1, 500.0)  # kPa: c given by hand; beyond it stands another unit (8000 Pa are 8 kPa)
 _LINE_NEEDS = 3  # speeds, to tell c at 0 N by a line
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
@@ -138,12 +139,15 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
     Raises
     ------
     MeasurementError
-        If level 0 has no speed and no c is given, or the given c is not positive.
+        If level 0 has no speed and no c is given, or the given c is not possible.
     """
     if c_kpa is not None:
-        if not c_kpa > 0:
+        low, high = C_KPA
+        if not low <= c_kpa <= high:
             raise MeasurementError(
-                f"c is {c_kpa:g} kPa, not positive", where="--c-kpa", fix="give c = 2 mu in kPa, e.g. 8"
+                f"c is {c_kpa:g} kPa; possible is {low:g} to {high:g}",
+                where="--c-kpa",
+                fix="give c = 2 mu in kPa, e.g. 8; soft tissue has 2 to 50",
             )
         return mpa_from_kpa(c_kpa), "given with --c-kpa"
     speed = float(levels.swe_mean_m_per_s[0])
@@ -151,7 +155,8 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
         raise MeasurementError(
             "level 0 has no shear-wave speed, so c is unknown",
             where=str(levels.path),
-            fix="fill swe_mean_m_per_s in the first row, or give the stiffness: --c-kpa VALUE",
+            fix="fill swe_mean_m_per_s in the first row, or give the stiffness by hand, to both: "
+            "`limbcli build-feb CASE --c-kpa VALUE`, `limbcli fit CASE --c-kpa VALUE`; `batch` keeps it",
         )
     modulus = shear_modulus_from_wave_speed(np.array([speed]), density_kg_per_m3=site.density_kg_per_m3)
     level = "level 0" if levels.begins_at_zero else f"{_first_level(levels)}, for want of a level 0"

@@ -6,6 +6,7 @@ that can be read even where case.toml itself has faults.
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,14 +14,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from limbcli.case import CASE_FILE, read_case
+from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case_files import CaseFiles
 from limbcli.errors import CaseError, LimbError, MeasurementError
+from limbcli.measurement.levels import FEWEST_LOADING
 from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
+from limbcli.stages.check_instruments import instrument_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
 from limbcli.stages.site_model.cycle_words import cycle_lines
+from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.stages.site_model.site_states import state_problems
 
 
@@ -63,6 +67,8 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         problems += reader(path)
     if case is not None:
         problems += _contradictions(case)
+        said = {each.what for each in problems}
+        problems += [each for each in instrument_problems(case) if each.what not in said]
         problems += state_problems(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
@@ -173,8 +179,10 @@ def _contradictions(case: Any) -> list[Problem]:
         )
     shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
     problems += _caught(lambda: check_shape(shape, where=str(case.file)))
+    problems += _shared_files(case)
     for site in case.sites:
         problems += _unmeasured(site, case.folder)
+        problems += _too_few(site) + _other_distance(site, str(case.file))
         problems += _missing_maps(site, probe.length)
         if site.noise.source == "assumed":
             problems.append(
@@ -188,18 +196,61 @@ def _contradictions(case: Any) -> list[Problem]:
     return problems
 
 
-def _unmeasured(site: Any, folder: Path) -> list[Problem]:
+def _shared_files(case: Any) -> list[Problem]:
+    """A file of readings that two sites name: copied with its [[site]], and counted twice by a joint fit."""
+    owner: dict[Path, str] = {}
+    problems = []
+    for site in case.sites:
+        own = [each.levels for each in site.states] if site.states else [site.levels]
+        for path in (*own, site.trace, site.swe_maps):
+            first = owner.setdefault(path.resolve(), site.name) if path is not None else site.name
+            if first != site.name:
+                what = f"sites {first} and {site.name} name the same {path.name}"
+                fix = (
+                    "a measurement belongs to one site: give each its own, or it counts twice in a joint fit"
+                )
+                problems.append(Problem(what, str(path), fix, severity="warning"))
+    return problems
+
+
+def _unmeasured(site: Site, folder: Path) -> list[Problem]:
     """Levels that are still to be read from what the instruments recorded."""
     if site.levels.is_file():
         return []
+    command = f"limbcli measure {shlex.quote(str(folder))} --site {site.name} --write"
     return [
         Problem(
             f"site {site.name} has no {site.levels.name} yet",
             str(site.levels),
-            f"`limbcli measure {folder} --site {site.name} --write` makes it from the recordings",
+            f"`{command}` makes it from the recordings",
             severity="warning",
         )
     ]
+
+
+def _too_few(site: Site) -> list[Problem]:
+    """Fewer levels past first touch than a fit of two parameters needs, in the cycle that it takes."""
+    try:
+        levels = levels_of(site) if site.levels.is_file() else None
+    except LimbError:
+        return []  # the file's own problems are told
+    n = FEWEST_LOADING if levels is None else int((levels.loading & (levels.depth > 0.0)).sum())
+    if n >= FEWEST_LOADING:
+        return []
+    what = f"only {n} levels of loading lie deeper than first touch"
+    fix = f"`fit` needs at least {FEWEST_LOADING} with depth_mm above 0: measure more force levels"
+    return [Problem(what, str(site.levels), fix, family="measurement")]
+
+
+def _other_distance(site: Site, file: str) -> list[Problem]:
+    """The site's skin_bone_mm against that of its level 0."""
+    from limbcli.stages.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
+
+    seen = skin_bone_of_levels(site)
+    if site.skin_bone is None or seen is None or abs(site.skin_bone / seen - 1) <= SKIN_BONE_TOLERANCE:
+        return []
+    what = f"skin_bone_mm of site {site.name} is {site.skin_bone:g} mm, level 0 of its levels says {seen:.1f}"
+    return [Problem(what, file, "correct one of the two, or leave the site's out", severity="warning")]
 
 
 def _missing_maps(site: Any, probe_length: float) -> list[Problem]:

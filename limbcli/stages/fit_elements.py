@@ -104,7 +104,10 @@ def _compare_site(
             memory = SolvedPoints(curve)
             start = memory(START, (0, 1)).values
             sweep = [memory(np.array([f_kappa, 2.0]), (0, 1)).values[-1] for f_kappa in SWEEP]
-            steps = two_step(memory, curve.depths, data, tolerance=options.tolerance, progress=progress)
+            steps = two_step(
+                memory, curve.depths, data,
+                tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
+            )  # fmt: skip
             forces = memory(steps[-1].theta).values
             linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)
         finally:

@@ -40,6 +40,7 @@ from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.provenance.asked import in_words
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_layers import check_in_proportion
 from limbcli.stages.site_model.site_levels import levels_of
@@ -108,6 +109,7 @@ def fit_joint(
         for each in measured:
             leave_cycle(each.levels, each.site, writer, label=each.site.name)
             check_noise(each.site, speeds=each.levels.has_swe)
+        _say_free(measured, options, writer)
         models = [(each.site.name, each.model) for each in measured]
         told = any(model.fibres is not None for _, model in models)
         others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
@@ -161,6 +163,18 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
         except MeasurementError as problem:
             writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
     return Measured(site, model, levels, stiffness.c, error, layers if lines else None, lines)
+
+
+def _say_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
+    """What was given of c by hand holds nothing fixed where every site has speeds."""
+    given = in_words(
+        {key: value for key, value in options.asked().items() if key in ("c_kpa", "c_deviation")}
+    )
+    if given and all(each.levels.has_swe for each in measured):
+        writer.warnings.append(
+            f"{given}: the shear-wave speeds tell c, which is free in a joint fit; a value given by hand is "
+            "only where the search begins"
+        )
 
 
 # ---------------------------------------------------------------- identification

@@ -68,6 +68,8 @@ def mesh(
     chosen = case.selected(sites)
     if place is not None and len(chosen) != 1:
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
+    if place is not None and not np.isfinite(place).all():
+        raise CaseError(f"--at is {place}", where="--at", fix="give an angle in degrees and a height in mm")
     options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
     thickness = Layering(skin_layer, fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
@@ -108,7 +110,7 @@ def mesh_options(
     for name, value, low, high in (
         ("--size-mm", sizes.under_probe, 0.8, 10.0),
         ("--far-size-mm", sizes.far, sizes.under_probe, 25.0),
-        ("--margin-mm", margin, 5.0, 200.0),
+        ("--margin-mm", margin, 5.0, 150.0),
     ):
         if not low <= value <= high:
             raise CaseError(f"{name} is {value:g}", where=case.subject, fix=f"give {low:g} to {high:g} mm")

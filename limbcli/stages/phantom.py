@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case
+from limbcli.case_schema import plain_name
 from limbcli.errors import CaseError
 from limbcli.files import atomic_folder
 from limbcli.pasting import typed
@@ -61,6 +62,23 @@ class PhantomOptions:
     synth: SynthOptions | None = field(default_factory=SynthOptions)
 
 
+def refuse_unheard(plan: SynthOptions) -> None:
+    """Tissue and measurement are told only where there is something to measure.
+
+    Raises
+    ------
+    CaseError
+        If any of `plan` is not the usual; the element is the case's in any way.
+    """
+    usual = SynthOptions()
+    if replace(plan, seed=usual.seed, element=None) != usual:
+        raise CaseError(
+            "tissue, measurement or mesh are told, but nothing is to be measured",
+            where="--no-measurement",
+            fix="leave --no-measurement out, or the others: `limbcli synth` takes them later, on that case",
+        )
+
+
 def phantom(
     folder: Path,
     *,
@@ -74,8 +92,10 @@ def phantom(
     ------
     CaseError
         If the folder is there already and `force` is not given, or if it holds
-        anything but a synthetic subject.
+        anything but a synthetic subject; or if the subject's id cannot be one.
     """
+    if (wrong := plain_name(options.subject_id)) is not None:
+        raise CaseError(f"the subject's id {wrong}", where="--id", fix="give a short name, such as S1")
     _check_target(folder, force=force)
     places = _places(options.site_names)
     rng_shape, rng_image = (np.random.default_rng([options.seed, k]) for k in (1, 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +94,7 @@ def run_file(
     engine = choose(solver, febio)
     outline = read_outline(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
-    with open_stage(out, STAGE, subject=feb.name.split(".")[0]) as writer:
+    with open_stage(out, STAGE, subject=model_name(feb)) as writer:
         _simulate(feb, outline, writer, engine, options, progress)
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     assert writer.result is not None
@@ -111,8 +112,16 @@ def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
         raise CaseError(
             "the output folder holds the results of a case, whose runs those of a file would replace",
             where=str(found[0]),
-            fix=f"name another folder: limbcli run {feb} --out FOLDER",
+            fix=f"name another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
         )
+
+
+def model_name(feb: Path) -> str:
+    """
+    >>> model_name(Path("models/S1.v2.feb")), model_name(Path("S1.feb.gz"))
+    ('S1.v2', 'S1')
+    """
+    return feb.name.removesuffix(".gz").removesuffix(".feb")
 
 
 def _run_site(

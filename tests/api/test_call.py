@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.api.call import records_call
+import limbcli
+from limbcli.api.call import names_of, records_call
+from limbcli.errors import CaseError
 from limbcli.results import provenance
 
 
@@ -30,3 +32,16 @@ def test_a_call_that_fails_leaves_nothing_behind():
     with pytest.raises(ValueError):  # noqa: PT011
         fail()
     assert "limbcli.fail" not in provenance()["command"]
+
+
+@pytest.mark.parametrize("sites", [[], (), 3, ["p1", 2]])
+def test_a_selection_that_names_nothing_is_not_everything(sites: object):
+    with pytest.raises(CaseError, match="sites is") as caught:
+        names_of(sites)  # type: ignore[arg-type]
+    assert caught.value.fix == "give a name or several, or leave it out: all"
+
+
+def test_no_effects_are_the_usual_ones(tmp_path: Path):
+    assert names_of("skin-layer", "effects") == ["skin-layer"]
+    with pytest.raises(CaseError, match="effects is 3"):
+        limbcli.make_phantom(tmp_path / "subject", effects=3)  # type: ignore[arg-type]

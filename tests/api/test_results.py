@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import sys
 from dataclasses import FrozenInstanceError
 from pathlib import Path
@@ -74,6 +76,7 @@ def test_every_result_is_a_table_and_a_pandas_frame(chain: dict[str, Any]):
     assert rows.loc["m", "value"] == chain["fit"][0].m
     assert np.isnan(rows.loc["m", "low_95"])  # no interval was asked for
     assert (rows["subject"] == "S1").all()
+    assert "stage" not in chain["mesh"].to_frame().columns
 
 
 def test_without_pandas_it_says_what_to_do(chain: dict[str, Any], monkeypatch: pytest.MonkeyPatch):
@@ -167,6 +170,59 @@ def test_errors_say_what_where_and_what_to_do(chain: dict[str, Any], tmp_path: P
     assert not out.exists()
 
 
+def test_arguments_of_another_kind_are_refused(chain: dict[str, Any], tmp_path: Path):
+    case, out = chain["case"], tmp_path / "out"
+    wrong: list[tuple[Any, str]] = [
+        (lambda: limbcli.segment(case, out=out, seeds=[("bone", (1, 2))]), "seeds is"),  # type: ignore
+        (lambda: limbcli.segment(case, out=out, seeds=("bone", (1, 2, 3))), "seeds is"),  # type: ignore
+        (lambda: limbcli.segment(case, out=out, seeds="bone=1,2,3"), "seeds is"),  # type: ignore[arg-type]
+        (lambda: limbcli.build_feb(case, out=out, layers={"fat": 3}), "layers is"),  # type: ignore[dict-item]
+        (lambda: limbcli.build_feb(case, out=out, sites=3), "sites is 3"),  # type: ignore[arg-type]
+        (lambda: limbcli.FitResult.read(case, "p1"), "out is Case("),  # type: ignore[arg-type]
+    ]
+    for call, words in wrong:
+        with pytest.raises(limbcli.CaseError) as caught:
+            call()
+        assert words in caught.value.message
+        assert len(caught.value.message) < 200
+
+
+def test_results_hold_from_another_working_folder(
+    chain: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    shutil.copytree(chain["out"], tmp_path / "out" / "case")
+    shutil.copytree(chain["case"].folder, tmp_path / "case")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    case = limbcli.Case.open("case")
+    built = limbcli.build_feb("case", c_kpa=8.0)["p1"]
+    fitted = limbcli.FitResult.read("out/case", "p1")
+    monkeypatch.chdir("elsewhere")
+    assert built.feb.is_file()
+    assert built.model().bodies
+    assert len(fitted.curves()) == len(chain["fit"]["p1"].curves())
+    with pytest.raises(limbcli.CaseError, match="is not there, seen from"):
+        limbcli.build_feb(case)
+
+
+def test_the_site_that_was_forgotten_or_misspelt_is_named(chain: dict[str, Any]):
+    for site in (None, "P1"):
+        with pytest.raises(limbcli.CaseError) as caught:
+            limbcli.FitResult.read(chain["out"], site)
+        assert caught.value.fix == "name one of its sites: p1"
+    with pytest.raises(limbcli.CaseError, match="the whole subject's"):
+        limbcli.SegmentResult.read(chain["out"], "p1")
+
+
+def test_segment_begins_before_sites_and_probe_are_known(tmp_path: Path):
+    case = write_case(tmp_path / "case")
+    path = case / "case.toml"
+    path.write_text(re.sub(r"(length_mm|position_mm|long_axis) = .*", r'\1 = "FILL IN"', path.read_text()))
+    assert limbcli.segment(case, out=tmp_path / "out").bones == ("tibia",)
+    with pytest.raises(limbcli.CaseError, match="still to be filled in"):
+        limbcli.mesh(case, out=tmp_path / "out")
+
+
 def test_a_second_writer_is_refused_where_nobody_waits(chain: dict[str, Any], tmp_path: Path):
     from limbcli.writing import one_writer
 
@@ -177,6 +233,7 @@ def test_a_second_writer_is_refused_where_nobody_waits(chain: dict[str, Any], tm
 def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path: Path):
     good = limbcli.check(chain["case"].folder)
     assert good.ok
+    assert limbcli.check(chain["case"]).looked_at == good.looked_at
     (tmp_path / "case.toml").write_text("format = 1\n")
     bad = limbcli.check(tmp_path)
     assert not bad.ok
@@ -186,7 +243,7 @@ def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path:
 
 def test_fits_of_several_sites_and_of_both_elements(chain: dict[str, Any]):
     case, out = chain["case"], chain["out"]
-    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False, max_iterations=8)
+    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False)
     assert joint.sites == ("p1",)
     assert joint.law == "ogden"
     assert joint.parameter("c_kpa").value > 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,8 @@ import typer
 import limbcli
 from limbcli.api.limits import LIMITS
 from limbcli.cli.app import COMMANDS, app
+from limbcli.stages.mesh import mesh_options
+from tests.test_case_text import two_sites
 
 FUNCTIONS = {
     "segment": "segment", "mesh": "mesh", "build-feb": "build_feb", "run": "run", "fit": "fit",
@@ -72,6 +75,17 @@ def test_the_bounds_are_the_same(command: str):
                 math.inf if high is None else high,
             )
     assert LIMITS.get(FUNCTIONS[command].removeprefix("make_"), {}) == bounded
+
+
+@pytest.mark.parametrize("name", ["size_mm", "far_size_mm", "margin_mm"])
+def test_every_size_within_the_bounds_of_help_is_taken(tmp_path: Path, name: str):
+    case = limbcli.Case.open(two_sites(tmp_path / "case"))
+    argument = name.removesuffix("_mm")
+    for bound in LIMITS["mesh"][name]:
+        given = {"element": None, "size": None, "far_size": None, "margin": None, argument: bound}
+        if name == "far_size_mm":
+            given["size"] = 0.8
+        assert mesh_options(case, **given)  # type: ignore[arg-type]
 
 
 def test_every_command_has_its_function():

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from limbcli.cli.app import COMMANDS, command_options, main
-from limbcli.cli.fixes import case_of, for_command_line
+from limbcli.cli.fixes import case_of, for_command_line, out_of
 from limbcli.errors import CaseError, SolveError
 from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
 from limbcli.reporting.outcome import read_outcomes
@@ -96,3 +96,8 @@ def test_a_folder_that_begins_with_a_dash_can_be_pasted(tmp_path: Path, monkeypa
     outcome = read_outcomes(Path("out"), ("p1",), case_name=str(case)).of("mesh", "p1")
     assert outcome.command == "limbcli mesh ./-left --site p1 --out out"
     assert pasted_text("run `limbcli segment CASE` first", case) == "run `limbcli segment ./-left` first"
+
+
+@pytest.mark.parametrize("words", [["--out", "my out"], ["--out=my out"], ["-o", "my out"], ["-omy out"]])
+def test_the_output_folder_is_found_however_it_is_named(words: list[str]):
+    assert out_of(["mesh", "case", *words]) == Path("my out")

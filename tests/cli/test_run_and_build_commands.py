@@ -54,10 +54,11 @@ def test_each_failure_has_its_exit_code_and_its_fix(
     assert limbcli("run", tmp_path / "absent.feb", *out) == 2
     assert limbcli("run", feb, "--solver", "abaqus", *out) == 2
     assert limbcli("run", feb, "--febio", tmp_path / "absent", *out) == 4
+    assert limbcli("run", feb, "--site", "p1", *out) == 2
     monkeypatch.setenv("FAKE_FEBIO", "failed")
     assert limbcli("run", feb, "--febio", febio, "--json", *out) == 6
     shown = capsys.readouterr()
-    assert shown.err.count("fix:") == 6
+    assert shown.err.count("fix:") == 7
     assert json.loads(shown.out)["facts"]["n_retries"] == 1
 
 
@@ -75,3 +76,24 @@ def test_a_case_is_built_and_run_by_its_commands(
     assert limbcli("build-feb", tmp_path / "case", "--out", out, "--m", "-3") == 2
     assert limbcli("build-feb", tmp_path / "case", "--out", out, "--site", "p9") == 2
     assert "the sites are: p1" in capsys.readouterr().err
+
+
+def test_models_whose_names_differ_after_a_dot_have_folders_of_their_own(
+    febio: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LIMBCLI_OUT", "results")
+    for name in ("S1.v1.feb", "S1.v2.feb"):
+        (tmp_path / name).write_bytes((DATA / "punch.feb").read_bytes())
+        assert limbcli("run", name, "--febio", febio) == 0
+    assert sorted(each.name for each in (tmp_path / "results").iterdir()) == ["S1.v1", "S1.v2"]
+
+
+def test_what_would_not_be_heard_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").mkdir()
+    subject = tmp_path / "subject"
+    assert limbcli("phantom", subject, "--no-measurement", "--noise", "0") == 2
+    assert limbcli("phantom", subject, "--id", "a b/c") == 2
+    assert "use letters" in capsys.readouterr().err
+    assert limbcli("report", "--index", tmp_path / "out", "--out", tmp_path / "other") == 2
+    assert not subject.exists()

@@ -92,7 +92,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     ("header", "expected"),
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
-        (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'"),
+        (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
         (HEADER.replace("force_n,", ""), "its name carries the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),

@@ -143,8 +143,9 @@ def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
     law = built(case, tmp_path / "out", options=options).materials["tissue"].parameters
     assert (law["c1"], law["m1"], law["m2"]) == (0.004, 3.5, -3.5)
     assert law["kappa"] == pytest.approx(0.4)
-    with pytest.raises(MeasurementError, match="not positive"):
-        build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=-1.0))
+    for c_kpa in (-1.0, 8000.0):
+        with pytest.raises(MeasurementError, match=r"possible is 0\.1 to 500"):
+            build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=c_kpa))
 
 
 def test_without_swe_c_must_be_given(case: Case, tmp_path: Path) -> None:

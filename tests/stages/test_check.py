@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,8 @@ from limbcli.cli.app import main
 from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
-from tests.test_case_text import ONE_SITE
+from limbcli.stages.site_model.mesh_checks import bone_warnings, measured_skin_bone
+from tests.test_case_text import ONE_SITE, SITE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -60,6 +62,93 @@ def test_levels_that_are_still_to_be_measured_are_told(folder: Path):
     (told,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
     assert told.severity == "warning"
     assert "limbcli measure" in told.fix
+
+
+def test_the_command_that_measures_can_be_pasted(tmp_path: Path):
+    folder = tmp_path / "my case"
+    (folder / "mri").mkdir(parents=True)
+    (folder / "trace.csv").write_text("time_s,force_n\n0,0\n1,1\n")
+    (folder / "case.toml").write_text(ONE_SITE + 'trace = "trace.csv"\n')
+    (told,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
+    command = told.fix.split("`")[1]
+    assert shlex.split(command) == ["limbcli", "measure", str(folder), "--site", "p1", "--write"]
+    assert "limbcli new '" in check(tmp_path / "my case" / "mri").problems[0].fix
+
+
+def test_two_levels_past_first_touch_are_too_few_for_a_fit(folder: Path):
+    (folder / "case.toml").write_text(ONE_SITE)
+    for rows, told in (("2,1.9\n4,3.3\n", True), ("2,1.9\n4,3.3\n6,4.6\n", False)):
+        (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n" + rows)
+        whats = [each.what for each in check(folder).problems]
+        assert ("only 2 levels of loading lie deeper than first touch" in whats) is told
+
+
+@pytest.mark.parametrize(
+    ("table", "files", "told"),
+    [
+        ('[site.load_cell]\nfile = "cell.csv"\ncolumns = { force_n = "F" }\n', {}, "no column 'F'"),
+        ('[site.b_mode]\nfolder = "images"\n', {}, "holds no image"),
+        (
+            '[site.swe_images]\nfolder = "images"\nhigh_m_per_s = 10\n',
+            {"images/a.png": "x"},
+            "cannot be read",
+        ),
+    ],
+)
+def test_what_the_instruments_left_is_read(folder: Path, table: str, files: dict[str, str], told: str):
+    (folder / "images").mkdir()
+    (folder / "cell.csv").write_text("time_s,force\n" + "".join(f"{k / 10},{k // 100}\n" for k in range(400)))
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    (folder / "case.toml").write_text(ONE_SITE + table)
+    for levels, severity in (("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n", "warning"), (None, "error")):
+        (folder / "levels.csv").unlink()
+        if levels is not None:
+            (folder / "levels.csv").write_text(levels)
+        (found,) = [each for each in check(folder).problems if told in each.what]
+        assert found.severity == severity
+        (folder / "levels.csv").touch()
+
+
+def test_as_many_images_as_holds_are_asked_for(folder: Path):
+    from PIL import Image
+
+    (folder / "levels.csv").unlink()
+    (folder / "images").mkdir()
+    Image.new("L", (40, 40)).save(folder / "images" / "a.png")
+    rows = (f"{k / 10},{2 * (k // 100)}\n" for k in range(400))
+    (folder / "cell.csv").write_text("time_s,force_n\n" + "".join(rows))
+    tables = '[site.load_cell]\nfile = "cell.csv"\n[site.b_mode]\nfolder = "images"\nmm_per_pixel = 0.1\n'
+    (folder / "case.toml").write_text(ONE_SITE + tables)
+    whats = [each.what for each in check(folder).problems]
+    assert "the instruments of site p1 do not have as many levels: load_cell 4, b_mode 1" in whats
+
+
+def test_a_distance_to_the_bone_that_the_levels_contradict_is_told(folder: Path):
+    (folder / "levels.csv").write_text("force_n,depth_mm,skin_bone_mm\n0,0,48\n2,1,47\n4,2,46\n6,3,45\n")
+    for stated, told in ((20, True), (47, False)):
+        (folder / "case.toml").write_text(f"{ONE_SITE}skin_bone_mm = {stated}\n")
+        whats = [each.what for each in check(folder).problems]
+        assert any("level 0 of its levels says 48.0" in each for each in whats) is told
+
+
+def test_a_distance_that_only_the_site_states_is_held_against_the_mesh(folder: Path):
+    (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    (folder / "case.toml").write_text(f"{ONE_SITE}skin_bone_mm = 20\n")
+    measured = measured_skin_bone(Case.open(folder).sites[0])
+    assert measured == 20.0
+    assert "48.0 mm in the model, 20.0 mm" in bone_warnings(48.0, measured)[0]
+
+
+def test_readings_that_two_sites_share_are_told(folder: Path):
+    (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    second = SITE.format(name="p2", levels="./levels.csv")
+    (folder / "case.toml").write_text(ONE_SITE + second)
+    (told,) = [each for each in check(folder).problems if "name the same" in each.what]
+    assert (told.what, told.severity) == ("sites p1 and p2 name the same levels.csv", "warning")
+    (folder / "second.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
+    (folder / "case.toml").write_text(ONE_SITE + second.replace("./levels.csv", "second.csv"))
+    assert not any("name the same" in each.what for each in check(folder).problems)
 
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):

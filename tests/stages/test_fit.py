@@ -165,7 +165,7 @@ def test_without_speed_at_level_0_c_must_be_given(case, tmp_path, forces):
     given, source = initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=6.0))
     assert given.c == pytest.approx(0.006)
     assert "--c-kpa" in source
-    with pytest.raises(MeasurementError, match="not positive"):
+    with pytest.raises(MeasurementError, match=r"possible is 0\.1 to 500"):
         initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=-1.0))
 
 

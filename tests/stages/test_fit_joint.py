@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, FitError
 from limbcli.feb.settings import schedule
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession
@@ -133,6 +133,23 @@ def test_laws_are_compared_by_what_they_did_not_see(case_and_out, tmp_path):
     assert errors["ogden"] < 0.5 * errors["neo-hooke"]
     assert list(errors.values()) == sorted(errors.values())
     assert result.path("laws").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_c_given_by_hand_is_said_to_be_free_where_speeds_tell_it(case_and_out, joint):
+    case, out = case_and_out
+    given = FitOptions(c_kpa=12.0, contact_check=False)
+    again = fit_joint(case, out=out, joint=JointOptions(max_solves=4), options=given)
+    assert again.data["c_kpa"] == pytest.approx(joint.data["c_kpa"], rel=0.02)
+    assert any(text.startswith("--c-kpa 12: the shear-wave speeds tell c") for text in again.warnings)
+    assert not any("--c-kpa" in text for text in joint.warnings)
+
+
+@pytest.mark.slow
+def test_a_comparison_keeps_to_the_iterations_allowed(case_and_out):
+    case, out = case_and_out
+    with pytest.raises(FitError, match="1 iteration"):
+        compare_elements(case, out=out, options=FitOptions(max_iterations=1))
 
 
 @pytest.mark.slow

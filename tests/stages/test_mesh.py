@@ -166,6 +166,8 @@ def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     assert result.data["layers_made"]["at_centre"]["fat_mm"] == pytest.approx(4.0, abs=0.15)
     with pytest.raises(CaseError, match="several sites"):
         mesh(case, out=tmp_path, place=(90.0, 60.0))
+    with pytest.raises(CaseError, match="--at is"):
+        mesh(case, out=tmp_path, sites=["p1"], place=(90.0, float("inf")))
 
 
 def checks(**changes: float | None) -> SiteChecks:
@@ -200,7 +202,7 @@ def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
     """Levels may be read after the mesh was made, or corrected: what is said of the mesh goes with them."""
-    site = SimpleNamespace(levels=tmp_path / "levels.csv")
+    site = SimpleNamespace(levels=tmp_path / "levels.csv", skin_bone=None)
 
     def told(then: float | None, now: float | None) -> list[str]:
         warnings = ("a voxel is large", *geometry_warnings(checks(), measured=then, margin=40.0, site="p1"))

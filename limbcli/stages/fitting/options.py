@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
-from limbcli.stages.provenance.asked import asked_of_options
+from limbcli.stages.build_feb import C_KPA
+from limbcli.stages.provenance.asked import asked_of_options, in_words
 
 OBJECTIVES = ("force", "joint", "states")
+COMPARISON = "--compare-element"
+
+# Fields of FitOptions that say nothing to what is asked for. The likelihoods of `joint` and `states` search
+# on a surrogate to its own end, always with intervals; a comparison of elements is of the two fits alone.
+_OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
+_SAYS_NOTHING: Mapping[str, Sequence[str]] = {
+    "joint": _OF_FORCE,
+    "states": ("c_kpa", "c_deviation", "contact_check", "cycle", *_OF_FORCE),
+    COMPARISON: (
+        "c_deviation", "intervals", "gain_deviation", "contact_check", "templates", "time_limit_s",
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,10 +66,13 @@ def check_choice(
     solver: str,
     stiffness_map: bool = False,
     joint_only: Sequence[str] = (),
+    options: FitOptions | None = None,
+    febio: Path | None = None,
 ) -> None:
     """Whether these options go together.
 
     joint_only : options given that speak to the joint fit (or that of states) alone
+    options : the others, of which none may be given that says nothing to what is asked for
 
     Raises
     ------
@@ -86,6 +102,12 @@ def check_choice(
             where="--solver febio",
             fix="leave --solver out: the reference solver does it",
         )
+    if febio is not None and (joint or compare_element):
+        raise CaseError(
+            "this needs derivatives that FEBio does not give",
+            where="--febio",
+            fix="leave --febio out: the reference solver does it",
+        )
     if stiffness_map and (joint or compare_element):
         raise CaseError(
             "a stiffness map goes with the fit of the force alone",
@@ -97,6 +119,15 @@ def check_choice(
             "laws are compared by the joint fit alone",
             where="--compare-laws, --objective states",
             fix="give one law (--law), or use --objective joint",
+        )
+    asked = COMPARISON if compare_element else f"--objective {objective}"
+    unheard = _SAYS_NOTHING.get(COMPARISON if compare_element else objective, ())
+    given = {key: value for key, value in (options.asked() if options else {}).items() if key in unheard}
+    if given:
+        raise CaseError(
+            f"{in_words(given)} says nothing to {asked}",
+            where=asked,
+            fix="leave it out, or fit the force alone (--objective force)",
         )
 
 
@@ -115,7 +146,7 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
     gain_deviation = options.gain_deviation if gain_deviation is None else gain_deviation
     rules = (
-        ("--c-kpa", options.c_kpa, 0.1, 500.0, "c = 2 mu in kPa; soft tissue has 2 to 50"),
+        ("--c-kpa", options.c_kpa, *C_KPA, "c = 2 mu in kPa; soft tissue has 2 to 50"),
         ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
         ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
         ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),

@@ -33,23 +33,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
     """
     from limbcli.measurement.picture import draw_holds
 
-    path: Path = table["path"]
-    trace = read_recording(
-        path,
-        RecordingFormat(
-            columns=table["columns"],
-            force_unit=table["force_unit"],
-            length_unit=table["length_unit"],
-            separator=table["separator"],
-            decimal=table["decimal"],
-        ),
-    )
-    if table["tare_s"] is not None:
-        tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
-        mass, axis = float(table["probe_mass_kg"]), table["axis"]
-        trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
-    pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
-    holds = find_holds(pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"]))
+    trace, holds = holds_of(table)
     draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
     step = float(table["step_n"])
     cycle, phase = cycles_of_holds([each.force for each in holds], turn=_TURN * step)
@@ -69,6 +53,29 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
         first = holds[0].depth or 0.0
         columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
     return columns
+
+
+def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
+    """The record, without the weight of the probe, and its holds. Raises as `force_columns`."""
+    path: Path = table["path"]
+    trace = read_recording(
+        path,
+        RecordingFormat(
+            columns=table["columns"],
+            force_unit=table["force_unit"],
+            length_unit=table["length_unit"],
+            separator=table["separator"],
+            decimal=table["decimal"],
+        ),
+    )
+    if table["tare_s"] is not None:
+        tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
+        mass, axis = float(table["probe_mass_kg"]), table["axis"]
+        trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
+    pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
+    return trace, find_holds(
+        pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"])
+    )
 
 
 def _say_holds(

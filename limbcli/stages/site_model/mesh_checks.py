@@ -17,6 +17,12 @@ _LAYERS_KEPT = 0.9  # of their thickness asked for; thinner ones are others than
 
 
 def measured_skin_bone(site: Site) -> float | None:
+    """Skin-bone distance (mm) of level 0, or its layers' sum, else what the site states; None without."""
+    of_levels = skin_bone_of_levels(site)
+    return site.skin_bone if of_levels is None else of_levels
+
+
+def skin_bone_of_levels(site: Site) -> float | None:
     """Skin-bone distance (mm) on the B-mode image of level 0, or its layers' sum; None without either."""
     if not site.levels.is_file():
         return None

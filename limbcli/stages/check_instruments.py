@@ -1,0 +1,48 @@
+"""check, the instruments' own files: what `limbcli measure` would stop at."""
+
+from __future__ import annotations
+
+from collections.abc import Sized
+from typing import Any
+
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError
+from limbcli.problems import Problem
+
+
+def instrument_problems(case: Case) -> list[Problem]:
+    """Records and images that cannot be read, or do not have as many levels as each other.
+
+    Where levels.csv is there already, nothing waits for them: these are warnings then.
+    """
+    return [problem for site in case.sites for problem in _of_site(site, str(case.file))]
+
+
+def _of_site(site: Site, file: str) -> list[Problem]:
+    severity: Any = "warning" if site.levels.is_file() else "error"
+    counts: dict[str, int] = {}
+    found = []
+    for kind, table in site.instruments.items():
+        if severity == "warning" and table["path"] == site.trace:
+            continue  # a trace beside its levels is read as one
+        try:
+            counts[kind] = len(_levels(kind, table))
+        except LimbError as error:
+            found.append(Problem(error.what, error.where, error.fix, severity, "measurement"))
+    if len(set(counts.values())) > 1:
+        listed = ", ".join(f"{kind} {n}" for kind, n in counts.items())
+        fix = "give one image a hold; change hold_s or hold_tolerance_n; remove surplus images"
+        what = f"the instruments of site {site.name} do not have as many levels: {listed}"
+        found.append(Problem(what, file, fix, severity, "measurement"))
+    return found
+
+
+def _levels(kind: str, table: Any) -> Sized:
+    """The holds of a record, or the images of a folder. Raises as `limbcli measure`."""
+    from limbcli.stages.measuring.holds import holds_of
+    from limbcli.stages.measuring.images import box_of, images_of
+
+    if kind == "load_cell":
+        return holds_of(table)[1]
+    box = table["box_pixels" if kind == "b_mode" else "image_pixels"]
+    return images_of(table, box_pixels=box_of(box) if box else None)
