@@ -38,8 +38,8 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows); thickness at
-    the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
+    """What would be shown at the levels: force, travel (n,) since depth 0, log_speed (n, n_windows); thickness
+    at the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
 
     force: Array
     log_speed: Array
@@ -101,7 +101,7 @@ def read(
     shown = Readout(
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
-        travel=protocol.depth + reading.compliance * protocol.force,
+        travel=travelled(curves, protocol, reading),
         thickness=curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0),
         layers=_layers_at(curves, depth),
     )
@@ -127,6 +127,13 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     if reading.preload:
         depth = depth + depth_of_force(curves, reading.preload)
     return depth
+
+
+def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
+    """mm (n_levels,) of the probe along its guide since depth 0 was shown: the way into the tissue as it is,
+    whatever the depth reads, and what limb and bone give way."""
+    since = true_depth(curves, np.zeros(1), reading)
+    return true_depth(curves, protocol.depth, reading) - since + reading.compliance * protocol.force
 
 
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:

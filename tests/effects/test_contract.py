@@ -207,6 +207,18 @@ def test_readings_by_hand(name, theta, force, speed):
     assert np.exp(shown.log_speed[:, 0]) == pytest.approx(speed, abs=1e-3)
 
 
+def test_the_travel_is_the_way_that_the_probe_took_whatever_the_depth_reads():
+    """A speed of sound that shows too little depth shortens the depth, not the guide's travel."""
+    for name, theta, travel in (
+        ("depth-gain", {"depth_gain": 1.05}, [0.0, 2.1, 4.2]),
+        ("depth-zero", {"depth_zero_mm": 1.0}, [0.0, 2.0, 4.0]),
+        ("preload", {"preload_n": 2.0}, [0.0, 2.0, 4.0]),
+        ("support-motion", {"support_compliance_mm_per_n": 0.1}, [0.0, 2.4, 4.8]),
+    ):
+        shown = read(_line(), _protocol(), effect(name).observe(Reading(), theta))
+        assert shown.travel == pytest.approx(travel)
+
+
 def test_guided_waves_gain_most_where_the_tissue_is_thin():
     reading = effect("swe-guided-wave").observe(Reading(), {"guided_1e4_per_hz2": 0.25})
     gain = read(_line(), _protocol(), reading).log_speed - read(_line(), _protocol(), Reading()).log_speed
