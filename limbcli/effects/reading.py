@@ -38,8 +38,8 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What would be shown at the levels: force, travel (n,) since depth 0, log_speed (n, n_windows); thickness
-    at the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
+    """What would be shown at the levels: force, travel (n,) since depth 0, log_speed (n, n_windows);
+    thickness at the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
 
     force: Array
     log_speed: Array
@@ -53,7 +53,7 @@ class Reading:
     """How the truth is read. The defaults are a faithful reading.
 
     force_zero N, force_gain : shown = gain * true + zero
-    depth_zero mm, depth_gain : true = gain * (shown + zero)
+    depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown
     preload N : force already on the probe when force and depth were set to zero
     compliance mm/N : of limb and bone support, seen in the probe's travel only
     log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
@@ -68,6 +68,7 @@ class Reading:
     force_gain: float = 1.0
     depth_zero: float = 0.0
     depth_gain: float = 1.0
+    touches_at_zero: bool = False
     preload: float = 0.0
     compliance: float = 0.0
     log_speed_shift: float = 0.0
@@ -124,6 +125,8 @@ def relaxed(elastic: Array, depth: Array, protocol: Protocol, reading: Reading) 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     """Depth of the probe since first touch (mm) where the record shows `shown`."""
     depth = reading.depth_gain * (shown + reading.depth_zero)
+    if reading.touches_at_zero:
+        depth = np.where(shown == 0.0, 0.0, depth)
     if reading.preload:
         depth = depth + depth_of_force(curves, reading.preload)
     return depth
