@@ -21,6 +21,7 @@ from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.heldout import held_out_error
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.errors import LimbError
 
 _MOST_COMPARED = 5  # members of the set, in looking for the next measurement
@@ -84,11 +85,11 @@ class Account:
         return found
 
     def sizes_95(
-        self, family: Family, facts: Mapping[str, Facts]
+        self, family: Family, facts: Mapping[str, Facts], trials: Mapping[str, Trial]
     ) -> dict[str, dict[str, tuple[float, float]]]:
         """Of every candidate, to first order at the fit without effects."""
-        state = self.baseline.state
-        return sizes_95(state, family, facts, self._scale(state))
+        state, widening = self.baseline.state, self.baseline.forward_model.interval_widening
+        return sizes_95(state, family, facts, trials, self._scale(state), widening)
 
     def _scale(self, state: LinearFit) -> float:
         return max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
