@@ -19,21 +19,25 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s)."""
+    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s).
+
+    unloading : whether each was read on the way back; empty: none was
+    """
 
     force: Array
     depth: Array
     hold: Array
     ramp: float = 1.0
+    unloading: tuple[bool, ...] = ()
 
     def __len__(self) -> int:
         return len(self.depth)
 
     @property
-    def unloading(self) -> list[bool]:
-        """Levels (n_levels,) that are read on the way back."""
-        deepest = int(np.argmax(self.depth)) if len(self) else 0
-        return [k > deepest for k in range(len(self))]
+    def deepest(self) -> Protocol:
+        """Its deepest level alone, pressed to at once and not held."""
+        k = int(np.argmax(self.depth))
+        return Protocol(self.force[k : k + 1], self.depth[k : k + 1], np.zeros(1), self.ramp)
 
 
 @dataclass(frozen=True, eq=False)

@@ -241,7 +241,8 @@ def depth_slopes(
 def readings(levels: Levels) -> Protocol:
     """The levels that have a force and a depth."""
     known = np.isfinite(levels.force) & np.isfinite(levels.depth)
-    return Protocol(levels.force[known], levels.depth[known], levels.hold[known])
+    unloading = tuple((~levels.loading[known]).tolist())
+    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
 
 
 def deepest(protocol: Protocol) -> float:

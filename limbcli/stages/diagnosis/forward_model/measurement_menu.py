@@ -146,8 +146,7 @@ def _error_of_contrast(site: SiteCurves) -> Array:
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force lost in a hold of 60 s at the deepest level, after 1, 10 and 60 s."""
-    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
-    lost = []
+    deepest, lost = protocol.deepest, []
     for seconds in (1.0, 10.0, 60.0):
         held = replace(deepest, hold=np.array([seconds]))
         start, end = read(curves, deepest, reading).force[0], read(curves, held, reading).force[0]
@@ -157,9 +156,9 @@ def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force after a fast ramp over that after a slow one (1,)."""
-    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
     fast, slow = (
-        read(curves, replace(deepest, ramp=seconds), reading).force[0] for seconds in (_FAST_S, _SLOW_S)
+        read(curves, replace(protocol.deepest, ramp=seconds), reading).force[0]
+        for seconds in (_FAST_S, _SLOW_S)
     )
     return np.array([float(np.log(max(fast, 1e-6) / max(slow, 1e-6)))])
 
