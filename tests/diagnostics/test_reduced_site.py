@@ -62,6 +62,25 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     assert abs(after - truth) < abs(before - truth)
 
 
+@pytest.mark.parametrize("n_speeds", [1, 3])
+def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speeds):
+    few = levels(rng)
+    speeds = np.where(np.arange(14) < n_speeds, few.swe_mean_m_per_s, np.nan)
+    model = bench(replace(few, swe_mean_m_per_s=speeds), names=("force-gain", "swe-time-scale"))
+    assert sum(row.channel == "swe" for row in model.site.rows) == n_speeds
+    fits = [model.fit((), {}), model.fit(("swe-time-scale",), {})]
+    assert "wave speeds" in {each.name for each in model.proposals(fits)}
+    model = bench(few, names=("force-gain", "swe-time-scale"))
+    assert "wave speeds" not in {each.name for each in model.proposals([model.fit((), {})])}
+
+
+def test_three_levels_with_speeds_can_be_tested(rng):
+    found = diagnose(bench(levels(rng, n_levels=3), names=("force-zero", "swe-time-scale")), n_draws=300)
+    assert found.shrink[0].nu == 3
+    assert found.verdict != "untestable"
+    assert not found.not_evaluated
+
+
 @pytest.mark.parametrize("touches", [0.0, 1.0])
 def test_depths_off_by_a_constant_are_found_whether_level_0_is_among_them_or_at_first_touch(rng, touches):
     curves, _, protocol = reduced.truth(book=true_book())

@@ -232,7 +232,7 @@ def depth_slopes(
             out[members] = 1.0
         elif channel == "force":
             out[members] = (np.maximum(force, 0.0) + smooth.unit) / smooth.rate
-        elif channel != "skin-bone" and len(np.unique(place)) >= 3:
+        elif channel != "skin-bone" and len(np.unique(place)) >= 2:
             curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(np.unique(place)) > 4 else 1)
             out[members] = curve.deriv()(place) / smooth.rate
     return out

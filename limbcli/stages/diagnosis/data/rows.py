@@ -20,7 +20,6 @@ from limbcli.stages.diagnosis.data.windows import Windows
 
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
-_FEWEST_SPEEDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,6 @@ def speed_rows(
                     own.append(float(noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
         return rows, y, own
     speeds = levels.swe_mean_m_per_s[keep]
-    if np.isfinite(speeds).sum() < _FEWEST_SPEEDS:
-        return rows, y, own
     for level in np.flatnonzero(np.isfinite(speeds)).tolist():
         pixels = levels.swe_pixels[int(keep[level])]
         cells = max(pixels, 1.0) if np.isfinite(pixels) else 1.0
