@@ -58,6 +58,21 @@ def test_parts_of_a_map_are_about_four_millimetres_wide_and_share_it_evenly():
     assert len(windows.names()) == len(means) == len(windows.depths) == 61
 
 
+@pytest.mark.parametrize("pitch", [0.8, 1.5, 2.5, 3.0])
+def test_parts_of_a_coarse_map_have_the_pixels_that_its_grid_has_there(pitch):
+    """Some parts have four pixels, others two or one: none is missing; one that has a third of its own is."""
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-20, 20.1, pitch), np.arange(2, 25.1, pitch)))
+    windows = Windows.of_maps([SweMap(x, z, np.full(len(x), 2.0))])
+    means, counts = windows.log_means(SweMap(x, z, np.full(len(x), 2.0)))
+    assert np.isfinite(means).all()
+    part = windows.part_of(x, z)
+    fullest = int(np.argmax(counts[1:]))
+    there = part != fullest
+    there[np.flatnonzero(~there)[: counts[1:].max() // 3]] = True
+    rest = windows.log_means(SweMap(x[there], z[there], np.full(there.sum(), 2.0)))[0]
+    assert np.flatnonzero(np.isnan(rest[1:])).tolist() == [fullest]
+
+
 def test_pixels_outside_the_region_belong_to_no_part():
     windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
     outside = SweMap(np.array([-11.0, 10.5, 0.0, 5.0]), np.array([5.0, 5.0, 13.0, 5.0]), np.full(4, 3.0))
