@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
@@ -415,3 +416,23 @@ def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatc
     found = run(toy.make(rng, {"offset": 5.0}))
     assert (found.verdict, found.chosen) == ("named" if named else "ambiguous", ("offset",))
     assert ("m ended on its bound 20" in found.reason) != named
+
+
+class Told(toy.Toy):
+    """Notes the scale of deviances that intervals are asked for with."""
+
+    def reported(self, fitted, *, scale=1.0, besides=None):
+        self.__dict__.setdefault("scales", []).append(scale)
+        return super().reported(fitted, scale=scale, besides=besides)
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_intervals_know_that_few_data_tell_the_level_of_the_noise(rng, times):
+    """By F(1, nu): with the square of 1.96 deviations, 5 data beyond the parameters hold the truth at 89 %."""
+    made = toy.make(rng, sd=times)
+    told = Told(made.y)
+    found = diagnose(told, n_draws=300, propose=False)
+    assert found.relative is (times > 1.0)
+    base = found.shrink[0]
+    expected = base.chi2_per_nu * stats.f.ppf(0.95, 1, base.nu) / 3.84 if times > 1.0 else 1.0
+    assert told.scales[0] == pytest.approx(expected)
