@@ -428,7 +428,7 @@ class Told(toy.Toy):
 
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_intervals_know_that_few_data_tell_the_level_of_the_noise(rng, times):
-    """By F(1, nu): with the square of 1.96 deviations, 5 data beyond the parameters hold the truth at 89 %."""
+    """By F(1, nu): with 1.96 deviations, 5 data more than parameters would hold the truth in 89 %."""
     made = toy.make(rng, sd=times)
     told = Told(made.y)
     found = diagnose(told, n_draws=300, propose=False)
