@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from limbcli.diagnostics.conclusions.next_measurement import rank_proposals, useful_steps
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
 
@@ -154,6 +157,21 @@ def test_the_proposal_that_sees_the_difference_is_recommended(rng):
     assert found.next_steps[0].power > 0.8
     assert found.next_steps[0].power > found.next_steps[-1].power
     assert any("Next measurement: sees toe" in line for line in sentences(found))
+
+
+@pytest.mark.parametrize(("added", "power"), [(0.0, 0.05), (1.645, 0.5), (4.0, 0.99)])
+def test_the_power_of_a_proposal_is_its_own(added, power):
+    """Fits that are 3 deviations apart in the data at hand, which did not tell them apart."""
+    fits = [
+        Fitted((name,), np.array([far, 0.0]), np.array([[0.0], [1.0]]), ("c",), {}) for name, far in
+        (("a", 0.0), ("b", 3.0))
+    ]  # fmt: skip
+    seen = {("a",): np.zeros(1), ("b",): np.array([added])}
+    proposal = Proposal("x", "look at x", seen, {each: np.zeros((1, 1)) for each in seen}, np.eye(1))
+    steps = rank_proposals(fits, [proposal], Whitener.of(np.eye(2)))
+    assert steps[0].distance_before == pytest.approx(3.0)
+    assert steps[0].power == pytest.approx(power, abs=0.003)
+    assert [each.name for each in useful_steps(steps)] == ["x"] * (added > 1.6)
 
 
 @pytest.mark.slow
