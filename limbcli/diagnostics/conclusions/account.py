@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f
+from scipy.stats import chi2, f
 
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
@@ -100,8 +100,8 @@ class Account:
     def _scale_within(self, state: LinearFit) -> float:
         """The same for intervals about a fit: where few data tell the level, F(1, nu) stands in the place of
         chi2(1)."""
-        scale = self._scale(state)
-        return scale if scale <= 1.0 else scale * float(f.ppf(0.95, 1, state.nu)) / thresholds.WITHIN
+        scale, level = self._scale(state), chi2.cdf(thresholds.WITHIN, 1)
+        return scale if scale <= 1.0 else scale * float(f.ppf(level, 1, state.nu)) / thresholds.WITHIN
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
         """Every candidate at a plausible size, the least visible first."""
