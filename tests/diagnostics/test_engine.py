@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnostics.conclusions.next_measurement import rank_proposals, useful_steps
+from limbcli.diagnostics.conclusions.next_measurement import NextStep, best_step, rank_proposals, useful_steps
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
@@ -172,6 +172,21 @@ def test_the_power_of_a_proposal_is_its_own(added, power):
     assert steps[0].distance_before == pytest.approx(3.0)
     assert steps[0].power == pytest.approx(power, abs=0.003)
     assert [each.name for each in useful_steps(steps)] == ["x"] * (added > 1.6)
+
+
+def test_a_pair_that_nothing_tells_apart_does_not_choose_the_measurement():
+    def step(name, pair, power):
+        return NextStep(name, name, ("a", pair), 1.0, 1.0, power)
+
+    steps = [
+        step("weight", "b", 0.92),
+        step("weight", "c", 0.05),
+        step("tare", "b", 0.11),
+        step("tare", "c", 0.06),
+    ]
+    assert best_step(steps) == ("weight", 0.05)
+    assert [each.power for each in useful_steps(steps)] == [0.92]
+    assert best_step([]) is None
 
 
 @pytest.mark.slow

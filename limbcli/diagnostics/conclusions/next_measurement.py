@@ -70,11 +70,17 @@ def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten
 
 
 def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
-    """The proposal whose worst-separated pair is separated best: (name, that power)."""
-    worst: dict[str, float] = {}
+    """The proposal that tells most pairs apart, in the mean of its powers: (name, power for its worst pair).
+
+    Not that of the best worst pair: explanations one of which holds the other may be told apart by nothing.
+    """
+    powers: dict[str, list[float]] = {}
     for step in steps:
-        worst[step.name] = min(worst.get(step.name, 1.0), step.power)
-    return max(worst.items(), key=lambda item: item[1]) if worst else None
+        powers.setdefault(step.name, []).append(step.power)
+    if not powers:
+        return None
+    name = max(powers, key=lambda each: float(np.mean(powers[each])))
+    return name, min(powers[name])
 
 
 def useful_steps(steps: Sequence[NextStep]) -> list[NextStep]:
