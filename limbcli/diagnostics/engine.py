@@ -55,6 +55,7 @@ class _Run:
     not_evaluated: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     family: Family = field(default_factory=lambda: Family((), None, thresholds.ALPHA))
+    trials: dict[str, Trial] = field(default_factory=dict)
     refits: Refits | None = None
 
     def all(self) -> Diagnosis:
@@ -70,12 +71,12 @@ class _Run:
             self.not_evaluated,
             baseline.progress,
         )
+        self.trials = {trial.name: trial for trial in trials}
         self.family = self._tested(trials)
         if self.family.smallest >= thresholds.ALPHA:
             return self._nothing_found()
-        by_name = {trial.name: trial for trial in trials}
-        self.refits = Refits(baseline, by_name, self.facts, self.not_evaluated, self.left_out)
-        candidates = Candidates(baseline.state, by_name, self.family)
+        self.refits = Refits(baseline, self.trials, self.facts, self.not_evaluated, self.left_out)
+        candidates = Candidates(baseline.state, self.trials, self.family)
         promising = candidates.promising(self.left_out)
         singles = self.refits.compared(candidates.of_size(1, promising, ()))
         if self._is_borne_out_by_none(singles):
@@ -312,6 +313,6 @@ class _Run:
             next_steps=account.next_steps(kept, self.not_evaluated) if self.propose else (),
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
             roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
-            sizes=account.sizes_95(self.family, self.facts),
+            sizes=account.sizes_95(self.family, self.facts, self.trials),
             refitted_sizes=account.refitted_sizes(self.refits, shrink),
         )  # fmt: skip

@@ -25,6 +25,8 @@ class Parameter:
     shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
         (`null` is `start`), and is fitted from the points of the effect's grid
     natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
+    both_sides : what it changes on one side of null is not the opposite of what it changes on the other, so
+        that a simulated effect is solved on either
     extent : a shape that says how far the effect reaches: as large as can be it makes another effect of it
     saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
         None: it changes things in proportion
@@ -43,6 +45,7 @@ class Parameter:
     saturates: float | None = None
     looked_at: float = 0.02
     extent: bool = False
+    both_sides: bool = False
 
     @staticmethod
     def of_shape(

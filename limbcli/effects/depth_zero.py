@@ -1,6 +1,7 @@
 """Depth is not counted from first touch: d_true = d_shown + d0.
 
-The first frame may be compressed already (d0 > 0), or the probe touches only in part.
+The first frame may be compressed already (d0 > 0), or the probe touches only in part. Or the level shown at
+depth 0 was at first touch, but its skin-bone distance was misread: then all other depths are off by d0.
 Tell-tale: a horizontal shift; the toe is cut or stretched; speed over depth shifts too.
 Source: first-frame selection on B-mode images.
 """
@@ -21,10 +22,14 @@ ZERO = Parameter(
     typical=1.0,
     prior="0.5 to 2 mm by eye on a B-mode frame",
 )
+TOUCHES = "depth_0_is_first_touch"  # 1: the level shown there was; 0: it was as far off as the others
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, depth_zero=reading.depth_zero + theta[ZERO.name])
+    if theta[ZERO.name] == 0.0:
+        return reading
+    zero = reading.depth_zero + theta[ZERO.name]
+    return replace(reading, depth_zero=zero, touches_at_zero=bool(theta.get(TOUCHES, 0.0)))
 
 
 EFFECT = Effect(
@@ -35,6 +40,7 @@ EFFECT = Effect(
     parameters=(ZERO,),
     needs=("force",),
     observe=observe,
+    grid=({TOUCHES: 0.0}, {TOUCHES: 1.0}),
     each_time=True,
     tell_tale="a horizontal shift; the toe is cut or stretched; speed over depth shifts too",
 )

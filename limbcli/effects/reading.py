@@ -19,27 +19,31 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s)."""
+    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s).
+
+    unloading : whether each was read on the way back; empty: none was
+    """
 
     force: Array
     depth: Array
     hold: Array
     ramp: float = 1.0
+    unloading: tuple[bool, ...] = ()
 
     def __len__(self) -> int:
         return len(self.depth)
 
     @property
-    def unloading(self) -> list[bool]:
-        """Levels (n_levels,) that are read on the way back."""
-        deepest = int(np.argmax(self.depth)) if len(self) else 0
-        return [k > deepest for k in range(len(self))]
+    def deepest(self) -> Protocol:
+        """Its deepest level alone, pressed to at once and not held."""
+        k = int(np.argmax(self.depth))
+        return Protocol(self.force[k : k + 1], self.depth[k : k + 1], np.zeros(1), self.ramp)
 
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What would be shown at the levels: force, travel (n,), log_speed (n, n_windows); thickness at
-    the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
+    """What would be shown at the levels: force, travel (n,) since depth 0, log_speed (n, n_windows);
+    thickness at the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
 
     force: Array
     log_speed: Array
@@ -53,7 +57,7 @@ class Reading:
     """How the truth is read. The defaults are a faithful reading.
 
     force_zero N, force_gain : shown = gain * true + zero
-    depth_zero mm, depth_gain : true = gain * (shown + zero)
+    depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown
     preload N : force already on the probe when force and depth were set to zero
     compliance mm/N : of limb and bone support, seen in the probe's travel only
     log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
@@ -68,6 +72,7 @@ class Reading:
     force_gain: float = 1.0
     depth_zero: float = 0.0
     depth_gain: float = 1.0
+    touches_at_zero: bool = False
     preload: float = 0.0
     compliance: float = 0.0
     log_speed_shift: float = 0.0
@@ -101,7 +106,7 @@ def read(
     shown = Readout(
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
-        travel=protocol.depth + reading.compliance * protocol.force,
+        travel=travelled(curves, protocol, reading),
         thickness=curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0),
         layers=_layers_at(curves, depth),
     )
@@ -124,9 +129,18 @@ def relaxed(elastic: Array, depth: Array, protocol: Protocol, reading: Reading) 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     """Depth of the probe since first touch (mm) where the record shows `shown`."""
     depth = reading.depth_gain * (shown + reading.depth_zero)
+    if reading.touches_at_zero:
+        depth = np.where(shown == 0.0, 0.0, depth)
     if reading.preload:
         depth = depth + depth_of_force(curves, reading.preload)
     return depth
+
+
+def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
+    """mm (n_levels,) of the probe along its guide since depth 0 was shown: the way into the tissue as it is,
+    whatever the depth reads, and what limb and bone give way."""
+    since = true_depth(curves, np.zeros(1), reading)
+    return true_depth(curves, protocol.depth, reading) - since + reading.compliance * protocol.force
 
 
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:

@@ -1,7 +1,8 @@
 """The probe was held at an angle, not along the skin's normal.
 
-A rotation of the rigid probe about its own axes, up to 10 degrees. It touches with one edge first: the
-force starts low and catches up; a moment appears. Depth counts from first touch, wherever the probe touches.
+A rotation of the rigid probe about its own axes, up to 10 degrees. It touches with one edge first,
+whichever it is: the force starts low and catches up; a moment appears. Depth counts from first touch,
+wherever the probe touches.
 FEBio: the probe's shell is turned before it is written.
 Tell-tale: a left-right difference of the speeds; bone and face not parallel on the B-mode frame.
 Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (effect of misalignment on indentation).
@@ -19,9 +20,9 @@ from limbcli.model import Array, LimbModel
 
 _AROUND = 10.0  # mm beside the probe
 ABOUT_SHORT = Parameter("tilt_about_short_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
-                        prior="by hand, within 10 deg")  # fmt: skip
+                        prior="by hand, within 10 deg", both_sides=True)  # fmt: skip
 ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
-                       prior="by hand, within 10 deg")  # fmt: skip
+                       prior="by hand, within 10 deg", both_sides=True)  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

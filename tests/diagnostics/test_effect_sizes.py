@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.model.forward_model import Direction, Fitted
+from limbcli.diagnostics.model.forward_model import Direction, Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
@@ -30,7 +30,8 @@ def found(size: float, deviation: float = 1.0):
     state = LinearFit.of(residual / deviation, np.ones((n, 1)))
     trial = Trial("force-zero", (Direction(t[:, None] / deviation, (0,), names=("force_zero_n",)),))
     family = score_family(state, [trial], ErrorDraws((3,), n, 200))
-    return sizes_95(state, family, {"force-zero": None})["force-zero"]["force_zero_n"], t
+    known = {"force-zero": Facts("force-zero", "", "measurement")}
+    return sizes_95(state, family, known, {"force-zero": trial})["force-zero"]["force_zero_n"], t
 
 
 @pytest.mark.parametrize("size", [0.0, 2.0])
@@ -38,6 +39,46 @@ def test_the_interval_is_that_of_least_squares(size):
     (low, high), t = found(size)
     assert high - low == pytest.approx(2 * 1.96 / np.sqrt(np.sum((t - t.mean()) ** 2)), rel=1e-6)
     assert low < size < high
+
+
+N_PLACES, N_DATA = 20, 60
+BALLS = np.linalg.qr(np.random.default_rng(1).standard_normal((N_DATA, N_PLACES)))[0] * 5.0
+
+
+def of_places(residual, columns=BALLS, **more):
+    """The interval of an effect whose place is one of many, each with a column (n, n_places)."""
+    places = tuple(
+        Direction(each[:, None], (0,), f"at {k}", ("ln_ratio",)) for k, each in enumerate(columns.T)
+    )
+    trial = Trial("inclusion", places)
+    state = LinearFit.of(residual, np.ones((N_DATA, 1)))
+    family = score_family(state, [trial], ErrorDraws((3,), N_DATA, 500))
+    known = {"inclusion": Facts("inclusion", "", "tissue", {"ln_ratio": 1.0})}
+    return sizes_95(state, family, known, {"inclusion": trial}, **more)["inclusion"]["ln_ratio"]
+
+
+@pytest.mark.parametrize("size", [0.0, 0.4, 2.0])
+def test_where_the_place_is_not_known_the_size_is_inside_at_its_rate(rng, size):
+    """Of the place that happens to explain most, the interval alone holds nothing there 4 times of 10."""
+    inside = []
+    for _ in range(80):
+        low, high = of_places(size * BALLS[:, 3] + rng.standard_normal(N_DATA))
+        inside.append(low <= size <= high)
+    assert np.mean(inside) >= 0.87  # 0.95 less three deviations
+
+
+def test_a_place_where_no_plausible_size_shows_leaves_nothing_open(rng):
+    columns, residual = BALLS.copy(), rng.standard_normal(N_DATA)
+    columns[:, 7:] *= 1e-3  # deviations of 200
+    low, high = of_places(residual, columns)
+    assert -1.0 < low < high < 1.0
+    assert of_places(residual, 1e-3 * BALLS)[1] > 100.0
+
+
+def test_sizes_are_widened_as_intervals_of_the_tissue_are(rng):
+    residual = rng.standard_normal(N_DATA)
+    (low, high), wider = (of_places(residual, BALLS[:, :1], widening=w) for w in (1.0, 1.35))
+    assert np.ptp(wider) == pytest.approx(1.35 * (high - low))
 
 
 def test_sizes_are_told_by_their_usual_names_and_units():

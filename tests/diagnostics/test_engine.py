@@ -8,10 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
+from limbcli.diagnostics.conclusions.next_measurement import NextStep, best_step, rank_proposals, useful_steps
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
+from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
 
@@ -153,6 +157,36 @@ def test_the_proposal_that_sees_the_difference_is_recommended(rng):
     assert found.next_steps[0].power > 0.8
     assert found.next_steps[0].power > found.next_steps[-1].power
     assert any("Next measurement: sees toe" in line for line in sentences(found))
+
+
+@pytest.mark.parametrize(("added", "power"), [(0.0, 0.05), (1.645, 0.5), (4.0, 0.99)])
+def test_the_power_of_a_proposal_is_its_own(added, power):
+    """Fits that are 3 deviations apart in the data at hand, which did not tell them apart."""
+    fits = [
+        Fitted((name,), np.array([far, 0.0]), np.array([[0.0], [1.0]]), ("c",), {}) for name, far in
+        (("a", 0.0), ("b", 3.0))
+    ]  # fmt: skip
+    seen = {("a",): np.zeros(1), ("b",): np.array([added])}
+    proposal = Proposal("x", "look at x", seen, {each: np.zeros((1, 1)) for each in seen}, np.eye(1))
+    steps = rank_proposals(fits, [proposal], Whitener.of(np.eye(2)))
+    assert steps[0].distance_before == pytest.approx(3.0)
+    assert steps[0].power == pytest.approx(power, abs=0.003)
+    assert [each.name for each in useful_steps(steps)] == ["x"] * (added > 1.6)
+
+
+def test_a_pair_that_nothing_tells_apart_does_not_choose_the_measurement():
+    def step(name, pair, power):
+        return NextStep(name, name, ("a", pair), 1.0, 1.0, power)
+
+    steps = [
+        step("weight", "b", 0.92),
+        step("weight", "c", 0.05),
+        step("tare", "b", 0.11),
+        step("tare", "c", 0.06),
+    ]
+    assert best_step(steps) == ("weight", 0.05)
+    assert [each.power for each in useful_steps(steps)] == [0.92]
+    assert best_step([]) is None
 
 
 @pytest.mark.slow
@@ -415,3 +449,23 @@ def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatc
     found = run(toy.make(rng, {"offset": 5.0}))
     assert (found.verdict, found.chosen) == ("named" if named else "ambiguous", ("offset",))
     assert ("m ended on its bound 20" in found.reason) != named
+
+
+class Told(toy.Toy):
+    """Notes the scale of deviances that intervals are asked for with."""
+
+    def reported(self, fitted, *, scale=1.0, besides=None):
+        self.__dict__.setdefault("scales", []).append(scale)
+        return super().reported(fitted, scale=scale, besides=besides)
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_intervals_know_that_few_data_tell_the_level_of_the_noise(rng, times):
+    """By F(1, nu): with 1.96 deviations, 5 data more than parameters would hold the truth in 89 %."""
+    made = toy.make(rng, sd=times)
+    told = Told(made.y)
+    found = diagnose(told, n_draws=300, propose=False)
+    assert found.relative is (times > 1.0)
+    base = found.shrink[0]
+    expected = base.chi2_per_nu * stats.f.ppf(0.95, 1, base.nu) / 3.84 if times > 1.0 else 1.0
+    assert told.scales[0] == pytest.approx(expected, rel=1e-3)

@@ -78,3 +78,20 @@ def test_a_wider_interval_has_its_ends_as_much_farther_from_the_value():
     assert found.intervals["m"] == pytest.approx((4.0, 90.25))
     assert found.intervals["tilt_deg"] == (3.0, 7.0)
     assert found.within({"m": (1.0, 20.0)}).open == ("m above",)
+
+
+@pytest.mark.parametrize("deviation", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize("correlation", [-0.5, 0.97])
+def test_the_interval_of_c_is_its_own_however_m_goes_with_it(deviation, correlation):
+    """ln c known to 0.03, ln m to `deviation`, together normal: at the places that are walked alone, c would
+    be known up to a third too well."""
+    of_c, at = 0.03, np.log(4.0)
+
+    def walk(m, start):
+        x = (np.log(m) - at) / deviation
+        c = 6.0 * np.exp(correlation * of_c * x)
+        return Conditional(x**2, {"m": m, "c_kpa": c}, {"c_kpa": of_c * np.sqrt(1 - correlation**2)})
+
+    found = reported(walk, {"m": 4.0, "c_kpa": 6.0}, BOUNDS, scale=1.0)
+    ends = np.log(np.array(found.intervals["c_kpa"]) / 6.0)
+    assert ends == pytest.approx(np.array([-1.0, 1.0]) * 3.84**0.5 * of_c, rel=0.02)

@@ -61,6 +61,18 @@ def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
     assert "b: mean speed" in data.groups
 
 
+@pytest.mark.parametrize("sources", [("repeats", "assumed"), ("assumed", "repeats")])
+def test_noise_is_assumed_where_that_of_one_site_is(rng, sources):
+    """Whichever stands first in the case."""
+    levels, windows = measurement(rng, ACROSS), book(ACROSS).windows
+    sites = [
+        site_data(source, levels, replace(reduced.NOISE, source=source), windows=windows)
+        for source in sources
+    ]
+    assert joined(sites).noise.is_assumed
+    assert not joined([sites[sources.index("repeats")]] * 2).noise.is_assumed
+
+
 def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     both = SiteForwardModel(
         [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]

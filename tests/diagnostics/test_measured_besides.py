@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,30 @@ def test_rate_ratio_is_one_for_an_elastic_tissue_and_more_for_a_relaxing_one():
     assert extra.see(CURVES, Reading(), PROTOCOL)[0] == pytest.approx(0.0)
     assert extra.see(CURVES, Reading(prony=((0.5, 3.0),)), PROTOCOL)[0] > 0.1
     assert extra.y[0] == pytest.approx(np.log(1.2))
+
+
+@pytest.mark.parametrize("name", ["two rates", "hold"])
+def test_the_deepest_level_is_meant_also_where_the_way_back_was_read(name):
+    item = next(each for each in items() if each.name == name)
+    way = np.r_[0:5, 3:-1:-1]
+    there_and_back = Protocol(PROTOCOL.force[way], PROTOCOL.depth[way], np.full(9, 20.0))
+    reading = Reading(prony=((0.5, 3.0),))
+    alone = item.see(CURVES, reading, PROTOCOL)
+    assert item.see(CURVES, reading, there_and_back) == pytest.approx(alone)
+    assert np.abs(alone).max() > 0.1
+
+
+def test_the_way_back_is_told_by_the_phase_of_levels_not_by_an_error_of_depth():
+    """The last depth but one of a loading may read deeper than the last."""
+    rng = np.random.default_rng(7)
+    loaded = reduced.measured(rng)
+    depth = loaded.depth.copy()
+    depth[-2] = depth[-1] + 0.2
+    for phase, back in (("load", False), ("unload", True)):
+        levels = replace(loaded, depth=depth, phase=("load",) * 13 + (phase,))
+        site = site_data("p1", levels, reduced.NOISE, windows=Windows())
+        assert ("force, unloading" in site.data.groups) is back
+        assert any(site.protocol.unloading) is back
 
 
 def test_unloading_of_a_relaxing_tissue_lies_below_its_loading():

@@ -12,7 +12,8 @@ from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.effects import EFFECTS, effect
-from limbcli.effects.reading import Reading
+from limbcli.effects.depth_zero import TOUCHES
+from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
 from limbcli.stages.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, ModelError
 from limbcli.stages.diagnosis.data.site_data import site_data
@@ -59,6 +60,41 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     truth = np.log(6.5)
     before, after = np.log(found.base.values["c_kpa"]), np.log(found.final.values["c_kpa"])
     assert abs(after - truth) < abs(before - truth)
+
+
+@pytest.mark.parametrize("n_speeds", [1, 3])
+def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speeds):
+    few = levels(rng)
+    speeds = np.where(np.arange(14) < n_speeds, few.swe_mean_m_per_s, np.nan)
+    model = bench(replace(few, swe_mean_m_per_s=speeds), names=("force-gain", "swe-time-scale"))
+    assert sum(row.channel == "swe" for row in model.site.rows) == n_speeds
+    fits = [model.fit((), {}), model.fit(("swe-time-scale",), {})]
+    assert "wave speeds" in {each.name for each in model.proposals(fits)}
+    model = bench(few, names=("force-gain", "swe-time-scale"))
+    assert "wave speeds" not in {each.name for each in model.proposals([model.fit((), {})])}
+
+
+def test_three_levels_with_speeds_can_be_tested(rng):
+    found = diagnose(bench(levels(rng, n_levels=3), names=("force-zero", "swe-time-scale")), n_draws=300)
+    assert found.shrink[0].nu == 3
+    assert found.verdict != "untestable"
+    assert not found.not_evaluated
+
+
+@pytest.mark.parametrize("touches", [0.0, 1.0])
+def test_depths_off_by_a_constant_are_found_whether_level_0_is_among_them_or_at_first_touch(rng, touches):
+    curves, _, protocol = reduced.truth(book=true_book())
+    deeper = protocol.depth + 2.0 * ((np.arange(14) > 0) | (touches == 0.0))
+    true = read(curves, replace(protocol, depth=deeper), Reading())
+    given = replace(
+        levels(rng), force=true.force + 0.1 * rng.standard_normal(14), depth=protocol.depth,
+        swe_mean_m_per_s=np.exp(true.log_speed[:, 0] + 0.03 * rng.standard_normal(14)),
+    )  # fmt: skip
+    model = bench(given, names=("depth-zero",))
+    model.fit((), {})
+    fitted = model.fit(("depth-zero",), {"depth_zero_mm": 1.0})
+    assert fitted.values[TOUCHES] == touches
+    assert fitted.values["depth_zero_mm"] == pytest.approx(2.0, abs=0.25)
 
 
 @pytest.mark.slow

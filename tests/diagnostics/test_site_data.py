@@ -58,6 +58,21 @@ def test_parts_of_a_map_are_about_four_millimetres_wide_and_share_it_evenly():
     assert len(windows.names()) == len(means) == len(windows.depths) == 61
 
 
+@pytest.mark.parametrize("pitch", [0.8, 1.5, 2.5, 3.0])
+def test_parts_of_a_coarse_map_have_the_pixels_that_its_grid_has_there(pitch):
+    """Some parts have four pixels, others two or one: none is missing; one that has a third of its own is."""
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-20, 20.1, pitch), np.arange(2, 25.1, pitch)))
+    windows = Windows.of_maps([SweMap(x, z, np.full(len(x), 2.0))])
+    means, counts = windows.log_means(SweMap(x, z, np.full(len(x), 2.0)))
+    assert np.isfinite(means).all()
+    part = windows.part_of(x, z)
+    fullest = int(np.argmax(counts[1:]))
+    there = part != fullest
+    there[np.flatnonzero(~there)[: counts[1:].max() // 3]] = True
+    rest = windows.log_means(SweMap(x[there], z[there], np.full(there.sum(), 2.0)))[0]
+    assert np.flatnonzero(np.isnan(rest[1:])).tolist() == [fullest]
+
+
 def test_pixels_outside_the_region_belong_to_no_part():
     windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
     outside = SweMap(np.array([-11.0, 10.5, 0.0, 5.0]), np.array([5.0, 5.0, 13.0, 5.0]), np.full(4, 3.0))
@@ -235,3 +250,42 @@ def test_deepest_is_of_a_smooth_curve_through_the_readings():
     assert found == pytest.approx(measured_on_steep(0.0).depth[-1], abs=0.4)
     two = Protocol(noisy.force[-2:], noisy.depth[-2:], noisy.hold[-2:])
     assert deepest(two) == noisy.depth[-2:].max()
+
+
+def with_travel(travel, **changes):
+    return site_data("p1", levels(probe_travel=travel, **changes), StatedNoise(), windows=Windows())
+
+
+def travels(site, values) -> np.ndarray:
+    return np.array([value for row, value in zip(site.rows, values, strict=True) if row.channel == "travel"])
+
+
+def test_where_the_scale_of_the_guide_begins_is_no_matter():
+    depth = 1.5 * np.arange(N)
+    given = depth + 0.1 * 2.0 * np.arange(N)
+    at_zero, elsewhere = with_travel(given), with_travel(given + 112.4)
+    reading = Reading(compliance=0.1)
+    curves = Curves(STEEP, 4.0 / 3.0 * STEEP, np.zeros((31, 10)), np.zeros(10))
+    assert elsewhere.data.y == pytest.approx(at_zero.data.y)
+    assert elsewhere.data.noise.covariance == pytest.approx(at_zero.data.noise.covariance)
+    for site in (at_zero, elsewhere):
+        assert travels(site, site.predict(curves, reading)) == pytest.approx(travels(site, site.data.y))
+
+
+def test_travel_counts_from_the_first_level_that_has_one():
+    """What that level's reading, and its depth, err by all others have in common."""
+    late = 112.4 + 1.5 * np.arange(N)
+    late[:2] = np.nan
+    site = with_travel(late, depth=1.5 * np.arange(N) + np.array([0, 0, 0.3, 0, 0, 0]))
+    assert [row.level for row in site.rows if row.channel == "travel"] == [3, 4, 5]
+    assert travels(site, site.data.y) == pytest.approx([1.5, 3.0, 4.5])
+    (common,) = [each for each in site.data.noise.parts if each.name == "measurement: zero of the travel"]
+    assert common.covariance.max() == pytest.approx(0.1**2 + 0.3**2)
+    curves = Curves(STEEP, 4.0 / 3.0 * STEEP, np.zeros((31, 10)), np.zeros(10))
+    assert travels(site, site.predict(curves, Reading())) == pytest.approx([1.2, 2.7, 4.2])
+
+
+def test_no_travel_has_no_zero():
+    site = with_travel(np.full(N, np.nan))
+    assert "travel" not in site.channels
+    assert "measurement: zero of the travel" not in site.data.noise.names

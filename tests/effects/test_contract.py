@@ -14,6 +14,7 @@ from limbcli.bodies import RigidBody
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.base import Effect
 from limbcli.effects.curves import Curves
+from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
@@ -196,6 +197,7 @@ def _protocol() -> Protocol:
         ("force-zero", {"force_zero_n": 1.5}, [1.5, 5.5, 9.5], [2.0, 2.2, 2.4]),
         ("force-gain", {"force_gain": 1.1}, [0.0, 4.4, 8.8], [2.0, 2.2, 2.4]),
         ("depth-zero", {"depth_zero_mm": 1.0}, [2.0, 6.0, 10.0], [2.1, 2.3, 2.5]),
+        ("depth-zero", {"depth_zero_mm": 1.0, TOUCHES: 1.0}, [0.0, 6.0, 10.0], [2.0, 2.3, 2.5]),
         ("depth-gain", {"depth_gain": 1.05}, [0.0, 4.2, 8.4], [2.0, 2.21, 2.42]),
         ("preload", {"preload_n": 2.0}, [0.0, 4.0, 8.0], [2.1, 2.3, 2.5]),
         ("swe-time-scale", {"swe_modulus_scale": 0.64}, [0.0, 4.0, 8.0], [2.5, 2.75, 3.0]),
@@ -205,6 +207,19 @@ def test_readings_by_hand(name, theta, force, speed):
     shown = read(_line(), _protocol(), effect(name).observe(Reading(), theta))
     assert shown.force == pytest.approx(force, abs=1e-6)
     assert np.exp(shown.log_speed[:, 0]) == pytest.approx(speed, abs=1e-3)
+
+
+def test_the_travel_is_the_way_that_the_probe_took_whatever_the_depth_reads():
+    """A speed of sound that shows too little depth shortens the depth, not the guide's travel."""
+    for name, theta, travel in (
+        ("depth-gain", {"depth_gain": 1.05}, [0.0, 2.1, 4.2]),
+        ("depth-zero", {"depth_zero_mm": 1.0}, [0.0, 2.0, 4.0]),
+        ("depth-zero", {"depth_zero_mm": 1.0, TOUCHES: 1.0}, [0.0, 3.0, 5.0]),
+        ("preload", {"preload_n": 2.0}, [0.0, 2.0, 4.0]),
+        ("support-motion", {"support_compliance_mm_per_n": 0.1}, [0.0, 2.4, 4.8]),
+    ):
+        shown = read(_line(), _protocol(), effect(name).observe(Reading(), theta))
+        assert shown.travel == pytest.approx(travel)
 
 
 def test_guided_waves_gain_most_where_the_tissue_is_thin():

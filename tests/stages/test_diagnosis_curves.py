@@ -391,6 +391,41 @@ def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike
     )
 
 
+class TiltBook:
+    """Either edge that touches first takes from the force; which one it is matters less."""
+
+    c, spent, model = 0.006, False, None
+    windows = Windows(-20.0, 20.0, 2.0, 26.0, across=10, down=6)
+
+    def __init__(self, fails: float | None = None):
+        self.fails = fails
+
+    def curves(self, m, ingredients=()):
+        angle = sum(theta["tilt_about_long_axis_deg"] for _, theta in ingredients)
+        if angle == self.fails:
+            raise SolveError("not at that one", where="level", fix="none")
+        force = (np.arange(3.0) + 1.0) * np.exp(-0.008 * abs(angle) - 0.003 * angle)
+        return Curves(np.arange(3.0), force, np.full((3, 61), 0.7 + 0.002 * angle), self.windows.depths, 40.0)
+
+
+@pytest.mark.parametrize("angle", [-10.0, -5.0, 5.0, 10.0])
+def test_a_probe_tilted_the_other_way_is_soft_at_first_touch_too(angle):
+    tilt = effect("tilt")
+    change = Changes(TiltBook(), progress=SILENT).of(tilt, {})
+    found = change.at({**tilt.null, "tilt_about_long_axis_deg": angle})
+    assert found[1:, 0] == pytest.approx(-0.008 * abs(angle) - 0.003 * angle, abs=0.011)
+    assert found[:, 1:] == pytest.approx(0.002 * angle)
+    ends = [change.at({**tilt.null, "tilt_about_long_axis_deg": each})[2, 0] for each in (-0.1, 0.1)]
+    assert (ends[1] - ends[0]) / 0.2 == pytest.approx(-0.003), "the slope at null is that of the two sides"
+
+
+def test_a_tilt_without_an_answer_on_its_other_side_goes_by_the_one():
+    tilt = effect("tilt")
+    change = Changes(TiltBook(fails=-5.0), progress=SILENT).of(tilt, {})
+    found = change.at({**tilt.null, "tilt_about_long_axis_deg": 10.0})
+    assert found[1:, 0] == pytest.approx(-0.11)
+
+
 def test_a_trial_far_beyond_what_an_effect_can_be_still_gives_numbers():
     book, thickness = ThicknessBook(), effect("thickness")
     site = SiteCurves(

@@ -345,6 +345,11 @@ def test_summary_says_what_to_measure_next(tmp_path):
         }  # fmt: skip
     (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
     assert steps[0].startswith("Press with a larger probe (it tells the explanations apart in 83 of 100")
+    with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
+        powers = {"power_for_its_worst_pair": 0.05, "power_for_its_best_pair": 0.92}
+        writer.data["next_measurement"] = {"recommended": "larger", **powers, "menu": menu}
+    (several,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert "apart in 5 to 92 of 100 cases" in several[0]
     assert not any("limbcli diagnose" in each for each in steps)
 
 

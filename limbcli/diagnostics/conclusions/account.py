@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2, f
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
@@ -21,6 +23,7 @@ from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.heldout import held_out_error
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.errors import LimbError
 
 _MOST_COMPARED = 5  # members of the set, in looking for the next measurement
@@ -66,7 +69,7 @@ class Account:
     def estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
         """Values and intervals that are reported of a fit."""
         return self.baseline.forward_model.reported(
-            fitted, scale=self._scale(state), besides=self.baseline.form_error(fitted)
+            fitted, scale=self._scale_within(state), besides=self.baseline.form_error(fitted)
         )
 
     def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
@@ -78,20 +81,27 @@ class Account:
                 continue
             name, fitted = each.explanation[0], each.fitted
             form = whiten(whiten(self.baseline.form_error(fitted)).T)
-            sizes = refitted_sizes(fitted, whiten(fitted.jacobian), self._scale(each.state), form, widening)
+            scale = self._scale_within(each.state)
+            sizes = refitted_sizes(fitted, whiten(fitted.jacobian), scale, form, widening)
             told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
             found[name] = sizes if told is None else sizes.hull_with(told.intervals)
         return found
 
     def sizes_95(
-        self, family: Family, facts: Mapping[str, Facts]
+        self, family: Family, facts: Mapping[str, Facts], trials: Mapping[str, Trial]
     ) -> dict[str, dict[str, tuple[float, float]]]:
         """Of every candidate, to first order at the fit without effects."""
-        state = self.baseline.state
-        return sizes_95(state, family, facts, self._scale(state))
+        state, widening = self.baseline.state, self.baseline.forward_model.interval_widening
+        return sizes_95(state, family, facts, trials, self._scale(state), widening)
 
     def _scale(self, state: LinearFit) -> float:
         return max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
+
+    def _scale_within(self, state: LinearFit) -> float:
+        """The same for intervals about a fit: where few data tell the level, F(1, nu) stands in the place of
+        chi2(1)."""
+        scale, level = self._scale(state), chi2.cdf(thresholds.WITHIN, 1)
+        return scale if scale <= 1.0 else scale * float(f.ppf(level, 1, state.nu)) / thresholds.WITHIN
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
         """Every candidate at a plausible size, the least visible first."""

@@ -1,9 +1,14 @@
 """How large each effect could be when it alone is added: an interval for each of its sizes.
 
 To first order at the fit without effects, the tissue refitted: eta +- 1.96 deviations, within what the
-parameter's sign allows. An effect that was refitted has a second one, on the model with the effect in it:
-where the two disagree either may be off, and what is told holds both. Where an interval reaches a bound the
-data leave that side open.
+parameter's sign allows. Of an effect with a grid (places of a ball, onsets, times) the best point is picked
+by chance where nothing is there, and its size with it: what is told holds the intervals of all points that
+chance may put behind the best. Points at which not even a plausible size would show are left out, if others
+remain. An effect that was refitted has a second one, on the model with the effect in it: where the two
+disagree either may be off, and what is told holds both. Where an interval reaches a bound the data leave that
+side open.
+
+Source: Davies 1987, Biometrika 74:33 (parameters present only off the null).
 """
 
 from __future__ import annotations
@@ -14,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.diagnostics.model.forward_model import Direction, Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
-from limbcli.diagnostics.statistical_tests.score import visible_columns
+from limbcli.diagnostics.statistical_tests.score import Trial, scores, visible_columns
 from limbcli.model import Array
 
 
@@ -60,23 +65,45 @@ def refitted_sizes(
 
 
 def sizes_95(
-    state: LinearFit, family: Family, names: Mapping[str, object], scale: float = 1.0
-) -> dict[str, dict[str, tuple[float, float]]]:
-    """Of every candidate in the family that `names` holds: by parameter, the interval of its distance from
+    state: LinearFit, family: Family, facts: Mapping[str, Facts], trials: Mapping[str, Trial],
+    scale: float = 1.0, widening: float = 1.0,
+) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
+    """Of every candidate in the family that `facts` holds: by parameter, the interval of its distance from
     the null value; infinite where the data do not tell it.
 
-    scale : chi2/nu where the level of the noise is not known, else 1
+    trials : of the candidates; scale : chi2/nu where the level of the noise is not known, else 1
+    widening : times which deviations are taken
     """
-    return {each.name: _sizes(state, each, scale) for each in family.tests if each.name in names}
-
-
-def _sizes(state: LinearFit, tested: Tested, scale: float) -> dict[str, tuple[float, float]]:
-    direction, eta = tested.score.direction, tested.score.eta
-    spread = np.sqrt(scale) * _deviations(visible_columns(state, direction))
+    times = widening * float(np.sqrt(scale))
     return {
-        name: (float(x - thresholds.SIZE_WITHIN * s), float(x + thresholds.SIZE_WITHIN * s))
-        for name, x, s in zip(direction.names, eta, spread, strict=True)
-    }
+        each.name: _sizes(state, each, trials[each.name], facts[each.name].typical, times)
+        for each in family.tests if each.name in facts
+    }  # fmt: skip
+
+
+def _sizes(
+    state: LinearFit, tested: Tested, trial: Trial, typical: Mapping[str, float], times: float
+) -> dict[str, tuple[float, float]]:
+    """times : of the deviations at noise of 1."""
+    least = tested.score.statistic - tested.by_chance
+    points = [each for each in scores(state, trial) if each.statistic >= least]
+    spreads = [times * _deviations(visible_columns(state, each.direction)) for each in points]
+    shown = [_shows(each.direction, spread, typical) for each, spread in zip(points, spreads, strict=True)]
+    found: dict[str, tuple[float, float]] = {}
+    for each, spread, shows in zip(points, spreads, shown, strict=True):
+        if any(shown) and not shows:
+            continue
+        for name, x, s in zip(each.direction.names, each.eta, spread, strict=True):
+            low, high = found.get(name, (np.inf, -np.inf))
+            reach = thresholds.SIZE_WITHIN * s
+            found[name] = float(min(low, x - reach)), float(max(high, x + reach))
+    return found
+
+
+def _shows(direction: Direction, spread: Array, typical: Mapping[str, float]) -> bool:
+    """Whether a plausible size is more than a deviation, for one of the parameters at least."""
+    sizes = [abs(typical.get(name, np.inf)) for name in direction.names]
+    return bool(np.any(spread < np.array(sizes)))
 
 
 def _deviations(columns: Array, covariance: Array | None = None) -> Array:

@@ -21,7 +21,7 @@ _SIGNIFICANT = float(norm.ppf(thresholds.NEXT_SIGNIFICANT))
 
 @dataclass(frozen=True)
 class NextStep:
-    """A proposal for a pair: distance in deviations before and with it, and the power to tell them apart."""
+    """A proposal for a pair: distance in deviations before and with it; its own power to tell them apart."""
 
     name: str
     sentence: str
@@ -51,7 +51,8 @@ def _distance(truth: Fitted, rival: Fitted, whiten: Whitener, extra: Proposal | 
 def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten: Whitener) -> list[NextStep]:
     """For every pair of the set, every proposal, the most separating first.
 
-    power : of the one-sided likelihood-ratio test between the two, 5 % wrong: Phi(D - 1.645)
+    power : of the one-sided likelihood-ratio test between the two, 5 % wrong: Phi(d - 1.645), d^2 what the
+    proposal adds to the squared distance. What was there before has not told them apart.
     """
     steps = []
     for i, a in enumerate(fits):
@@ -62,14 +63,31 @@ def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten
                     continue
                 distance = separation(a, b, whiten, proposal)
                 pair = (" + ".join(a.explanation), " + ".join(b.explanation))
-                power = float(norm.cdf(distance - _SIGNIFICANT))
+                added = np.sqrt(max(distance**2 - before**2, 0.0))
+                power = float(norm.cdf(added - _SIGNIFICANT))
                 steps.append(NextStep(proposal.name, proposal.sentence, pair, before, distance, power))
     return sorted(steps, key=lambda step: -step.power)
 
 
 def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
-    """The proposal whose worst-separated pair is separated best: (name, that power)."""
-    worst: dict[str, float] = {}
+    """The proposal that tells most pairs apart, in the mean of its powers: (name, power for its worst pair).
+
+    Not that of the best worst pair: explanations one of which holds the other may be told apart by nothing.
+    """
+    powers: dict[str, list[float]] = {}
     for step in steps:
-        worst[step.name] = min(worst.get(step.name, 1.0), step.power)
-    return max(worst.items(), key=lambda item: item[1]) if worst else None
+        powers.setdefault(step.name, []).append(step.power)
+    if not powers:
+        return None
+    name = max(powers, key=lambda each: float(np.mean(powers[each])))
+    return name, min(powers[name])
+
+
+def useful_steps(steps: Sequence[NextStep]) -> list[NextStep]:
+    """Of the best proposal, for the pairs that it is likely to tell apart (`NEXT_POWER`), the best first;
+    empty: nothing is worth being recommended."""
+    best = best_step(steps)
+    return [
+        step for step in sorted(steps, key=lambda step: -step.power)
+        if best is not None and step.name == best[0] and step.power >= thresholds.NEXT_POWER
+    ]  # fmt: skip

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.next_measurement import useful_steps
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation
@@ -187,12 +186,7 @@ def _blind(found: Diagnosis) -> str:
 def _next(found: Diagnosis) -> str:
     if found.verdict != "ambiguous" or len(found.confidence_set) < 2:
         return ""
-    best = best_step(found.next_steps)
-    useful = [
-        step
-        for step in found.next_steps
-        if best is not None and step.name == best[0] and step.power >= thresholds.NEXT_POWER
-    ]
+    useful = useful_steps(found.next_steps)
     if not useful:
         return "Next measurement: nothing on the menu would tell the explanations apart."
     best_pair, worst = useful[0], useful[-1]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,7 @@ USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %); values only, no test"
 TISSUE = ("c_kpa", "m")
 _PLACES, _REFINED = 10, 3
+_BETWEEN = 25  # places between two that were walked, at which the profile is read
 _FAR = 20.0  # deviances above the best: the walk ends there
 
 
@@ -191,17 +193,28 @@ def _others(
 ) -> dict[str, tuple[float, float]]:
     """Intervals of the other parameters: at every m that is possible, what is left of the limit.
 
-    c is kept above 0 by its logarithm: its deviation is relative.
+    Between the places that were walked the root of the excess deviance, values and deviations go along
+    straight lines, as in `_edges`. c is kept above 0 by its logarithm: its deviation is relative.
     """
-    inside = [each for each in profile.values() if each.deviance / scale <= limit]
+    walked = [profile[m] for m in sorted(profile)]
+    x = np.log(sorted(profile))
+    at = np.unique(np.concatenate([x, *(np.linspace(a, b, _BETWEEN) for a, b in pairwise(x))]))
+    deviance = np.array([each.deviance / scale for each in walked])
+    root = np.interp(at, x, np.sqrt(deviance - deviance.min()))
+    left = limit - deviance.min() - root**2
+    inside = left >= 0
+    reach = np.sqrt(left[inside] * scale)
     found = {}
-    for name in inside[0].deviations:
-        reach = [np.sqrt((limit - each.deviance / scale) * scale) * each.deviations[name] for each in inside]
-        values = [each.values[name] for each in inside]
+    for name in walked[0].deviations:
+        values, deviations = (
+            np.array([each[name] for each in table])
+            for table in ([c.values for c in walked], [c.deviations for c in walked])
+        )
+        values = np.log(values) if name == "c_kpa" else values
+        value, further = (np.interp(at, x, each)[inside] for each in (values, deviations))
+        ends = float(np.min(value - reach * further)), float(np.max(value + reach * further))
         if name == "c_kpa":
             with np.errstate(over="ignore"):  # infinite where c is open
-                ends = [v * np.exp(sign * r) for v, r in zip(values, reach, strict=True) for sign in (-1, 1)]
-        else:
-            ends = [v + sign * r for v, r in zip(values, reach, strict=True) for sign in (-1, 1)]
-        found[name] = (float(min(ends)), float(max(ends)))
+                ends = float(np.exp(ends[0])), float(np.exp(ends[1]))
+        found[name] = ends
     return found

@@ -37,7 +37,8 @@ from limbcli.model import Array, IntArray
 class Tested:
     """One test: its score, p on its own, p adjusted over the family.
 
-    critical : the statistic that would just be significant (in units of the statistic)
+    critical : the statistic that would just be significant (in units of the statistic); by_chance : the one
+    that chance alone reaches in a share `alpha` of all draws
     """
 
     name: str
@@ -45,6 +46,7 @@ class Tested:
     p: float
     p_adjusted: float
     critical: float
+    by_chance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ def score_family(
     threshold = float(np.quantile(adjusted.smallest, alpha))
     tests = tuple(
         Tested(trial.name, scores[k], adjusted.alone[k], adjusted.p[k],
-               float(np.quantile(drawn[:, k], 1 - threshold)) / scale)
+               float(np.quantile(drawn[:, k], 1 - threshold)) / scale,
+               float(np.quantile(drawn[:, k], 1 - alpha)) / scale)
         for k, trial in enumerate(trials)
     )  # fmt: skip
     overall = None if relative else Overall(total, state.nu, adjusted.alone[-1], adjusted.p[-1])

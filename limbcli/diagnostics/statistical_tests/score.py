@@ -125,16 +125,18 @@ def statistics(state: LinearFit, trial: Trial, draws: Array) -> Array:
     return found
 
 
-def score(state: LinearFit, trial: Trial) -> Score:
-    """The statistic of the residual itself, with the direction and the estimate behind it."""
-    left = state.left[None]
-    best: Score | None = None
+def scores(state: LinearFit, trial: Trial) -> list[Score]:
+    """Of each of the trial's directions: the statistic of the residual itself, and the estimate behind it."""
+    left, found = state.left[None], []
     for direction in trial.directions:
         value, eta = cone_projection(visible_columns(state, direction), direction.signs, left)
-        if best is None or float(value[0]) > best.statistic:
-            best = Score(float(value[0]), direction, eta[0])
-    assert best is not None, "a trial has at least one direction"
-    return best
+        found.append(Score(float(value[0]), direction, eta[0]))
+    return found
+
+
+def score(state: LinearFit, trial: Trial) -> Score:
+    """The largest of the trial's directions."""
+    return max(scores(state, trial), key=lambda each: each.statistic)
 
 
 def cosine(state: LinearFit, first: Direction, second: Direction) -> float:

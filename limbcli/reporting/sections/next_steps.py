@@ -44,10 +44,10 @@ def _proposed(found: object) -> list[str]:
     menu = found.get("menu") or []
     own = [each for each in menu if isinstance(each, Mapping) and each.get("name") == found["recommended"]]
     sentence = str(own[0].get("sentence") or found["recommended"]) if own else str(found["recommended"])
-    power = number(found.get("power_for_its_worst_pair"))
-    chance = (
-        f" (it tells the explanations apart in {100 * power:.0f} of 100 cases)" if power is not None else ""
-    )
+    ends = [number(found.get(f"power_for_its_{which}_pair")) for which in ("worst", "best")]
+    powers = [f"{100 * each:.0f}" for each in ends if each is not None]
+    cases = " to ".join(dict.fromkeys(powers))
+    chance = f" (it tells the explanations apart in {cases} of 100 cases)" if powers else ""
     return [f"{sentence[0].upper()}{sentence[1:]}{chance}."]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.next_measurement import best_step, useful_steps
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
@@ -40,7 +40,8 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
          "at": t.score.direction.point}
         for t in family.tests if t.name in found.facts
     ]  # fmt: skip
-    best = best_step(found.next_steps)
+    useful = useful_steps(found.next_steps)
+    best = best_step(found.next_steps) if useful else None
     return {
         "site": site.name,
         "verdict": found.verdict,
@@ -68,6 +69,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "next_measurement": {
             "recommended": best[0] if best else None,
             "power_for_its_worst_pair": best[1] if best else None,
+            "power_for_its_best_pair": useful[0].power if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
         "sizes_95": reported_sizes(

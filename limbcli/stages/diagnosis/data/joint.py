@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limbcli.diagnostics.model.forward_model import Data
-from limbcli.diagnostics.model.noise import Noise, NoisePart
+from limbcli.diagnostics.model.noise import ASSUMED, Noise, NoisePart
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import SiteData
@@ -46,7 +46,7 @@ def _noise(sites: Sequence[SiteData]) -> Noise:
     parts = []
     for name in names:
         found = [_part(site, name) for site in sites]
-        source = next(part.source for part in found if part is not None)
+        source = _least_known([part.source for part in found if part is not None])
         if name == GAIN_OF_SPEEDS:
             direction = np.concatenate(
                 [_direction(part, len(site.data)) for part, site in zip(found, sites, strict=True)]
@@ -60,6 +60,11 @@ def _noise(sites: Sequence[SiteData]) -> Noise:
             covariance = block_diag(*blocks)
         parts.append(NoisePart(name, covariance, source))
     return Noise(tuple(parts))
+
+
+def _least_known(sources: Sequence[str]) -> str:
+    """Together, noise is assumed where one site's is."""
+    return ASSUMED if ASSUMED in sources else sources[0]
 
 
 def _part(site: SiteData, name: str) -> NoisePart | None:

@@ -232,7 +232,7 @@ def depth_slopes(
             out[members] = 1.0
         elif channel == "force":
             out[members] = (np.maximum(force, 0.0) + smooth.unit) / smooth.rate
-        elif channel != "skin-bone" and len(np.unique(place)) >= 3:
+        elif channel != "skin-bone" and len(np.unique(place)) >= 2:
             curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(np.unique(place)) > 4 else 1)
             out[members] = curve.deriv()(place) / smooth.rate
     return out
@@ -241,7 +241,8 @@ def depth_slopes(
 def readings(levels: Levels) -> Protocol:
     """The levels that have a force and a depth."""
     known = np.isfinite(levels.force) & np.isfinite(levels.depth)
-    return Protocol(levels.force[known], levels.depth[known], levels.hold[known])
+    unloading = tuple((~levels.loading[known]).tolist())
+    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
 
 
 def deepest(protocol: Protocol) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import StatedNoise
-from limbcli.diagnostics.model.noise import NoisePart
+from limbcli.diagnostics.model.noise import NoisePart, common
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -20,7 +20,6 @@ from limbcli.stages.diagnosis.data.windows import Windows
 
 TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
 THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
-_FEWEST_SPEEDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,6 @@ def speed_rows(
                     own.append(float(noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
         return rows, y, own
     speeds = levels.swe_mean_m_per_s[keep]
-    if np.isfinite(speeds).sum() < _FEWEST_SPEEDS:
-        return rows, y, own
     for level in np.flatnonzero(np.isfinite(speeds)).tolist():
         pixels = levels.swe_pixels[int(keep[level])]
         cells = max(pixels, 1.0) if np.isfinite(pixels) else 1.0
@@ -91,10 +88,31 @@ def speed_rows(
     return rows, y, own
 
 
+def travel_zero(levels: Levels, keep: IntArray) -> int:
+    """The level from which the travel counts, the first that has one: a guide's scale begins anywhere."""
+    known = np.flatnonzero(np.isfinite(levels.probe_travel[keep]))
+    return int(known[0]) if len(known) else 0
+
+
 def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
-    travel = levels.probe_travel[keep]
-    used = [int(k) for k in np.flatnonzero(np.isfinite(travel))]
-    return [Row("travel", k) for k in used], [float(travel[k]) for k in used], [TRAVEL_DEVIATION] * len(used)
+    """Since `travel_zero`, whose own reading has nothing to tell but that."""
+    travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
+    used = [int(k) for k in np.flatnonzero(np.isfinite(travel)) if k != zero]
+    return (
+        [Row("travel", k) for k in used],
+        [float(travel[k] - travel[zero]) for k in used],
+        [TRAVEL_DEVIATION] * len(used),
+    )
+
+
+def travel_noise(protocol: Protocol, rows: Sequence[Row], zero: int, noise: StatedNoise) -> list[NoisePart]:
+    """What all travels have in common: the reading at the level that they count from, and its depth's, but
+    at depth 0, which is so by definition."""
+    mine = np.array([row.channel == "travel" for row in rows], dtype=float)
+    if not mine.any():
+        return []
+    deviation = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[zero] != 0.0 else 0.0)
+    return [common("measurement: zero of the travel", deviation * mine, source=noise.source)]
 
 
 def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:

@@ -39,7 +39,9 @@ from limbcli.stages.diagnosis.data.rows import (
     hold_rows,
     speed_rows,
     thickness_rows,
+    travel_noise,
     travel_rows,
+    travel_zero,
 )
 from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.site_model.layer_readings import LayerReadings
@@ -50,7 +52,10 @@ _LEAST_N = 0.2  # below it a force tells no depth
 
 @dataclass(frozen=True, eq=False)
 class SiteData:
-    """What was measured at one site, and how a prediction is laid out beside it."""
+    """What was measured at one site, and how a prediction is laid out beside it.
+
+    travel_from : the level from which the probe's travel counts
+    """
 
     name: str
     protocol: Protocol
@@ -62,6 +67,7 @@ class SiteData:
     extras: tuple[ExtraMeasurement, ...] = ()
     slope: Array = field(default_factory=lambda: np.zeros(0))
     depth_error: float = 0.0
+    travel_from: int = 0
 
     def with_share(self, name: str, share: float) -> SiteData:
         """With so much of what was assumed of the noise part `name`."""
@@ -82,6 +88,8 @@ class SiteData:
         if not len(self.slope):
             return out
         out = out - self.slope * further[self._levels]
+        if "travel" in self._places:
+            out[self._places["travel"][0]] += further[self.travel_from]
         if maps_apart:
             # Parts of a map differ in their slopes, and change little over an error of depth: as it was read.
             places, levels, parts = self._places["map"]
@@ -113,7 +121,7 @@ class SiteData:
 
     def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
         seen: dict[str, Array] = {
-            "force": shown.force, "travel": shown.travel,
+            "force": shown.force, "travel": shown.travel - shown.travel[self.travel_from],
             "skin-bone": np.array([shown.thickness]),
         }  # fmt: skip
         if self.held is not None:
@@ -178,6 +186,7 @@ def site_data(
     )  # fmt: skip
     parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
     parts += hold_noise(held, rows, noise.source) + extra_noise(extras, rows)
+    parts += travel_noise(protocol, rows, travel_zero(levels, keep), noise)
     channel = tuple(row.channel for row in rows)
     order = np.array([float(row.level) for row in rows])
     series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
@@ -200,6 +209,7 @@ def site_data(
         tuple(extras),
         slope,
         noise.depth,
+        travel_zero(levels, keep),
     )
 
 

@@ -180,6 +180,16 @@ class Windows:
         inside = (column >= 0) & (column < self.across) & (row >= 0) & (row < self.down)
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
+    def _most(self, swe: SweMap, counts: IntArray) -> Array:
+        """Pixels (n_parts,) that each part has where none is missing: on a coarse grid some have two beside
+        each other, others one. counts (n_parts,) : that are there"""
+        x, z = (np.unique(np.round(each, 3)) for each in (swe.lateral, swe.depth))
+        column = np.floor((x - self.left) / (self.right - self.left) * self.across)
+        row = np.floor((z - self.top) / (self.bottom - self.top) * self.down)
+        across, down = ((each == np.arange(n)[:, None]).sum(axis=1) for each, n in
+                        ((column, self.across), (row, self.down)))  # fmt: skip
+        return np.minimum(np.outer(down, across).ravel(), counts.max(initial=0))
+
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
         """ln of the mean speed and the pixel count of the whole and every part: (1 + n_parts,) each.
 
@@ -189,7 +199,7 @@ class Windows:
         inside = part >= 0
         counts = np.bincount(part[inside], minlength=self.n_parts)
         total = np.bincount(part[inside], swe.speed_m_per_s[inside], minlength=self.n_parts)
-        enough = counts >= max(_SHARE * counts.max(initial=0), 1)
+        enough = counts >= np.maximum(_SHARE * self._most(swe, counts), 1)
         means = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
         whole = np.log(swe.speed_m_per_s[inside].mean()) if inside.any() else np.nan
         return np.r_[whole, means], np.r_[inside.sum(), counts]

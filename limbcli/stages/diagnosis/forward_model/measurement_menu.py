@@ -14,7 +14,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import SmoothDepth, maps_model_error
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
-from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
+from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS, SiteData
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
@@ -109,7 +109,7 @@ _NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     """What is not measured yet, as far as it may tell these explanations apart."""
-    has = {channel for each in forward_model.sites for channel in each.site.channels}
+    has = {channel for each in forward_model.sites for channel in _there(each.site)}
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
     if any(forward_model.site.protocol.unloading):
         open_items = [item for item in open_items if item.name != "unload"]
@@ -118,6 +118,13 @@ def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
     if len(forward_model.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
         found += _rotated(forward_model, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
+
+
+def _there(site: SiteData) -> set[str]:
+    """Channels that need not be measured any more: mean speeds only where half of the levels have one."""
+    n_speeds = sum(row.channel == "swe" for row in site.rows)
+    in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
+    return set(site.channels) - ({"swe"} if in_part else set())
 
 
 def _first_thickness(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
@@ -146,8 +153,7 @@ def _error_of_contrast(site: SiteCurves) -> Array:
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force lost in a hold of 60 s at the deepest level, after 1, 10 and 60 s."""
-    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
-    lost = []
+    deepest, lost = protocol.deepest, []
     for seconds in (1.0, 10.0, 60.0):
         held = replace(deepest, hold=np.array([seconds]))
         start, end = read(curves, deepest, reading).force[0], read(curves, held, reading).force[0]
@@ -157,9 +163,9 @@ def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force after a fast ramp over that after a slow one (1,)."""
-    deepest = Protocol(protocol.force[-1:], protocol.depth[-1:], np.zeros(1))
     fast, slow = (
-        read(curves, replace(deepest, ramp=seconds), reading).force[0] for seconds in (_FAST_S, _SLOW_S)
+        read(curves, replace(protocol.deepest, ramp=seconds), reading).force[0]
+        for seconds in (_FAST_S, _SLOW_S)
     )
     return np.array([float(np.log(max(fast, 1e-6) / max(slow, 1e-6)))])
 
