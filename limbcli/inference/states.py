@@ -15,12 +15,17 @@ import numpy as np
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles, drawn_in
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.joint import C_SPAN
+from limbcli.inference.joint import C_SPAN, c_drawn_in
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual
-from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, predict_site
+from limbcli.inference.site_depth import (
+    SiteMeasurement,
+    SitePrediction,
+    predict_beside_layers,
+    predict_site,
+)
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -51,6 +56,7 @@ class StatesTask:
     even_speed : what those speeds are relative to
     shape, stretches : the law's parameters, and those of the states
     gain_deviation : numerical error of ln force, common to all states, as their mesh is
+    beside_layers : the curve is of (c / c0, shape, stretches), as layers keep a stiffness of their own
     """
 
     curve: SolvedPoints
@@ -60,6 +66,7 @@ class StatesTask:
     stretches: Sequence[FitParameter]
     c0: float
     gain_deviation: float
+    beside_layers: bool = False
 
 
 class StatesProblem:
@@ -87,7 +94,16 @@ class StatesProblem:
         """The curve's parameters in state k: the law's shape, then its stretches."""
         state = self.task.states[k]
         stretches = np.exp(state.offset + state.factors @ np.log(self.stretch_values(theta)))
-        return np.r_[theta[1 : 1 + self.n_shape], stretches]
+        return np.r_[self.curve_shape(theta), stretches]
+
+    def curve_shape(self, theta: Array) -> Array:
+        """The law's shape as the curve takes it: after c / c0 where layers keep a stiffness of their own."""
+        shape = np.asarray(theta[1 : 1 + self.n_shape])
+        return np.r_[theta[0] / self.task.c0, shape] if self.task.beside_layers else shape
+
+    def c_of_curve(self, theta: Array) -> float:
+        """MPa, with which the curve's parameters give the tissue of theta."""
+        return self.task.c0 if self.task.beside_layers else float(theta[0])
 
     def stretch_values(self, theta: Array) -> Array:
         """The parameters of the stretches."""
@@ -108,11 +124,18 @@ class StatesProblem:
         speeds = known[relative] * np.exp(even)
         values = np.r_[known[:n], speeds]
         jacobian = np.vstack([answer.jacobian[:n], (by_log[relative] + even_by) * speeds[:, None] / x])
-        return predict_site(
-            lambda shape, wrt=(): Prediction(values, jacobian), data, x,
-            c_ratio=float(theta[0]) / self.task.c0, gain=self.gain(theta),
-            log_speed_0=lambda shape: (even + float(np.log(known[2 * n])), even_by + by_log[2 * n]),
-        )  # fmt: skip
+
+        def known_curve(theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+            return Prediction(values, jacobian)
+
+        def rest(theta: Array) -> tuple[float, Array]:
+            return even + float(np.log(known[2 * n])), even_by + by_log[2 * n]
+
+        gain = self.gain(theta)
+        if self.task.beside_layers:
+            return predict_beside_layers(known_curve, data, x, gain=gain, log_speed_0=rest)
+        ratio = float(theta[0]) / self.task.c0
+        return predict_site(known_curve, data, x, c_ratio=ratio, gain=gain, log_speed_0=rest)
 
     def objective(self) -> Objective:
         def residual(theta: Array, derivative: bool = True) -> Residual:
@@ -189,7 +212,11 @@ class StatesProblem:
 
     def within_reach(self, theta: Array) -> Array:
         solved = np.array([each for each, _ in self.task.curve.solved])
-        return drawn_in(theta, solved, self.task.shape)
+        beside = self.task.beside_layers
+        near = drawn_in(theta, solved[:, int(beside) :], self.task.shape)
+        if beside:
+            near[0] = c_drawn_in(near[0], solved[:, 0], self.task.c0)
+        return near
 
     def solved_at(self, theta: Array) -> Array:
         """The law's shape and the parameters of the stretches."""

@@ -192,3 +192,47 @@ def test_problem_counts_its_freedom(simulated):
     data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
     problem = JointProblem(task(simulated, [data]), STARTS)
     assert problem.n_freedom == 11 + 12 - 3
+
+
+def beside_layers(theta, wrt=()):
+    """A curve of (c / c0, f_kappa, m) whose force goes with c by a share that grows with depth."""
+    ratio, f_kappa, m = theta
+    share = 0.2 + 0.04 * KNOTS
+    force = 0.4 * KNOTS**1.4 * ratio**share * f_kappa**0.1 * np.exp(0.02 * m * KNOTS)
+    speed = np.exp(LOG_SPEED_0 + 0.5 * np.log(ratio) + log_speed(KNOTS * (1 + 0.1 * np.log(ratio)), m))
+    by_force = force[:, None] * np.column_stack([share / ratio, 0.1 / f_kappa + 0 * KNOTS, 0.02 * KNOTS])
+    return Prediction(np.r_[force, speed], np.vstack([by_force, np.full((len(KNOTS), 3), np.nan)]))
+
+
+def beside_layers_task(true_ratio=1.25):
+    truth = beside_layers([true_ratio, 50.0, 4.0]).values
+    force, speed = np.split(truth, 2)
+    data = SiteMeasurement(
+        "p1", KNOTS, force, KNOTS, 0.02, 0.03, np.r_[0.0, force],
+        np.r_[LOG_SPEED_0 + 0.5 * np.log(true_ratio), np.log(speed)], np.full(1 + len(KNOTS), 0.02), 1e-4,
+    )  # fmt: skip
+    memory = SolvedPoints(beside_layers)
+    for place in ((1.0, 100.0, 2.0), (2.0, 100.0, 2.0), (1.0, 10.0, 2.0), (1.0, 100.0, 4.0)):
+        memory(np.array(place), (0, 1, 2))
+    return JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0], None, [True])
+
+
+def test_beside_layers_slopes_by_c_are_those_of_the_curve():
+    problem = JointProblem(beside_layers_task(), STARTS)
+    theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
+    exact = residual(theta, True).jacobian
+    for k in range(len(theta)):
+        up, down = theta.copy(), theta.copy()
+        up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
+        rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
+        np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+
+
+def test_beside_layers_c_is_simulated_where_it_is_fitted():
+    made = beside_layers_task()
+    problem, found = joint_fit(made, STARTS, max_solves=6)
+    np.testing.assert_allclose(found.best[:3], [1.25 * C0, 50.0, 4.0], rtol=0.01)
+    solved = np.array([theta[0] for theta, _ in made.curves[0].solved])
+    assert np.abs(np.log(solved / 1.25)).min() < 0.05
+    far = problem.within_reach(np.array([9.0 * C0, 50.0, 4.0, 1.0]))
+    assert far[0] == pytest.approx(2 * solved.max() * C0), "a step at a time"

@@ -148,7 +148,7 @@ class LawCurve:
         if lines is not None:
             others = tuple(each for each in model.records if speeds or each.kind == "rigid_body")
             model = replace(model, records=(*others, lines.record))
-        self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
+        self._model, self.law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
         self._threads, self._progress = threads, progress
@@ -161,11 +161,11 @@ class LawCurve:
 
     def _eased(self, model: LimbModel) -> LimbModel:
         """Fibres that begin to be stretched come in over a band; waves feel the law as it is."""
-        return softer_jumps(model, FIBRE_BAND) if self._law.has_fibres else model
+        return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
     def _solve(self, model: LimbModel, **asked: Any) -> SessionResult:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
-        if not self._law.has_fibres:
+        if not self.law.has_fibres:
             return self._session.solve(model, **asked)
         if self._session.led is not None:
             with suppress(SolveError):
@@ -178,15 +178,15 @@ class LawCurve:
 
         Raises SolveError where not even the first level is reached.
         """
-        model = self._eased(self._model.with_material(TISSUE, self._law.material(self._c, theta)))
+        model = self._eased(self._model.with_material(TISSUE, self.law.material(self._c, theta)))
         return forces_with_penalty(
             model, penalty, like=self._session, threads=self._threads, progress=self._progress
         )
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
-        material = self._law.material(self._c, theta)
-        searched = self._law.searched(self._c, theta)
+        material = self.law.material(self._c, theta)
+        searched = self.law.searched(self._c, theta)
         model = self._model.with_material(TISSUE, material)
         try:
             result = self._solve(
@@ -196,7 +196,7 @@ class LawCurve:
         except ArithmeticError as error:
             raise SolveError(
                 f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
-                where=f"reference solver, law {self._law.name}",
+                where=f"reference solver, law {self.law.name}",
                 fix="check the depths in levels.csv, or choose another law",
             ) from error
         points = result.must_points
