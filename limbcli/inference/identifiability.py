@@ -30,19 +30,23 @@ def force_variance(slope: Array, *, force_deviation: float, depth_deviation: flo
 
 
 def log_covariance(
-    sensitivity: Array, variance: Array, *, nuisance: Array | None = None, nuisance_deviation: float = 0.0
+    sensitivity: Array,
+    variance: Array,
+    *,
+    nuisance: Array | None = None,
+    nuisance_deviation: float | Array = 0.0,
 ) -> Array:
     """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
 
     A V A' with A = (S'S)^-1 S' (the sandwich: the fit weighs all residuals alike, the noise
-    does not), plus what a quantity held fixed carries in: (A s)(A s)' sigma^2.
+    does not), plus what quantities held fixed carry in: (A s)(A s)' sigma^2 of each.
 
     Parameters
     ----------
     sensitivity : (n, p) d prediction / d ln theta
     variance : (n,) of the residuals
-    nuisance : (n,) d prediction / d ln of the quantity held fixed (c)
-    nuisance_deviation : standard deviation of its ln
+    nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
+    nuisance_deviation : standard deviation of their ln, or (k,)
 
     Entries of a parameter without any influence are NaN.
     """
@@ -54,8 +58,8 @@ def log_covariance(
     estimator = np.linalg.pinv(sensitivity[:, seen])
     block = (estimator * variance) @ estimator.T
     if nuisance is not None:
-        carried = estimator @ nuisance
-        block = block + nuisance_deviation**2 * np.outer(carried, carried)
+        carried = estimator @ (nuisance * nuisance_deviation).reshape(len(nuisance), -1)
+        block = block + carried @ carried.T
     covariance[np.ix_(seen, seen)] = block
     return covariance
 

@@ -11,14 +11,15 @@ from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.model import LimbModel
+from limbcli.model import ElementMap, LimbModel
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
+from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.fit import FitOptions
+from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fit_states import identify
-from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.force_curves import FileCurve, LawCurve, ReferenceCurve
 from limbcli.stages.fitting.laws import LAWS
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import plan_of
@@ -130,6 +131,45 @@ def test_states_are_told_apart_beside_fat() -> None:
         assert fitted.parts[0].parameters["c1"] == pytest.approx(true_c / 2, rel=0.01)
     finally:
         curve.close()
+
+
+def test_a_solver_on_files_tells_the_same_share_of_c() -> None:
+    model, theta = beside_fat(C0), np.array([40.0, 3.0])
+    exact, files = ReferenceCurve(model, c=C0, threads=1), FileCurve(ReferenceSolver(threads=1), model, c=C0)
+    try:
+        share = exact.share_of_c(theta)
+    finally:
+        exact.close()
+    assert share.min() > 0.1
+    assert share.max() < 0.5, "the fat carries the rest"
+    np.testing.assert_allclose(files.share_of_c(theta), share, rtol=0.01)
+    block = model.mesh.block("tissue")
+    mapped = ReferenceCurve(model, c=ElementMap("c", "tissue", np.full(len(block.cells), C0)), threads=1)
+    try:
+        np.testing.assert_allclose(mapped.share_of_c(theta), share, rtol=1e-4)
+    finally:
+        mapped.close()
+
+
+@pytest.mark.slow
+def test_what_c_leaves_unsure_of_f_kappa_is_what_another_c_makes_of_it(tmp_path: Path) -> None:
+    """Were all force in proportion to c, the standard error would be four times that."""
+    case, found = case_beside_fat(tmp_path), {}
+    for factor in (1.03, 1.0):
+        options = FitOptions(
+            c_kpa=1000 * TRUE_C * factor, c_deviation=0.05, gain_deviation=0.0, contact_check=False,
+            intervals=factor == 1.0, max_interval_solves=1, tolerance=1e-4,
+        )  # fmt: skip
+        found[factor] = fit(case, out=tmp_path / "out", solver="reference", options=options)[0].data
+    moved = np.log(found[1.03]["f_kappa"] / found[1.0]["f_kappa"]) / np.log(1.03)
+    step = found[1.0]["steps"]["ogden"]
+    by_c = step["standard_error"]["f_kappa"] * step["correlations"]["c,f_kappa"]
+    assert by_c == pytest.approx(0.05 * moved * found[1.0]["f_kappa"], rel=0.05)
+    low, high = step["interval_95"]["f_kappa"]
+    assert np.log(high / low) == pytest.approx(
+        2 * 1.96 * step["standard_error"]["f_kappa"] / step["f_kappa"], rel=0.1
+    )
+    assert found[1.0]["most_likely"]["c_kpa"] == pytest.approx(1000 * TRUE_C, rel=1e-3)
 
 
 def test_layers_are_stretched_with_the_tissue() -> None:

@@ -99,23 +99,33 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     variance = _variance(found, step)
     free = inside(step)
     columns = answer.jacobian[:, free]
-    sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
+    known, sigma_c = found.stiffness, found.stiffness.log_deviation
+    by_c = answer.values * c_share(found)
     covariance = np.full((3, 3), np.nan)
     covariance[0, 0] = sigma_c**2
     if not free:
         return covariance
     if not variance.any():  # without stated noise there is no standard error
         return covariance
-    block = log_covariance(columns, variance, nuisance=answer.values, nuisance_deviation=sigma)
+    held = np.column_stack([by_c, answer.values])  # ln c, and an error common to all forces
+    block = log_covariance(
+        columns, variance, nuisance=held, nuisance_deviation=np.array([sigma_c, known.gain_deviation])
+    )
     if found.geometry is not None:
         moved = shifts(columns, geometry_spread(found, step))
         block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
     if np.isfinite(block).all():
-        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
+        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ by_c
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
+
+
+def c_share(found: Identified) -> Array:
+    """d ln force / d ln c (n,) at the loaded levels: 1 where all is tissue."""
+    depth, share = found.data.depth[found.data.loaded], found.stiffness.share
+    return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
 def geometry_spread(found: Identified, step: FittedStep) -> Array:
