@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import Profile, best_of, profile_likelihood, threshold_95
+from limbcli.inference.profile import Profile, best_of, noise_scale, profile_likelihood, threshold_95
 from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -98,7 +98,7 @@ def adaptive_profiles(
     """Profiles with as few simulations as the accuracy of the intervals allows.
 
     Where chi-square exceeds its degrees of freedom the noise is taken to be larger by that
-    factor, and the intervals to be those of a noise that is estimated (`threshold_95`).
+    factor; the surer that is, the more the intervals are those of a noise that is estimated (`threshold_95`).
 
     estimate : a theta found otherwise (the published fit); where given, no interval leaves it out
     """
@@ -122,8 +122,8 @@ class _Work:
     def profiles(self) -> Intervals:
         problem, objective = self.problem, self.problem.objective()
         best = best_of(objective, problem.parameters, problem.starts())
-        scale = max(1.0, best.cost / max(problem.n_freedom, 1))
-        threshold = threshold_95(scale, problem.n_freedom)
+        scale = noise_scale(best.cost, problem.n_freedom)
+        threshold = threshold_95(best.cost, problem.n_freedom)
         found = {}
         for k in problem.profiled:
             profile = profile_likelihood(
