@@ -23,6 +23,7 @@ from limbcli.progress import SILENT, Progress
 _PRECISE = 0.1  # allowed error of the surrogate, in standard deviations of the data
 _NEAR = 0.05  # a point counts as solved within this distance in ln theta
 _END_NEAR = 0.3  # an interval's end is trusted within this distance
+_SETTLES = 4  # times that weights follow the best fit, at most
 
 
 class EstimationProblem(Protocol):
@@ -38,6 +39,10 @@ class EstimationProblem(Protocol):
 
     def objective(self) -> Objective:
         """Residuals in standard deviations, on the present surrogates."""
+        ...
+
+    def settle(self, theta: Array) -> bool:
+        """Take the weights of the residuals as they are at this fit; whether that changes them."""
         ...
 
     def starts(self) -> list[Array]: ...
@@ -122,6 +127,11 @@ class _Work:
     def profiles(self) -> Intervals:
         problem, objective = self.problem, self.problem.objective()
         best = best_of(objective, problem.parameters, problem.starts())
+        for _ in range(_SETTLES):
+            if not problem.settle(best.theta):
+                break
+            objective = problem.objective()
+            best = best_of(objective, problem.parameters, [best.theta])
         scale = noise_scale(best.cost, problem.n_freedom)
         threshold = threshold_95(best.cost, problem.n_freedom)
         found = {}

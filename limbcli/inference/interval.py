@@ -126,6 +126,10 @@ class _ForceProblem:
             force = with_prior(force, place, mean=each.start, log_deviation=deviation)
         return force
 
+    def settle(self, theta: Array) -> bool:
+        """The weights are those of the published fit."""
+        return False
+
     def starts(self) -> list[Array]:
         """The fit, and the three visited points whose forces are nearest to its."""
         target = self.curve(self.fitted).values

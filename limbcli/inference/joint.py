@@ -26,6 +26,7 @@ from limbcli.inference.site_depth import (
     RestSpeed,
     SiteMeasurement,
     SitePrediction,
+    differ,
     invert,
     predict_beside_layers,
     predict_site,
@@ -90,7 +91,7 @@ class JointProblem:
         self._starts = list(starts)
         n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
         self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
-        self._weights = [self._depth_deviation(k) for k in range(len(task.data))]
+        self._weights = self._weights_at(self.starts()[0])
 
     # ------------------------------------------------------------ residuals
 
@@ -153,13 +154,19 @@ class JointProblem:
     def _gain(self, k: int, theta: Array) -> float:
         return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
 
-    def _depth_deviation(self, k: int) -> Array:
-        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
-        data = self.task.data[k]
-        slope = self.predict(k, self.starts()[0]).stiffness
-        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+    def _weights_at(self, theta: Array) -> list[Array]:
+        """One deviation of every depth (mm), with the slopes of the curves there."""
+        return [each.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.data)]
 
     # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def settle(self, theta: Array) -> bool:
+        """The noise of force moves depth by the slope of the curve: that at the fit."""
+        weights = self._weights_at(theta)
+        if not differ(weights, self._weights):
+            return False
+        self._weights = weights
+        return True
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]

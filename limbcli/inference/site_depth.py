@@ -6,7 +6,7 @@ minus the depth at which the simulation reaches the measured force.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
+
+_SAME_WEIGHT = 0.02  # of its logarithm
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,13 @@ class SiteMeasurement:
     speed_deviation: Array
     gain_deviation: float = 0.0
     layers: LayerData = NO_LAYERS
+
+    def weights_at(self, stiffness: Array) -> Array:
+        """One deviation of depth at given force (n,) mm, where the curve rises by stiffness (n,) N/mm.
+
+        sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2)
+        """
+        return np.sqrt(self.depth_deviation**2 + (self.force_deviation / stiffness) ** 2)
 
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
         """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
@@ -64,6 +73,12 @@ class SitePrediction:
     log_speed_slope: Array
     layers: Array
     layers_slope: Array
+
+
+def differ(some: Sequence[Array], others: Sequence[Array]) -> bool:
+    """Whether any of the weights differ by more than matters to a fit."""
+    changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(some, others, strict=True)]
+    return max(changes, default=0.0) > _SAME_WEIGHT
 
 
 RestSpeed = float | Callable[[Array], tuple[float, Array]]

@@ -23,6 +23,7 @@ from limbcli.inference.residual import Objective, Residual
 from limbcli.inference.site_depth import (
     SiteMeasurement,
     SitePrediction,
+    differ,
     predict_beside_layers,
     predict_site,
 )
@@ -86,7 +87,7 @@ class StatesProblem:
         self._starts = list(starts)
         n_data = sum(len(each.data.force) + len(each.data.log_speed) for each in task.states)
         self.n_freedom = max(n_data - len(self.profiled), 1)
-        self._weights = [self._depth_deviation(k) for k in range(len(task.states))]
+        self._weights = self._weights_at(self.starts()[0])
 
     # ------------------------------------------------------------ where a state lies
 
@@ -171,13 +172,21 @@ class StatesProblem:
     def gain(self, theta: Array) -> float:
         return float(theta[-1]) if self.gained else 1.0
 
-    def _depth_deviation(self, k: int) -> Array:
-        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
-        data = self.task.states[k].data
-        slope = self.predict(k, self.starts()[0]).stiffness
-        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+    def _weights_at(self, theta: Array) -> list[Array]:
+        """One deviation of every depth (mm), with the slopes of the curves there."""
+        return [
+            each.data.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.states)
+        ]
 
     # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def settle(self, theta: Array) -> bool:
+        """The noise of force moves depth by the slope of the curve: that at the fit."""
+        weights = self._weights_at(theta)
+        if not differ(weights, self._weights):
+            return False
+        self._weights = weights
+        return True
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(int(self.gained))] for each in self._starts]
@@ -249,6 +258,7 @@ def states_fit(
     problem = StatesProblem(task, starts)
     for _ in range(_FOR_THE_BEST):
         best = best_of(problem.objective(), problem.parameters, problem.starts()).theta
+        problem.settle(best)
         if problem.distance(best) < _NEAR:
             break
         try:

@@ -1,5 +1,7 @@
 """The joint likelihood, on the cheap limb with a cheap wave speed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -192,6 +194,26 @@ def test_problem_counts_its_freedom(simulated):
     data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
     problem = JointProblem(task(simulated, [data]), STARTS)
     assert problem.n_freedom == 11 + 12 - 3
+
+
+def test_depths_are_weighed_by_the_slopes_of_the_fit(simulated, monkeypatch):
+    """Where the noise is that of force, a start that is twice as stiff would weigh first depths fourfold."""
+    force = simulated.force
+    monkeypatch.setattr(simulated, "force", lambda *each: force(*each[:4], "tet4"))
+    data = replace(
+        measurement(simulated, c=C0, f_kappa=1.0, m=4.0), force_deviation=0.1, depth_deviation=0.02
+    )
+    data = replace(
+        data, depth=data.depth + 0.1 / np.gradient(data.force, data.depth) * (-1.0) ** np.arange(11)
+    )
+    problem, found = joint_fit(task(simulated, [data]), STARTS, max_solves=2)
+    weights = data.weights_at(problem.predict(0, found.best).stiffness)
+    first = data.weights_at(problem.predict(0, STARTS[0]).stiffness)
+    assert (weights / first).max() > 1.5
+    missed = (data.depth - problem.predict(0, found.best).depth) / weights
+    speeds = (data.log_speed - problem.predict(0, found.best).log_speed) / data.speed_deviation
+    assert found.chi_square == pytest.approx(missed @ missed + speeds @ speeds, rel=0.05)
+    assert not problem.settle(found.best)
 
 
 def beside_layers(theta, wrt=()):

@@ -98,6 +98,9 @@ class Straight:
             (self.y - self.design @ theta) / self.deviation, -self.design / self.deviation
         )
 
+    def settle(self, theta):
+        return False
+
     def starts(self):
         return [np.array([40.0, 40.0])]
 
