@@ -233,9 +233,7 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
     c, source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     if options.c_deviation is not None:
         return Stiffness(c, options.c_deviation), source
-    pixels = float(levels.swe_pixels[0])
-    own = site.noise.swe_pixel_fraction / np.sqrt(pixels) if np.isfinite(pixels) else 0.0
-    return Stiffness(c, 2.0 * float(np.hypot(site.noise.swe_level_fraction, own))), source
+    return Stiffness(c, 2.0 * float(site.noise.of_mean_speed(levels.swe_pixels[:1])[0])), source
 
 
 def _first_solve(

@@ -248,8 +248,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
-    pixels = np.where(np.isfinite(levels.swe_pixels), levels.swe_pixels, np.inf)[seen]
-    deviation = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
+    deviation = noise.of_mean_speed(levels.swe_pixels[seen])
     return SiteMeasurement(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
