@@ -108,6 +108,11 @@ def _fit_site(
     check_noise(site, speeds=True)
     model = built_model(case, site, out, writer)
     beside = held_layers(model)
+    if beside:
+        writer.warnings.append(
+            f"{' and '.join(beside)}: the stiffness is taken as known, and as unloaded where the tissue is, "
+            "with which it is stretched"
+        )
     note_case(writer, case, [], site=site, own=["states"])
     for each in measured:
         role = f"site/{site.name}/state/{each.state.name}"

@@ -29,6 +29,7 @@ from limbcli.stages.fitting.geometry import GeometryDoubt
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
+_LEAST_EXPECTED = 0.5  # of a sum of squares: as many parameters as levels leave no scatter to judge by
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,10 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
 
 
 def total_covariance(found: Identified, step: FittedStep) -> Array:
-    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen."""
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen.
+
+    Where the data scatter more than stated, the noise counts as much more as for the intervals.
+    """
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
     variance = _variance(found, step)
@@ -108,9 +112,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     if not variance.any():  # without stated noise there is no standard error
         return covariance
     held = np.column_stack([by_c, answer.values])  # ln c, and an error common to all forces
-    block = log_covariance(
-        columns, variance, nuisance=held, nuisance_deviation=np.array([sigma_c, known.gain_deviation])
-    )
+    deviations = np.array([sigma_c, known.gain_deviation])
+    variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
+    block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
     if found.geometry is not None:
         moved = shifts(columns, geometry_spread(found, step))
         block = block + moved.T @ moved
@@ -120,6 +124,20 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
         carried = -(sigma_c**2) * np.linalg.pinv(columns) @ by_c
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
+
+
+def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
+    """By how much the noise's variance is larger than stated: that of the intervals, else by the residuals.
+
+    columns (n, p) : sensitivities; held (n, k) N : one deviation each of what was held fixed. Residuals are
+    compared with what noise and these leave of an unweighted fit.
+    """
+    if found.intervals:
+        return found.intervals[next(k for k, each in enumerate(found.steps) if each is step)].scale
+    left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
+    expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
+    chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
+    return max(1.0, float(chi_square / max(np.sum(expected / variance), _LEAST_EXPECTED)))
 
 
 def c_share(found: Identified) -> Array:
