@@ -250,6 +250,28 @@ def test_beside_layers_slopes_by_c_are_those_of_the_curve():
         np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
 
 
+def test_one_site_beside_layers_and_one_without_share_c(simulated):
+    """c of the one costs simulations, that of the other none."""
+    one, other = (
+        beside_layers_task(),
+        task(simulated, [measurement(simulated, c=1.25 * C0, f_kappa=50.0, m=4.0)]),
+    )
+    both = JointTask(
+        [*one.curves, *other.curves], [*one.data, *other.data], SHAPE, C0, [LOG_SPEED_0] * 2, None,
+        [True, False],
+    )  # fmt: skip
+    problem = JointProblem(both, STARTS)
+    theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
+    exact = residual(theta, True).jacobian
+    for k in range(len(theta)):
+        up, down = theta.copy(), theta.copy()
+        up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
+        rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
+        np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+    problem.solve(theta)
+    assert [len(each.solved[-1][0]) for each in both.curves] == [3, 2]
+
+
 def test_beside_layers_c_is_simulated_where_it_is_fitted():
     made = beside_layers_task()
     problem, found = joint_fit(made, STARTS, max_solves=6)
