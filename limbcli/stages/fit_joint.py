@@ -1,7 +1,8 @@
 """fit --objective joint: one tissue for all sites, from depth, shear-wave speed and layers together.
 
 Depth is the noisy reading, so it is what the simulation predicts at the measured force;
-each level's speed enters by its logarithm, its layers by their thickness; c is free. Only the
+each level's speed enters by its logarithm, its layers by their thickness; c is free. Beside layers that
+keep a stiffness of their own what c does is simulated, else forces are in proportion to it. Only the
 reference solver can do it: exact derivatives, and the deformation that the speeds need.
 """
 
@@ -108,6 +109,10 @@ def fit_joint(
         for each in measured:
             leave_cycle(each.levels, each.site, writer, label=each.site.name)
             check_noise(each.site, speeds=each.levels.has_swe)
+        if options.c_deviation is not None and all(each.levels.has_swe for each in measured):
+            writer.warnings.append(
+                "--c-deviation-fraction says nothing to this fit: every site has speeds, which alone tell c"
+            )
         models = [(each.site.name, each.model) for each in measured]
         told = any(model.fibres is not None for _, model in models)
         others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
