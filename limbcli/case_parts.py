@@ -8,6 +8,10 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from limbcli.model import Array
+
 NOT_IMAGED = "geometry assumed, not imaged"
 # Of a scan, one deviation. Chosen: limits of agreement of scanned perimeters are below 3.5 %, two deviations
 # (Cutti et al. 2024, Sensors 24:2350).
@@ -164,6 +168,21 @@ class StatedNoise:
     swe_pixel_fraction: float = 0.10
     source: str = "assumed"
     layer: float = 0.2
+
+    def of_mean_speed(self, pixels: Array) -> Array:
+        """One deviation of ln of a level's mean speed (n,), by its number of pixels (n,).
+
+        Where that is not told, the pixels' own share is left out beside one common to them all; without
+        such it is that of one pixel: a reading is never exact for want of a count.
+
+        >>> StatedNoise().of_mean_speed(np.array([100.0, np.nan])).round(4)
+        array([0.051, 0.05 ])
+        >>> StatedNoise(swe_level_fraction=0.0).of_mean_speed(np.array([100.0, np.nan]))
+        array([0.01, 0.1 ])
+        """
+        unknown = np.inf if self.swe_level_fraction > 0 else 1.0
+        own = self.swe_pixel_fraction / np.sqrt(np.where(np.isfinite(pixels), pixels, unknown))
+        return np.hypot(self.swe_level_fraction, own)
 
 
 @dataclass(frozen=True, eq=False)

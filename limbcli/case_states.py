@@ -10,7 +10,7 @@ from limbcli.case_files import CaseFiles
 from limbcli.case_parts import Stretch, StretchState
 from limbcli.problems import Problem
 
-_NOT_BESIDE = ("trace", "swe_maps", "load_cell", "b_mode", "swe_images", "layers")
+_NOT_BESIDE = ("trace", "swe_maps", "load_cell", "b_mode", "swe_images")
 _UNLOADED = ("unloaded_stretch_along", "unloaded_stretch_around")
 
 
@@ -75,11 +75,7 @@ def _beside(values: Mapping[str, Any], label: str, file: str) -> list[Problem]:
     for key in _NOT_BESIDE:
         if values[key] is not None:
             what = f"{label} has {key} beside [[site.state]], which it does not go with"
-            fix = (
-                "layers are not stretched with the states: leave [site.layers] out"
-                if key == "layers"
-                else "make each state's levels.csv in a case of its own (limbcli measure), and name it here"
-            )
+            fix = "make each state's levels.csv in a case of its own (limbcli measure), and name it here"
             problems.append(Problem(what, file, fix))
     return problems
 

@@ -63,7 +63,6 @@ def test_a_stretch_may_be_unknown_by_word_or_by_silence(tmp_path: Path):
         (ALL, SITE + 'trace = "levels.csv"\n', "has trace beside [[site.state]]"),
         (ALL, SITE + 'swe_maps = "mri"\n', "has swe_maps beside [[site.state]]"),
         (ALL + '[site.load_cell]\nfile = "levels.csv"\n', SITE, "has load_cell beside [[site.state]]"),
-        (ALL + "[site.layers.fat]\nthickness_mm = 4.0\n", SITE, "has layers beside [[site.state]]"),
         ("state = 3\n", SITE, "not a list of tables"),
         ("", SITE + 'levels = "levels.csv"\nunloaded_stretch_along = 1.0\n', "but no states"),
         (ALL, SITE + "unloaded_stretch_along = 3.0\n", "plausible is 0.5 to 2"),
@@ -73,6 +72,11 @@ def test_what_cannot_be_meant_is_said(tmp_path: Path, states: str, site: str, sa
     with pytest.raises(CaseError) as raised:
         Case.open(case(tmp_path, states, site=site))
     assert says in str(raised.value) or says in str(raised.value.facts)
+
+
+def test_layers_go_with_states(tmp_path: Path):
+    opened = Case.open(case(tmp_path, ALL + "[site.layers.fat]\nthickness_mm = 4.0\n"))
+    assert opened.sites[0].layers["fat"]["thickness_mm"] == 4.0
 
 
 def test_without_states_levels_are_needed_as_ever(tmp_path: Path):

@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import Profile, best_of, profile_likelihood, threshold_95
+from limbcli.inference.profile import Profile, best_of, noise_scale, profile_likelihood, threshold_95
 from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -23,6 +23,7 @@ from limbcli.progress import SILENT, Progress
 _PRECISE = 0.1  # allowed error of the surrogate, in standard deviations of the data
 _NEAR = 0.05  # a point counts as solved within this distance in ln theta
 _END_NEAR = 0.3  # an interval's end is trusted within this distance
+_SETTLES = 4  # times that weights follow the best fit, at most
 
 
 class EstimationProblem(Protocol):
@@ -38,6 +39,10 @@ class EstimationProblem(Protocol):
 
     def objective(self) -> Objective:
         """Residuals in standard deviations, on the present surrogates."""
+        ...
+
+    def settle(self, theta: Array) -> bool:
+        """Take the weights of the residuals as they are at this fit; whether that changes them."""
         ...
 
     def starts(self) -> list[Array]: ...
@@ -98,7 +103,7 @@ def adaptive_profiles(
     """Profiles with as few simulations as the accuracy of the intervals allows.
 
     Where chi-square exceeds its degrees of freedom the noise is taken to be larger by that
-    factor, and the intervals to be those of a noise that is estimated (`threshold_95`).
+    factor; the surer that is, the more the intervals are those of a noise that is estimated (`threshold_95`).
 
     estimate : a theta found otherwise (the published fit); where given, no interval leaves it out
     """
@@ -122,8 +127,13 @@ class _Work:
     def profiles(self) -> Intervals:
         problem, objective = self.problem, self.problem.objective()
         best = best_of(objective, problem.parameters, problem.starts())
-        scale = max(1.0, best.cost / max(problem.n_freedom, 1))
-        threshold = threshold_95(scale, problem.n_freedom)
+        for _ in range(_SETTLES):
+            if not problem.settle(best.theta):
+                break
+            objective = problem.objective()
+            best = best_of(objective, problem.parameters, [best.theta])
+        scale = noise_scale(best.cost, problem.n_freedom)
+        threshold = threshold_95(best.cost, problem.n_freedom)
         found = {}
         for k in problem.profiled:
             profile = profile_likelihood(

@@ -38,7 +38,7 @@ def derived_interval(
     residual of its own that is not counted.
 
     objective : residuals in standard deviations; scale : the deviance is divided by it
-    threshold : of the deviance at an end (`threshold_95` where the scale is an estimate)
+    threshold : of the deviance at an end (`threshold_95` where the noise may be larger than stated)
     quantity : theta -> a number that changes smoothly with ln theta; pace : of the walk, in its unit
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.

@@ -30,19 +30,23 @@ def force_variance(slope: Array, *, force_deviation: float, depth_deviation: flo
 
 
 def log_covariance(
-    sensitivity: Array, variance: Array, *, nuisance: Array | None = None, nuisance_deviation: float = 0.0
+    sensitivity: Array,
+    variance: Array,
+    *,
+    nuisance: Array | None = None,
+    nuisance_deviation: float | Array = 0.0,
 ) -> Array:
     """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
 
     A V A' with A = (S'S)^-1 S' (the sandwich: the fit weighs all residuals alike, the noise
-    does not), plus what a quantity held fixed carries in: (A s)(A s)' sigma^2.
+    does not), plus what quantities held fixed carry in: (A s)(A s)' sigma^2 of each.
 
     Parameters
     ----------
     sensitivity : (n, p) d prediction / d ln theta
     variance : (n,) of the residuals
-    nuisance : (n,) d prediction / d ln of the quantity held fixed (c)
-    nuisance_deviation : standard deviation of its ln
+    nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
+    nuisance_deviation : standard deviation of their ln, or (k,)
 
     Entries of a parameter without any influence are NaN.
     """
@@ -54,8 +58,8 @@ def log_covariance(
     estimator = np.linalg.pinv(sensitivity[:, seen])
     block = (estimator * variance) @ estimator.T
     if nuisance is not None:
-        carried = estimator @ nuisance
-        block = block + nuisance_deviation**2 * np.outer(carried, carried)
+        carried = estimator @ (nuisance * nuisance_deviation).reshape(len(nuisance), -1)
+        block = block + carried @ carried.T
     covariance[np.ix_(seen, seen)] = block
     return covariance
 
@@ -98,8 +102,9 @@ def verdict(
     correlations: Sequence[tuple[str, float]] = (),
     log_deviation: float = np.nan,
     why_no_profile: str = "no interval was computed",
+    unit: str = "",
 ) -> Verdict:
-    """One plain word for a parameter, and the sentence behind it.
+    """One plain word for a parameter, and the sentence behind it, whose numbers are in `unit`.
 
     correlations : (other parameter, correlation) of the logs
     log_deviation : standard error of ln theta; it decides where there is no profile, NaN if unknown
@@ -111,11 +116,11 @@ def verdict(
             f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",
         )
     side = parameter.at_bound(value)
-    excluded = _excluded(parameter, profile)
+    excluded, unit = _excluded(parameter, profile, unit), unit and f" {unit}"
     if side:
         bound = parameter.low if side == "low" else parameter.high
         excluded = why_no_profile if profile is None else excluded
-        return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}; {excluded}.")
+        return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}{unit}; {excluded}.")
     if profile is None:
         return _without_profile(name, value, log_deviation, why_no_profile)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
@@ -129,7 +134,9 @@ def verdict(
         return Verdict("weak", f"{name} is not identifiable from these data: {excluded}.")
     if wide:
         return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
-    return Verdict("identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g} (95 %).")
+    return Verdict(
+        "identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g}{unit} (95 %)."
+    )
 
 
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
@@ -142,13 +149,14 @@ def _without_profile(name: str, value: float, log_deviation: float, why: str) ->
     return Verdict(flag, f"{name} = {value:.4g}, standard error {share:.2g} %; {why}.")
 
 
-def _excluded(parameter: FitParameter, profile: Profile | None) -> str:
+def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") -> str:
     """What the data do exclude, in words."""
     if profile is None:
         return "no interval was computed"
-    below, above = f"below {profile.low:.3g}", f"above {profile.high:.3g}"
+    unit = unit and f" {unit}"
+    below, above = f"below {profile.low:.3g}{unit}", f"above {profile.high:.3g}{unit}"
     if profile.open_low and profile.open_high:
-        return f"they exclude no value between {parameter.low:g} and {parameter.high:g}"
+        return f"they exclude no value between {parameter.low:g} and {parameter.high:g}{unit}"
     if profile.open_high:
         return f"they exclude only values {below} (95 %)"
     if profile.open_low:

@@ -3,7 +3,8 @@
 The likelihood knows what the paper's objective does not: that depth is the noisy
 quantity, that c, held fixed in the fit, is only known to the precision of the
 shear-wave reading, and that the mesh puts the force off. At fixed f_kappa and m every stress,
-hence every force, is proportional to c, so c costs no simulation.
+hence every force, is proportional to c, so c costs no simulation. Beside layers that keep a stiffness of
+their own only a share of ln c reaches ln force, and the mesh's error is another parameter.
 """
 
 from __future__ import annotations
@@ -32,22 +33,34 @@ _REACH = 6.0  # of c, in its standard deviations
 class Stiffness:
     """c (MPa) and the standard deviation of its logarithm.
 
-    gain_deviation : of ln of the simulated force, by the mesh alone. All forces are proportional
-        to c, so an error common to them cannot be told apart from an error of c.
+    gain_deviation : of ln of the simulated force, by the mesh alone. Where all forces are proportional
+        to c, an error common to them cannot be told apart from an error of c.
+    share : (n_knots,) d ln force / d ln c at the simulated depths, where layers beside the tissue keep a
+        stiffness of their own; None: 1
     """
 
     c: float
     log_deviation: float
     gain_deviation: float = 0.0
+    share: Array | None = None
 
     @property
     def force_deviation(self) -> float:
-        """Standard deviation of ln force that c and the mesh leave together."""
+        """Standard deviation of ln force that c and the mesh leave together, where all is in proportion."""
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
-    def parameter(self) -> FitParameter:
-        spread = float(np.exp(_REACH * max(self.force_deviation, _LEAST_LOG_DEVIATION)))
-        return FitParameter("c", self.c, self.c / spread, self.c * spread, "log")
+    def nuisances(self) -> list[tuple[FitParameter, float]]:
+        """What scales forces beside the parameters that are sought, with the deviation of its logarithm: c,
+        with it the mesh's error, which beside layers comes after it."""
+        if self.share is None:
+            return [_around("c", self.c, self.force_deviation)]
+        return [_around("c", self.c, self.log_deviation), _around("gain", 1.0, self.gain_deviation)]
+
+
+def _around(name: str, value: float, log_deviation: float) -> tuple[FitParameter, float]:
+    deviation = max(log_deviation, _LEAST_LOG_DEVIATION)
+    spread = float(np.exp(_REACH * deviation))
+    return FitParameter(name, value, value / spread, value * spread, "log"), deviation
 
 
 def force_intervals(
@@ -66,18 +79,18 @@ def force_intervals(
 
     Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2,
     slopes dF/dd those of the fit. At most `max_solves` simulations are added to those in
-    `curve`. `best` of the result is (c, the parameters in `free`).
+    `curve`. `best` of the result is (c, the parameters in `free`), beside layers then the mesh's gain.
 
     theta : (f_kappa, m) of the fit
     shape_modes : (n_modes, n_knots) of ln force, one deviation each, by doubts of the model's shape
     """
     problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free), shape_modes)
-    estimate = np.r_[stiffness.c, theta[list(free)]]
+    estimate = problem.starts()[0]
     return adaptive_profiles(problem, max_solves=max_solves, estimate=estimate, progress=progress)
 
 
 class _ForceProblem:
-    """theta = (c, those of f_kappa and m that are free)."""
+    """theta = (c, those of f_kappa and m that are free, beside layers a gain)."""
 
     def __init__(
         self, curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
@@ -90,7 +103,11 @@ class _ForceProblem:
             force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
         )
         shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
-        self.parameters = [stiffness.parameter(), *(shape[k] for k in free)]
+        (c, _), *others = stiffness.nuisances()
+        self.parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
+        self.share = np.ones(len(self.depth))
+        if stiffness.share is not None:
+            self.share = at_depths(stiffness.share[None], knots, self.depth)[:, 0]
         self.profiled = tuple(range(1, 1 + len(free)))
         self.n_freedom = max(len(self.force) - len(free), 1)
         self.emulator = Emulator(curve)
@@ -101,25 +118,31 @@ class _ForceProblem:
 
     def objective(self) -> Objective:
         predict = sampled(self.emulator, self.knots, self.depth, free=(0, 1), fixed=self.fitted)
-        scaled = _times_c(predict, self.stiffness.c, self.fitted, self.free)
+        scaled = _times_c(predict, self.stiffness.c, self.share, self.fitted, self.free)
         force = force_residual(scaled, self.force, deviation=self.deviation)
         if self.spread is not None:
             force = whitened(force, self.deviation, self.spread)
-        spread = max(self.stiffness.force_deviation, _LEAST_LOG_DEVIATION)
-        return with_prior(force, 0, mean=self.stiffness.c, log_deviation=spread)
+        for place, (each, deviation) in zip((0, -1), self.stiffness.nuisances(), strict=False):
+            force = with_prior(force, place, mean=each.start, log_deviation=deviation)
+        return force
+
+    def settle(self, theta: Array) -> bool:
+        """The weights are those of the published fit."""
+        return False
 
     def starts(self) -> list[Array]:
         """The fit, and the three visited points whose forces are nearest to its."""
         target = self.curve(self.fitted).values
         visited = sorted(self.curve.solved, key=lambda each: float(np.sum((each[1].values - target) ** 2)))
         thetas = [self.fitted, *(theta for theta, _ in visited[1:4])]
-        return [np.r_[self.stiffness.c, theta[list(self.free)]] for theta in thetas]
+        gain = np.ones(len(self.parameters) - 1 - len(self.free))
+        return [np.r_[self.stiffness.c, theta[list(self.free)], gain] for theta in thetas]
 
     def doubt(self, theta: Array) -> float:
         shape = self.solved_at(theta)
         error = self.emulator.deviation(shape) * self.emulator(shape).values
-        at_depths = np.interp(self.depth, self.knots, error)
-        return float(np.linalg.norm(at_depths / self.deviation)) * theta[0] / self.stiffness.c
+        factor = (theta[0] / self.stiffness.c) ** self.share
+        return float(np.linalg.norm(factor * np.interp(self.depth, self.knots, error) / self.deviation))
 
     def distance(self, theta: Array) -> float:
         return self.emulator.distance(self.solved_at(theta))
@@ -132,28 +155,32 @@ class _ForceProblem:
         """Not further than a increment beyond what was solved before."""
         solved = np.array([each for each, _ in self.curve.solved])
         near = theta.copy()
-        for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=True), 1):
+        for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=False), 1):
             low, high = solved[:, column].min(), solved[:, column].max()
             near[k] = np.clip(theta[k], low / parameter.step_factor, high * parameter.step_factor)
         return near
 
     def solved_at(self, theta: Array) -> Array:
         full = self.fitted.copy()
-        full[list(self.free)] = theta[1:]
+        full[list(self.free)] = theta[1 : 1 + len(self.free)]
         return full
 
 
-def _times_c(predict: Predictor, c0: float, fixed: Array, free: tuple[int, ...]) -> Predictor:
-    """Force as a function of (c, free shape parameters): proportional to c."""
+def _times_c(predict: Predictor, c0: float, share: Array, fixed: Array, free: tuple[int, ...]) -> Predictor:
+    """Force as a function of (c, free shape parameters[, gain]): by (c / c0) to the power of its share (n,),
+    and in proportion to the gain."""
+    last = 1 + len(free)
 
     def scaled(theta: Array, *, derivative: bool = True) -> Prediction:
         shape = fixed.copy()
-        shape[list(free)] = theta[1:]
+        shape[list(free)] = theta[1:last]
         base = predict(shape, derivative=derivative)
-        factor = theta[0] / c0
+        factor = (theta[0] / c0) ** share * np.prod(theta[last:])
+        values = factor * base.values
         if base.jacobian is None:
-            return Prediction(factor * base.values)
-        columns = [base.values / c0, *(factor * base.jacobian[:, k] for k in free)]
-        return Prediction(factor * base.values, np.column_stack(columns))
+            return Prediction(values)
+        columns = [values * share / theta[0], *(factor * base.jacobian[:, k] for k in free)]
+        columns += [values / gain for gain in theta[last:]]
+        return Prediction(values, np.column_stack(columns))
 
     return scaled

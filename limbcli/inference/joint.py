@@ -5,13 +5,14 @@ minus the depth at which the simulation reaches the measured force. A level's wa
 enters by its logarithm, the thickness of its layers as it is, at the simulated depth of
 that force. All sites share c and the law's other parameters ("shape"); each has a gain of
 its own for the numerical error of its mesh. At fixed shape every stress is proportional to
-c, so forces go with c and speeds with its root: only the shape costs simulations.
+c, so forces go with c and speeds with its root: only the shape costs simulations. Where layers beside
+the tissue keep a stiffness of their own, it is not: there curves have c as one more parameter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,12 +22,22 @@ from limbcli.inference.emulator import Emulator
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.residual import Objective, Residual
-from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, invert, predict_site
+from limbcli.inference.site_depth import (
+    RestSpeed,
+    SiteMeasurement,
+    SitePrediction,
+    differ,
+    invert,
+    predict_beside_layers,
+    predict_site,
+    rest_speed_by_c,
+)
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 __all__ = [
     "C_SPAN",
+    "C_STEP_FACTOR",
     "JointProblem",
     "JointTask",
     "SiteMeasurement",
@@ -38,6 +49,7 @@ __all__ = [
 ]
 
 C_SPAN = 10.0  # c may differ from its start value by this factor
+C_STEP_FACTOR = 2.0  # of c, that a simulation may lie beyond those there are, where c needs simulations
 _LEAST = 1e-4
 
 
@@ -47,6 +59,7 @@ class JointTask:
 
     c0 : MPa, the c of the curves; log_speed_0: ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`
     c_deviation : of ln c, a prior round c0; None where the speeds themselves say it
+    beside_layers : by site, whether its curve is of (c / c0, shape...): layers there keep their own stiffness
     """
 
     curves: Sequence[SolvedPoints]
@@ -55,6 +68,10 @@ class JointTask:
     c0: float
     log_speed_0: Sequence[RestSpeed]
     c_deviation: float | None = None
+    beside_layers: Sequence[bool] = ()
+
+    def is_beside_layers(self, k: int) -> bool:
+        return bool(self.beside_layers) and self.beside_layers[k]
 
 
 class JointProblem:
@@ -74,17 +91,24 @@ class JointProblem:
         self._starts = list(starts)
         n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
         self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
-        self._weights = [self._depth_deviation(k) for k in range(len(task.data))]
+        self._weights = self._weights_at(self.starts()[0])
 
     # ------------------------------------------------------------ residuals
 
     def predict(self, k: int, theta: Array, *, data: SiteMeasurement | None = None) -> SitePrediction:
         """Site k at theta, on the surrogates."""
-        return predict_site(
-            self.emulators[k], data or self.task.data[k], self.solved_at(theta),
-            c_ratio=float(theta[0]) / self.task.c0, gain=self._gain(k, theta),
-            log_speed_0=self.task.log_speed_0[k],
-        )  # fmt: skip
+        data, gain, rest = data or self.task.data[k], self._gain(k, theta), self.task.log_speed_0[k]
+        place = self.place(k, theta)
+        if self.task.is_beside_layers(k):
+            rest = rest_speed_by_c(rest)
+            return predict_beside_layers(self.emulators[k], data, place, gain=gain, log_speed_0=rest)
+        ratio = float(theta[0]) / self.task.c0
+        return predict_site(self.emulators[k], data, place, c_ratio=ratio, gain=gain, log_speed_0=rest)
+
+    def place(self, k: int, theta: Array) -> Array:
+        """The parameters of site k's curve: the law's shape, beside layers after c / c0."""
+        shape = self.solved_at(theta)
+        return np.r_[theta[0] / self.task.c0, shape] if self.task.is_beside_layers(k) else shape
 
     def objective(self) -> Objective:
         def residual(theta: Array, derivative: bool = True) -> Residual:
@@ -130,21 +154,27 @@ class JointProblem:
     def _gain(self, k: int, theta: Array) -> float:
         return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
 
-    def _depth_deviation(self, k: int) -> Array:
-        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
-        data = self.task.data[k]
-        slope = self.predict(k, self.starts()[0]).stiffness
-        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+    def _weights_at(self, theta: Array) -> list[Array]:
+        """One deviation of every depth (mm), with the slopes of the curves there."""
+        return [each.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.data)]
 
     # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def settle(self, theta: Array) -> bool:
+        """The noise of force moves depth by the slope of the curve: that at the fit."""
+        weights = self._weights_at(theta)
+        if not differ(weights, self._weights):
+            return False
+        self._weights = weights
+        return True
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]
 
     def doubt(self, theta: Array) -> float:
-        shape, total = self.solved_at(theta), 0.0
+        total = 0.0
         for k, data in enumerate(self.task.data):
-            n, deviation = len(data.knots), self.emulators[k].deviation(shape)
+            n, deviation = len(data.knots), self.emulators[k].deviation(self.place(k, theta))
             found = self.predict(k, theta)
             force = np.interp(found.depth, data.knots, deviation[:n]) * data.force / found.stiffness
             total += float(np.sum((force / self._weights[k]) ** 2))
@@ -158,20 +188,36 @@ class JointProblem:
         return float(np.sqrt(total))
 
     def distance(self, theta: Array) -> float:
-        return max(each.distance(self.solved_at(theta)) for each in self.emulators)
+        return max(each.distance(self.place(k, theta)) for k, each in enumerate(self.emulators))
 
     def solve(self, theta: Array) -> None:
-        shape = self.solved_at(theta)
-        for curve, emulator in zip(self.task.curves, self.emulators, strict=True):
-            curve(shape, tuple(range(self.n_shape)))
+        for k, (curve, emulator) in enumerate(zip(self.task.curves, self.emulators, strict=True)):
+            place = self.place(k, theta)
+            curve(place, tuple(range(len(place))))
             emulator.refresh()
 
     def within_reach(self, theta: Array) -> Array:
-        solved = np.array([each for each, _ in self.task.curves[0].solved])
-        return drawn_in(theta, solved, self.task.shape)
+        near = theta
+        for k, curve in enumerate(self.task.curves):
+            beside = self.task.is_beside_layers(k)
+            solved = np.array([each for each, _ in curve.solved])
+            near = drawn_in(near, solved[:, int(beside) :], self.task.shape)
+            if beside:
+                near[0] = c_drawn_in(near[0], solved[:, 0], self.task.c0)
+        return near
 
     def solved_at(self, theta: Array) -> Array:
+        """The law's shape."""
         return np.asarray(theta[1 : 1 + self.n_shape])
+
+
+def c_drawn_in(c: float, solved: Array, c0: float) -> float:
+    """c at most a step beyond what was simulated: solved (n,) of c / c0.
+
+    >>> c_drawn_in(0.05, np.array([0.5, 2.0]), 0.01)
+    0.04
+    """
+    return float(np.clip(c, c0 * solved.min() / C_STEP_FACTOR, c0 * solved.max() * C_STEP_FACTOR))
 
 
 def joint_fit(
@@ -209,10 +255,7 @@ def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3)
     for fold in range(n_folds):
         left = [np.arange(len(each.force)) % n_folds == fold for each in problem.task.data]
         kept = [each.without(out) for each, out in zip(problem.task.data, left, strict=True)]
-        task = JointTask(
-            problem.task.curves, kept, problem.task.shape, problem.task.c0, problem.task.log_speed_0,
-            problem.task.c_deviation,
-        )  # fmt: skip
+        task = replace(problem.task, data=kept)
         part = JointProblem(task, [found.best[: 1 + problem.n_shape]])
         best = best_of(part.objective(), part.parameters, [found.best, *part.starts()])
         for k, (data, out) in enumerate(zip(problem.task.data, left, strict=True)):

@@ -6,8 +6,8 @@ minus the depth at which the simulation reaches the measured force.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
+
+_SAME_WEIGHT = 0.02  # of its logarithm
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,13 @@ class SiteMeasurement:
     speed_deviation: Array
     gain_deviation: float = 0.0
     layers: LayerData = NO_LAYERS
+
+    def weights_at(self, stiffness: Array) -> Array:
+        """One deviation of depth at given force (n,) mm, where the curve rises by stiffness (n,) N/mm.
+
+        sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2)
+        """
+        return np.sqrt(self.depth_deviation**2 + (self.force_deviation / stiffness) ** 2)
 
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
         """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
@@ -64,6 +73,12 @@ class SitePrediction:
     log_speed_slope: Array
     layers: Array
     layers_slope: Array
+
+
+def differ(some: Sequence[Array], others: Sequence[Array]) -> bool:
+    """Whether any of the weights differ by more than matters to a fit."""
+    changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(some, others, strict=True)]
+    return max(changes, default=0.0) > _SAME_WEIGHT
 
 
 RestSpeed = float | Callable[[Array], tuple[float, Array]]
@@ -121,6 +136,31 @@ def predict_site(
     )
 
 
+def predict_beside_layers(
+    curve: PredictedCurve, data: SiteMeasurement, place: Array, *, gain: float, log_speed_0: RestSpeed
+) -> SitePrediction:
+    """As `predict_site`, where layers beside the tissue keep a stiffness of their own: c is simulated.
+
+    curve : of (c / c0, shape...) = place; log_speed_0 : of that, or a number at c0
+    """
+    found = predict_site(curve, data, place, c_ratio=1.0, gain=gain, log_speed_0=log_speed_0)
+    columns = [2, 1, *range(3, 2 + len(place))]  # of c the curve's own, not those of a force in proportion
+    return replace(
+        found, depth_slope=found.depth_slope[:, columns], log_speed_slope=found.log_speed_slope[:, columns],
+        layers_slope=found.layers_slope[:, columns],
+    )  # fmt: skip
+
+
+def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:
+    """ln of the speed in unloaded tissue by (c / c0, shape...): it grows with the root of c."""
+
+    def at(place: Array) -> tuple[float, Array]:
+        known = log_speed_0(place[1:]) if callable(log_speed_0) else (log_speed_0, np.zeros(len(place) - 1))
+        return known[0] + 0.5 * float(np.log(place[0])), np.r_[0.5, known[1]]
+
+    return at
+
+
 def _layers(
     data: LayerData, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
 ) -> tuple[Array, Array]:
@@ -158,7 +198,8 @@ def _implicit(
     slope = np.where(depth > knots[-1], end, sample.slopes)
     floor = 1e-3 * float(force.max()) / float(knots[-1])
     slope = np.maximum(slope, floor)
-    by_shape = sample.weights @ force_by
+    end_by = (force_by[-1] - force_by[-2]) / (knots[-1] - knots[-2])
+    by_shape = sample.weights @ force_by + np.outer(np.maximum(depth - knots[-1], 0.0), end_by)
     rise = np.column_stack([wanted, wanted, by_shape])
     moved = -rise / slope[:, None]
     moved[wanted <= 0.0] = 0.0

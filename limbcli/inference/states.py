@@ -15,12 +15,18 @@ import numpy as np
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles, drawn_in
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.joint import C_SPAN
+from limbcli.inference.joint import C_SPAN, c_drawn_in
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual
-from limbcli.inference.site_depth import SiteMeasurement, SitePrediction, predict_site
+from limbcli.inference.site_depth import (
+    SiteMeasurement,
+    SitePrediction,
+    differ,
+    predict_beside_layers,
+    predict_site,
+)
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -51,6 +57,7 @@ class StatesTask:
     even_speed : what those speeds are relative to
     shape, stretches : the law's parameters, and those of the states
     gain_deviation : numerical error of ln force, common to all states, as their mesh is
+    beside_layers : the curve is of (c / c0, shape, stretches), as layers keep a stiffness of their own
     """
 
     curve: SolvedPoints
@@ -60,6 +67,7 @@ class StatesTask:
     stretches: Sequence[FitParameter]
     c0: float
     gain_deviation: float
+    beside_layers: bool = False
 
 
 class StatesProblem:
@@ -79,7 +87,7 @@ class StatesProblem:
         self._starts = list(starts)
         n_data = sum(len(each.data.force) + len(each.data.log_speed) for each in task.states)
         self.n_freedom = max(n_data - len(self.profiled), 1)
-        self._weights = [self._depth_deviation(k) for k in range(len(task.states))]
+        self._weights = self._weights_at(self.starts()[0])
 
     # ------------------------------------------------------------ where a state lies
 
@@ -87,7 +95,16 @@ class StatesProblem:
         """The curve's parameters in state k: the law's shape, then its stretches."""
         state = self.task.states[k]
         stretches = np.exp(state.offset + state.factors @ np.log(self.stretch_values(theta)))
-        return np.r_[theta[1 : 1 + self.n_shape], stretches]
+        return np.r_[self.curve_shape(theta), stretches]
+
+    def curve_shape(self, theta: Array) -> Array:
+        """The law's shape as the curve takes it: after c / c0 where layers keep a stiffness of their own."""
+        shape = np.asarray(theta[1 : 1 + self.n_shape])
+        return np.r_[theta[0] / self.task.c0, shape] if self.task.beside_layers else shape
+
+    def c_of_curve(self, theta: Array) -> float:
+        """MPa, with which the curve's parameters give the tissue of theta."""
+        return self.task.c0 if self.task.beside_layers else float(theta[0])
 
     def stretch_values(self, theta: Array) -> Array:
         """The parameters of the stretches."""
@@ -108,11 +125,18 @@ class StatesProblem:
         speeds = known[relative] * np.exp(even)
         values = np.r_[known[:n], speeds]
         jacobian = np.vstack([answer.jacobian[:n], (by_log[relative] + even_by) * speeds[:, None] / x])
-        return predict_site(
-            lambda shape, wrt=(): Prediction(values, jacobian), data, x,
-            c_ratio=float(theta[0]) / self.task.c0, gain=self.gain(theta),
-            log_speed_0=lambda shape: (even + float(np.log(known[2 * n])), even_by + by_log[2 * n]),
-        )  # fmt: skip
+
+        def known_curve(theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+            return Prediction(values, jacobian)
+
+        def rest(theta: Array) -> tuple[float, Array]:
+            return even + float(np.log(known[2 * n])), even_by + by_log[2 * n]
+
+        gain = self.gain(theta)
+        if self.task.beside_layers:
+            return predict_beside_layers(known_curve, data, x, gain=gain, log_speed_0=rest)
+        ratio = float(theta[0]) / self.task.c0
+        return predict_site(known_curve, data, x, c_ratio=ratio, gain=gain, log_speed_0=rest)
 
     def objective(self) -> Objective:
         def residual(theta: Array, derivative: bool = True) -> Residual:
@@ -148,13 +172,21 @@ class StatesProblem:
     def gain(self, theta: Array) -> float:
         return float(theta[-1]) if self.gained else 1.0
 
-    def _depth_deviation(self, k: int) -> Array:
-        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2), slopes at the first start."""
-        data = self.task.states[k].data
-        slope = self.predict(k, self.starts()[0]).stiffness
-        return np.sqrt(data.depth_deviation**2 + (data.force_deviation / slope) ** 2)
+    def _weights_at(self, theta: Array) -> list[Array]:
+        """One deviation of every depth (mm), with the slopes of the curves there."""
+        return [
+            each.data.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.states)
+        ]
 
     # ------------------------------------------------------------ what adaptive_profiles asks
+
+    def settle(self, theta: Array) -> bool:
+        """The noise of force moves depth by the slope of the curve: that at the fit."""
+        weights = self._weights_at(theta)
+        if not differ(weights, self._weights):
+            return False
+        self._weights = weights
+        return True
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(int(self.gained))] for each in self._starts]
@@ -189,7 +221,11 @@ class StatesProblem:
 
     def within_reach(self, theta: Array) -> Array:
         solved = np.array([each for each, _ in self.task.curve.solved])
-        return drawn_in(theta, solved, self.task.shape)
+        beside = self.task.beside_layers
+        near = drawn_in(theta, solved[:, int(beside) :], self.task.shape)
+        if beside:
+            near[0] = c_drawn_in(near[0], solved[:, 0], self.task.c0)
+        return near
 
     def solved_at(self, theta: Array) -> Array:
         """The law's shape and the parameters of the stretches."""
@@ -222,6 +258,7 @@ def states_fit(
     problem = StatesProblem(task, starts)
     for _ in range(_FOR_THE_BEST):
         best = best_of(problem.objective(), problem.parameters, problem.starts()).theta
+        problem.settle(best)
         if problem.distance(best) < _NEAR:
             break
         try:

@@ -22,6 +22,7 @@ from limbcli.measurement.level_checks import (
     check_plausible,
     check_swe,
     check_values,
+    check_zero,
 )
 from limbcli.measurement.levels import LAYERS, Levels
 from limbcli.measurement.tables import RawTable, read_table
@@ -88,6 +89,7 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
         trusted = not any(each.severity == "error" for each in speeds)
         problems += check_order(levels, table, path)
         problems += check_distance(levels, table, path, noise=noise)
+        problems += check_zero(levels, table, path, noise=noise)
         problems += check_plausible(levels, path, speed_is_possible=trusted)
         problems += speeds
     return levels, problems

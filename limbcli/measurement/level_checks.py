@@ -32,6 +32,9 @@ _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
 # How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth, levels.
 _DISTANCE_OFF, _DISTANCE_SIGMAS, _SEVERAL = 2.0, 4.0, 2
+# How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
+# than over all of it.
+_ZERO_SIGMAS, _SOFTER_AT_FIRST = 2.0, 4.0
 
 
 def check_count(levels: Levels, path: Path) -> list[Problem]:
@@ -222,6 +225,26 @@ def check_distance(
     what += f"become {distance - levels.skin_bone[k]:.3g} mm shorter, the depth {lost[k]:.3g} mm larger"
     fix = "one of the columns is of another unit or level; are force_n and depth_mm swapped?"
     return [problem(what, path, fix, line=table.lines[k], warning=True)]
+
+
+def check_zero(
+    levels: Levels, table: RawTable, path: Path, *, noise: LayerNoise | None = None
+) -> list[Problem]:
+    """Level 0 is where depths count from: one that stands elsewhere moves them all.
+
+    A force that was already on the probe explains a depth, with a curve that is softest at its start.
+    """
+    at, force = float(levels.depth[0]), max(float(levels.force[0]), 0.0)
+    loading = levels.loading
+    span_force, span_depth = (float(np.ptp(each[loading])) for each in (levels.force, levels.depth))
+    if not levels.begins_at_zero or span_force <= 0 or span_depth <= 0:
+        return []
+    unsure = _ZERO_SIGMAS * (noise or LayerNoise()).depth
+    if -unsure <= at <= unsure + _SOFTER_AT_FIRST * force * span_depth / span_force:
+        return []
+    what = f"level 0 stands at {at:.3g} mm and {levels.force[0]:.3g} N, but depth_mm counts from level 0"
+    fix = f"take {at:.3g} mm from every depth if this is first touch; otherwise measure first touch, too"
+    return [problem(what, path, fix, line=table.lines[0], warning=True)]
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:

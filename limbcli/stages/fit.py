@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
@@ -44,6 +44,7 @@ from limbcli.stages.fitting.result import Identified, leave_result
 from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import layer_noise, levels_of
 from limbcli.stages.site_model.site_states import one_state
 
@@ -116,7 +117,7 @@ def _fit_site(
     model = through_cycle(built_model(case, site, out, writer), levels, site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
-    curve, knots, cold = _first_solve(solver, model, c, options, progress)
+    curve, knots, cold, share_of_c = _first_solve(solver, model, c, options, progress)
     with contextlib.closing(curve):
         steps = two_step(
             curve, knots, data,
@@ -126,7 +127,8 @@ def _fit_site(
         given = options.gain_deviation
         studied = None if given is not None else studied_error(case, site, out, writer)
         gain = gain_deviation(model, given, studied=studied, f_kappa=float(theta[0]))
-        stiffness = replace(stiffness, gain_deviation=gain)
+        share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
+        stiffness = replace(stiffness, gain_deviation=gain, share=share)
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
         doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
         intervals, of_noise, why_none = None, None, "no interval was asked for"
@@ -231,15 +233,14 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
     c, source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     if options.c_deviation is not None:
         return Stiffness(c, options.c_deviation), source
-    pixels = float(levels.swe_pixels[0])
-    own = site.noise.swe_pixel_fraction / np.sqrt(pixels) if np.isfinite(pixels) else 0.0
-    return Stiffness(c, 2.0 * float(np.hypot(site.noise.swe_level_fraction, own))), source
+    return Stiffness(c, 2.0 * float(site.noise.of_mean_speed(levels.swe_pixels[:1])[0])), source
 
 
 def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
-) -> tuple[SolvedPoints, Array, float]:
-    """The curve, the depths of its levels, and the seconds of the first (cold) solve."""
+) -> tuple[SolvedPoints, Array, float, Callable[[Array], Array]]:
+    """The curve, the depths of its levels, the seconds of the first (cold) solve, and theta -> how much of
+    ln c reaches ln force."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
@@ -249,11 +250,25 @@ def _first_solve(
         except BaseException:
             curve.close()
             raise
-        return curve, exact.depths, time.perf_counter() - clock
+        return curve, exact.depths, time.perf_counter() - clock, exact.share_of_c
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
     curve = SolvedPoints(files.differentiable())
     curve(START)
-    return curve, files.depths, time.perf_counter() - clock
+    return curve, files.depths, time.perf_counter() - clock, files.share_of_c
+
+
+def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: StageWriter) -> Array | None:
+    """How much of ln c reaches ln force at the levels, beside layers that keep a stiffness of their own."""
+    try:
+        share = share_of_c(theta)
+    except SolveError as error:
+        writer.warnings.append(
+            f"how much of c's uncertainty reaches the force was not evaluated: {error.what}; "
+            "all of it is taken to"
+        )
+        return None
+    writer.data["c_share_of_force"] = share
+    return share
 
 
 def _leave_fitted_run(

@@ -1,7 +1,8 @@
 """fit --objective joint: one tissue for all sites, from depth, shear-wave speed and layers together.
 
 Depth is the noisy reading, so it is what the simulation predicts at the measured force;
-each level's speed enters by its logarithm, its layers by their thickness; c is free. Only the
+each level's speed enters by its logarithm, its layers by their thickness; c is free. Beside layers that
+keep a stiffness of their own what c does is simulated, else forces are in proportion to it. Only the
 reference solver can do it: exact derivatives, and the deformation that the speeds need.
 """
 
@@ -42,7 +43,7 @@ from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.provenance.asked import in_words
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
-from limbcli.stages.site_model.site_layers import check_in_proportion
+from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.stages.site_model.site_states import one_state
 
@@ -135,7 +136,7 @@ def fit_joint(
                     if law.has_fibres:
                         _check_directions(writer, measured, law, problem, found, out, progress)
                     if options.contact_check:
-                        _check_contacts(writer, measured, curves, problem.solved_at(found.best), progress)
+                        _check_contacts(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
             leave_comparison(writer, table)
         writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
@@ -147,7 +148,6 @@ def fit_joint(
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
-    check_in_proportion(model, "joint")
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed:
@@ -187,11 +187,13 @@ def _start_c(measured: Sequence[Measured]) -> float:
 def _curves(
     measured: Sequence[Measured], law: FitLaw, curves_open: ExitStack, progress: Progress
 ) -> list[LawCurve]:
-    """A site's forces and speeds by the law, at a common c to begin with."""
+    """A site's forces and speeds by the law, at a common c to begin with, beside layers by c / that c too."""
     c0, curves = _start_c(measured), []
     for each in measured:
+        own = law.along(fibre_direction(each.model))
+        own = own.beside_layers() if held_layers(each.model) else own
         curve = LawCurve(
-            each.model, law.along(fibre_direction(each.model)), c=c0, speeds=each.levels.has_swe,
+            each.model, own, c=c0, speeds=each.levels.has_swe,
             density_kg_per_m3=each.site.density_kg_per_m3, lines=each.lines, progress=progress,
         )  # fmt: skip
         curves.append(curve)
@@ -214,12 +216,13 @@ def _identify(
             else 0.5 * float(np.log(c0 * 1e6 / (2 * density)))
         )
         memory = SolvedPoints(curve)
-        for shape in first_shapes(law):
-            memory(shape, tuple(range(len(shape))))
+        for place in first_shapes(curve.law):
+            memory(place, tuple(range(len(place))))
         curves.append(memory)
         data.append(site_data(each, curve.depths, joint, speeds=speeds))
     prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
-    task = JointTask(curves, data, law.shape, c0, log_speed_0, prior)
+    beside = [curve.law.has_ratio for curve in exact]
+    task = JointTask(curves, data, law.shape, c0, log_speed_0, prior, beside)
     starts = [np.r_[c0, shape] for shape in first_shapes(law)]
     return joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
 
@@ -237,18 +240,19 @@ def _check_directions(
 
 
 def _check_contacts(
-    writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], shape: Array,
-    progress: Progress,
+    writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], problem: JointProblem,
+    found: Intervals, progress: Progress,
 ) -> None:  # fmt: skip
     """What a harder contact would change at every site, as a share: c scales tissue and contact alike."""
-    for each, curve in zip(measured, curves, strict=True):
+    for k, (each, curve) in enumerate(zip(measured, curves, strict=True)):
+        place = problem.place(k, found.best)
         try:
-            forces = curve(shape).values[: len(curve.depths)]
+            forces = curve(place).values[: len(curve.depths)]
         except SolveError as error:
             writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
             continue
         leave_contact_check(
-            each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, shape), writer,
+            each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place), writer,
             site=each.site.name, progress=progress,
         )  # fmt: skip
 
@@ -259,8 +263,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
-    pixels = np.where(np.isfinite(levels.swe_pixels), levels.swe_pixels, np.inf)[seen]
-    deviation = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
+    deviation = noise.of_mean_speed(levels.swe_pixels[seen])
     return SiteMeasurement(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),

@@ -32,7 +32,7 @@ from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import leave_states
 from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.site_model.site_layers import check_in_proportion
+from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
 STAGE = "fit-states"
@@ -107,7 +107,16 @@ def _fit_site(
     measured = states_of(site)
     check_noise(site, speeds=True)
     model = built_model(case, site, out, writer)
-    check_in_proportion(model, "states")
+    beside = held_layers(model)
+    if options.c_kpa is not None or options.c_deviation is not None:
+        writer.warnings.append(
+            "--c-kpa and --c-deviation-fraction say nothing to the fit of states: the speeds alone tell c"
+        )
+    if beside:
+        writer.warnings.append(
+            f"{' and '.join(beside)}: the stiffness is taken as known, and as unloaded where the tissue is, "
+            "with which it is stretched"
+        )
     note_case(writer, case, [], site=site, own=["states"])
     for each in measured:
         role = f"site/{site.name}/state/{each.state.name}"
@@ -119,8 +128,9 @@ def _fit_site(
     given = states.gain_deviation
     studied = None if given is not None else studied_error(case, site, out, writer)
     c0 = _start_c(site, measured, plan)
+    simulated = law.beside_layers() if beside else law
     curve = StateCurve(
-        model, law, plan.ways, knots(measured), c=c0, density_kg_per_m3=site.density_kg_per_m3,
+        model, simulated, plan.ways, knots(measured), c=c0, density_kg_per_m3=site.density_kg_per_m3,
         progress=progress,
     )  # fmt: skip
     try:
@@ -144,14 +154,19 @@ def identify(
     curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, c0: float,
     gain: float, max_rounds: int, progress: Progress = SILENT,
 ) -> tuple[StatesProblem, Intervals]:  # fmt: skip
-    """First simulations, then the fit with its profiles."""
+    """First simulations, then the fit with its profiles.
+
+    curve : of the law, or beside layers of `law.beside_layers()`
+    """
     memory = SolvedPoints(curve)
-    first_simulations(memory, law, plan, progress=progress)
+    first_simulations(memory, curve.law, plan, progress=progress)
     states = [
         StateMeasurement(each, offset, factors)
         for each, offset, factors in zip(data, plan.offsets, plan.factors, strict=True)
     ]
-    task = StatesTask(memory, curve.even_speed, states, law.shape, plan.parameters, c0, gain)
+    task = StatesTask(
+        memory, curve.even_speed, states, law.shape, plan.parameters, c0, gain, curve.law.has_ratio
+    )
     return states_fit(task, starts(c0, law, plan), max_rounds=max_rounds, progress=progress)
 
 

@@ -154,7 +154,7 @@ def _measure_site(
     progress.event("stage", name="synth", site=site.name)
     if site.states and options.layers:
         raise CaseError(
-            f"layers are not stretched with the states of site {site.name}",
+            f"layers are not read in the states of site {site.name}",
             where="--with-layers",
             fix="leave it out, or take a case without [[site.state]]",
         )

@@ -106,6 +106,20 @@ def test_an_uncertain_stiffness_widens_the_interval(simulated):
     assert np.log(guessed.high / guessed.low) > 1.3 * np.log(known.high / known.low)
 
 
+@pytest.mark.parametrize(("share", "like"), [(1.0, 0.2), (0.25, 0.05)])
+def test_a_share_of_c_that_is_the_same_at_all_depths_is_a_c_known_better(simulated, share, like):
+    """Beside layers that keep their stiffness less of c reaches the force, so less of its doubt does."""
+    data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
+    knots = np.unique(data.depth[data.depth > 0.05])
+    memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
+    theta = two_step(memory, knots, data)[1].theta
+    shared = Stiffness(c, 0.2, share=np.full(len(knots), share))
+    found = force_intervals(memory, knots, data, shared, theta).profiles["f_kappa"]
+    expected = force_intervals(memory, knots, data, Stiffness(c, like), theta).profiles["f_kappa"]
+    np.testing.assert_allclose(np.log(found.low), np.log(expected.low), atol=0.05)
+    np.testing.assert_allclose(np.log(found.high), np.log(expected.high), atol=0.05)
+
+
 def test_a_simulation_that_fails_is_reported_and_stops_the_interval(simulated):
     data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])

@@ -1,5 +1,7 @@
 """The joint likelihood, on the cheap limb with a cheap wave speed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -192,3 +194,89 @@ def test_problem_counts_its_freedom(simulated):
     data = measurement(simulated, c=C0, f_kappa=50.0, m=4.0)
     problem = JointProblem(task(simulated, [data]), STARTS)
     assert problem.n_freedom == 11 + 12 - 3
+
+
+def test_depths_are_weighed_by_the_slopes_of_the_fit(simulated, monkeypatch):
+    """Where the noise is that of force, a start that is twice as stiff would weigh first depths fourfold."""
+    force = simulated.force
+    monkeypatch.setattr(simulated, "force", lambda *each: force(*each[:4], "tet4"))
+    data = replace(
+        measurement(simulated, c=C0, f_kappa=1.0, m=4.0), force_deviation=0.1, depth_deviation=0.02
+    )
+    data = replace(
+        data, depth=data.depth + 0.1 / np.gradient(data.force, data.depth) * (-1.0) ** np.arange(11)
+    )
+    problem, found = joint_fit(task(simulated, [data]), STARTS, max_solves=2)
+    weights = data.weights_at(problem.predict(0, found.best).stiffness)
+    first = data.weights_at(problem.predict(0, STARTS[0]).stiffness)
+    assert (weights / first).max() > 1.5
+    missed = (data.depth - problem.predict(0, found.best).depth) / weights
+    speeds = (data.log_speed - problem.predict(0, found.best).log_speed) / data.speed_deviation
+    assert found.chi_square == pytest.approx(missed @ missed + speeds @ speeds, rel=0.05)
+    assert not problem.settle(found.best)
+
+
+def beside_layers(theta, wrt=()):
+    """A curve of (c / c0, f_kappa, m) whose force goes with c by a share that grows with depth."""
+    ratio, f_kappa, m = theta
+    share = 0.2 + 0.04 * KNOTS
+    force = 0.4 * KNOTS**1.4 * ratio**share * f_kappa**0.1 * np.exp(0.02 * m * KNOTS)
+    speed = np.exp(LOG_SPEED_0 + 0.5 * np.log(ratio) + log_speed(KNOTS * (1 + 0.1 * np.log(ratio)), m))
+    by_force = force[:, None] * np.column_stack([share / ratio, 0.1 / f_kappa + 0 * KNOTS, 0.02 * KNOTS])
+    return Prediction(np.r_[force, speed], np.vstack([by_force, np.full((len(KNOTS), 3), np.nan)]))
+
+
+def beside_layers_task(true_ratio=1.25):
+    truth = beside_layers([true_ratio, 50.0, 4.0]).values
+    force, speed = np.split(truth, 2)
+    data = SiteMeasurement(
+        "p1", KNOTS, force, KNOTS, 0.02, 0.03, np.r_[0.0, force],
+        np.r_[LOG_SPEED_0 + 0.5 * np.log(true_ratio), np.log(speed)], np.full(1 + len(KNOTS), 0.02), 1e-4,
+    )  # fmt: skip
+    memory = SolvedPoints(beside_layers)
+    for place in ((1.0, 100.0, 2.0), (2.0, 100.0, 2.0), (1.0, 10.0, 2.0), (1.0, 100.0, 4.0)):
+        memory(np.array(place), (0, 1, 2))
+    return JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0], None, [True])
+
+
+def test_beside_layers_slopes_by_c_are_those_of_the_curve():
+    problem = JointProblem(beside_layers_task(), STARTS)
+    theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
+    exact = residual(theta, True).jacobian
+    for k in range(len(theta)):
+        up, down = theta.copy(), theta.copy()
+        up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
+        rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
+        np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+
+
+def test_one_site_beside_layers_and_one_without_share_c(simulated):
+    """c of the one costs simulations, that of the other none."""
+    one, other = (
+        beside_layers_task(),
+        task(simulated, [measurement(simulated, c=1.25 * C0, f_kappa=50.0, m=4.0)]),
+    )
+    both = JointTask(
+        [*one.curves, *other.curves], [*one.data, *other.data], SHAPE, C0, [LOG_SPEED_0] * 2, None,
+        [True, False],
+    )  # fmt: skip
+    problem = JointProblem(both, STARTS)
+    theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
+    exact = residual(theta, True).jacobian
+    for k in range(len(theta)):
+        up, down = theta.copy(), theta.copy()
+        up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
+        rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
+        np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+    problem.solve(theta)
+    assert [len(each.solved[-1][0]) for each in both.curves] == [3, 2]
+
+
+def test_beside_layers_c_is_simulated_where_it_is_fitted():
+    made = beside_layers_task()
+    problem, found = joint_fit(made, STARTS, max_solves=6)
+    np.testing.assert_allclose(found.best[:3], [1.25 * C0, 50.0, 4.0], rtol=0.01)
+    solved = np.array([theta[0] for theta, _ in made.curves[0].solved])
+    assert np.abs(np.log(solved / 1.25)).min() < 0.05
+    far = problem.within_reach(np.array([9.0 * C0, 50.0, 4.0, 1.0]))
+    assert far[0] == pytest.approx(2 * solved.max() * C0), "a step at a time"

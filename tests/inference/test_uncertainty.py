@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from limbcli.inference.adaptive import adaptive_profiles
 from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import THRESHOLD_95, Profile
+from limbcli.inference.profile import THRESHOLD_95, Profile, noise_scale, threshold_95
 from limbcli.inference.residual import Residual
 
 F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
@@ -77,6 +78,21 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert bound.words.endswith("the case states no noise.")
 
 
+def test_the_words_of_a_parameter_with_a_unit_are_in_that_unit():
+    c = FitParameter("c", 8.0, 0.8, 80.0, "log")
+    for low, high, is_open, said in (
+        (7.0, 9.0, (False, False), "c is identified: 7 to 9 kPa (95 %)."),
+        (4.0, 13.3, (False, False), "values below 4 kPa and above 13.3 kPa (95 %)."),
+        (5.0, 80.0, (False, True), "they exclude only values below 5 kPa (95 %)."),
+        (0.8, 80.0, (True, True), "they exclude no value between 0.8 and 80 kPa."),
+    ):
+        assert verdict(c, 8.0, profile(low, high, *is_open), influence=True, unit="kPa").words.endswith(said)
+    at_bound = verdict(c, 0.8, profile(0.8, 2.0, True, False), influence=True, unit="kPa")
+    assert (
+        at_bound.words == "c ended on its lower bound 0.8 kPa; they exclude only values above 2 kPa (95 %)."
+    )
+
+
 @dataclass
 class Straight:
     """y = a + b x, read with a stated deviation; no simulation is needed."""
@@ -96,6 +112,9 @@ class Straight:
         return lambda theta, derivative=True: Residual(
             (self.y - self.design @ theta) / self.deviation, -self.design / self.deviation
         )
+
+    def settle(self, theta):
+        return False
 
     def starts(self):
         return [np.array([40.0, 40.0])]
@@ -120,4 +139,22 @@ def test_data_that_scatter_as_stated_have_the_interval_of_a_known_noise(rng):
     line = Straight(np.zeros(6), 5.0)
     line.y = line.design @ (50.0, 30.0) + rng.standard_normal(6)
     found = adaptive_profiles(line, max_solves=0)
-    assert (found.scale, found.threshold) == (1.0, THRESHOLD_95)
+    assert (found.scale, found.threshold) == (1.0, pytest.approx(THRESHOLD_95, rel=0.02))
+
+
+@pytest.mark.parametrize("n_freedom", [1, 2, 4, 8, 30])
+@pytest.mark.parametrize("larger", [1.0, 1.5, 2.0, 4.0, 9.0, 25.0])
+def test_intervals_hold_the_truth_at_their_rate_whatever_the_noise_is(n_freedom, larger):
+    """Of a linear model; larger : the noise's variance over that stated. By the quantiles of chi-square."""
+    chi_square = larger * chi2.ppf((np.arange(400) + 0.5) / 400, n_freedom)
+    reach = [threshold_95(each, n_freedom) * noise_scale(each, n_freedom) for each in chi_square]
+    held = np.mean(2 * norm.cdf(np.sqrt(np.array(reach) / larger)) - 1)
+    assert 0.93 < held < 0.993
+
+
+@pytest.mark.parametrize("n_freedom", [1, 2, 10])
+def test_a_little_more_scatter_widens_an_interval_a_little(n_freedom):
+    chi_square = n_freedom * np.linspace(0.02, 4.0, 400)
+    reach = np.sqrt([threshold_95(each, n_freedom) * noise_scale(each, n_freedom) for each in chi_square])
+    assert (np.diff(reach) > -1e-9).all()
+    assert np.diff(reach).max() < 0.03 * reach.max()

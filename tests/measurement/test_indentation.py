@@ -197,6 +197,21 @@ def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
     assert not any("level 0" in each for each in doubts_about_levels(write(tmp_path)))
 
 
+@pytest.mark.parametrize(
+    ("force", "moved", "told"),
+    [(0.0, 0.8, True), (0.0, -0.8, True), (0.0, 0.3, False), (0.5, 0.8, False), (0.0, 0.0, False)],
+)
+def test_a_level_0_that_stands_elsewhere_than_at_0_mm_is_told(
+    tmp_path: Path, force: float, moved: float, told: bool
+):
+    """All depths would be off by it; a force that already presses explains some depth."""
+    rows = [f"{force},{moved}", *(f"{2 * k},{depth + moved}" for k, depth in ((1, 2.1), (2, 3.9), (3, 5.2)))]
+    doubts = doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
+    found = [each for each in doubts if "depth_mm counts from level 0" in each]
+    assert bool(found) == told
+    assert not told or f"take {moved:.3g} mm from every depth" in found[0]
+
+
 @pytest.mark.parametrize("depths", [(12.2, 9.0, 5.0, 0.0), (47.9, 42.9, 40.6, 39.2), (3.0, 4.0, 2.0, 1.0)])
 def test_depths_that_run_backwards_are_refused(tmp_path: Path, depths):
     rows = [f"{2 * k},{depth}" for k, depth in enumerate(depths)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
-from limbcli.errors import CaseError, FitError
+from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.model import Block, Domain, LimbModel
@@ -18,7 +18,6 @@ from limbcli.results import StageResult, open_stage
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.site_model.indentation_model import indentation_model, window_cells
 from limbcli.stages.site_model.site_layers import (
     Layering,
@@ -175,12 +174,3 @@ def test_the_tissue_below_known_fat_is_recovered(case: Case, tmp_path: Path) -> 
     assert found["right"]["m"] == pytest.approx(TRUTH["m"], rel=0.05)
     assert found["right"]["rmse_n"] < 0.002
     assert abs(found["wrong"]["f_kappa"] / TRUTH["f_kappa"] - 1) > 0.3
-
-
-def test_a_fit_that_searches_c_is_refused_beside_a_layer_that_is_held(case: Case, tmp_path: Path) -> None:
-    """Twice the tissue's c is not twice the force where the fat stays as it is."""
-    out = tmp_path / "out"
-    build_feb(case, out=out, options=TissueOptions(layers={"fat": FAT}))
-    with pytest.raises(FitError, match="the stiffness of the fat is held fixed") as caught:
-        fit_joint(case, out=out)
-    assert "--objective force" in caught.value.fix

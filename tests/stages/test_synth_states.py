@@ -204,7 +204,7 @@ def test_states_that_no_site_has_are_named_before_anything_is_simulated(tmp_path
     )
     with pytest.raises(CaseError, match="no site that is simulated has states"):
         synth(plain, out=tmp_path / "o2", out_case=tmp_path / "new", options=OPTIONS)
-    with pytest.raises(CaseError, match="layers are not stretched with the states"):
+    with pytest.raises(CaseError, match="layers are not read in the states"):
         synth(case, out=tmp_path / "out", out_case=tmp_path / "new", options=replace(OPTIONS, layers=True))
     assert not (tmp_path / "new").exists()
     assert load_model(tmp_path / "out" / "mesh" / "p1" / "model.npz").info is not None

@@ -36,6 +36,7 @@ from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
 
 _SAME_TIME = 1e-6
+_C_STEP = 1.1  # of c, by which a solver without derivatives is asked; its forces are good to 1e-3
 
 
 def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
@@ -49,6 +50,10 @@ def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: f
     shares = {"c1": 0.5, "c2": 0.5, "kappa": f_kappa}
     maps = {name: ElementMap(f"{TISSUE}_{name}", c.block, share * c.values) for name, share in shares.items()}
     return model.with_material(TISSUE, law.with_parameters(**maps))
+
+
+def _times(c: float | ElementMap, factor: float) -> float | ElementMap:
+    return replace(c, values=factor * c.values) if isinstance(c, ElementMap) else factor * c
 
 
 def level_times(model: LimbModel) -> Array:
@@ -121,6 +126,19 @@ class ReferenceCurve:
         by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
         return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m]))
 
+    def share_of_c(self, theta: Array) -> Array:
+        """d ln force / d ln c (n_levels,), exact."""
+        model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
+        numbers = model.materials[TISSUE].parameters
+        rates = {(TISSUE, name): each for name, each in numbers.items() if name in ("c1", "c2", "kappa")}
+        weights = {key: each.values for key, each in rates.items() if isinstance(each, ElementMap)}
+        result = self._session.solve(model, wrt=list(rates), weights=weights)
+        by_c = sum(
+            result.force_gradient[key] * (each if isinstance(each, float) else 1.0)
+            for key, each in rates.items()
+        )
+        return np.asarray(by_c / result.must_points.forces)
+
     def close(self) -> None:
         self._session.close()
 
@@ -148,7 +166,7 @@ class LawCurve:
         if lines is not None:
             others = tuple(each for each in model.records if speeds or each.kind == "rigid_body")
             model = replace(model, records=(*others, lines.record))
-        self._model, self._law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
+        self._model, self.law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
         self._threads, self._progress = threads, progress
@@ -161,11 +179,11 @@ class LawCurve:
 
     def _eased(self, model: LimbModel) -> LimbModel:
         """Fibres that begin to be stretched come in over a band; waves feel the law as it is."""
-        return softer_jumps(model, FIBRE_BAND) if self._law.has_fibres else model
+        return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
     def _solve(self, model: LimbModel, **asked: Any) -> SessionResult:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
-        if not self._law.has_fibres:
+        if not self.law.has_fibres:
             return self._session.solve(model, **asked)
         if self._session.led is not None:
             with suppress(SolveError):
@@ -178,15 +196,15 @@ class LawCurve:
 
         Raises SolveError where not even the first level is reached.
         """
-        model = self._eased(self._model.with_material(TISSUE, self._law.material(self._c, theta)))
+        model = self._eased(self._model.with_material(TISSUE, self.law.material(self._c, theta)))
         return forces_with_penalty(
             model, penalty, like=self._session, threads=self._threads, progress=self._progress
         )
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
-        material = self._law.material(self._c, theta)
-        searched = self._law.searched(self._c, theta)
+        material = self.law.material(self._c, theta)
+        searched = self.law.searched(self._c, theta)
         model = self._model.with_material(TISSUE, material)
         try:
             result = self._solve(
@@ -196,7 +214,7 @@ class LawCurve:
         except ArithmeticError as error:
             raise SolveError(
                 f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
-                where=f"reference solver, law {self._law.name}",
+                where=f"reference solver, law {self.law.name}",
                 fix="check the depths in levels.csv, or choose another law",
             ) from error
         points = result.must_points
@@ -249,8 +267,20 @@ class FileCurve:
         self.depths: Array = np.zeros(0)
 
     def __call__(self, theta: Array) -> Array:
+        return self._forces(self._c, theta)
+
+    def share_of_c(self, theta: Array) -> Array:
+        """d ln force / d ln c (n_levels,), by a run with a stiffer tissue and one with a softer."""
+
+        def at(factor: Array) -> Array:
+            return self._forces(_times(self._c, float(factor[0])), theta)
+
+        up, down = self.run_side_by_side(at, [np.array([_C_STEP]), np.array([1.0 / _C_STEP])])
+        return np.asarray(np.log(up / down) / (2.0 * np.log(_C_STEP)))
+
+    def _forces(self, c: float | ElementMap, theta: Array) -> Array:
         with scratch_folder() as folder:
-            model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
+            model = with_tissue(self._model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
             feb = self._solver.write(model, folder)
             self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
             simulation = self._solver.read(feb)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
 from limbcli.inference.identifiability import Verdict, correlation, verdict
 from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction, held_out_error
+from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import Array, LimbModel
 from limbcli.reporting.headline import headline
@@ -94,23 +96,31 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
     for k, parameter in enumerate(problem.parameters[:n]):
         profile, value = found.profiles[parameter.name], float(found.best[k])
         others = [(problem.parameters[j].name, float(rho[k, j])) for j in range(n) if j != k]
-        spoken: Verdict = verdict(parameter, value, profile, influence=True, correlations=others)
-        unit = kpa_from_mpa(1.0) if k == 0 else 1.0
+        unit, named = (kpa_from_mpa(1.0), "kPa") if k == 0 else (1.0, "")
+        own, seen = (
+            _in_unit(parameter, unit),
+            replace(profile, low=unit * profile.low, high=unit * profile.high),
+        )
+        spoken: Verdict = verdict(own, unit * value, seen, influence=True, correlations=others, unit=named)
         words = spoken.words
-        if k == 0:
-            words = words.replace(f"{profile.low:.4g} to {profile.high:.4g}",
-                                  f"{unit * profile.low:.4g} to {unit * profile.high:.4g} kPa")  # fmt: skip
         low = None if profile.open_low else unit * profile.low
         high = None if profile.open_high else unit * profile.high
         table["c_kpa" if k == 0 else parameter.name] = {
             "value": unit * value,
             "headline": headline(
-                unit * value, low, high, spoken.flag, why=words, unit="" if k else "kPa"
+                unit * value, low, high, spoken.flag, why=words, unit=named
             ),
             "standard_error": unit * value * float(np.sqrt(covariance[k, k])),
             "low": low, "high": high, "flag": spoken.flag, "words": words,
         }  # fmt: skip
     return table
+
+
+def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:
+    """The parameter with its numbers times `unit`."""
+    return replace(
+        parameter, start=unit * parameter.start, low=unit * parameter.low, high=unit * parameter.high
+    )
 
 
 def leave_levels(

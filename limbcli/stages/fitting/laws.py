@@ -1,7 +1,8 @@
 """The laws that `fit` can identify, written so that c scales every stress.
 
 A law's shape is what is left once c = 2 mu is taken out: f_kappa, m, ... At fixed shape
-forces are proportional to c.
+forces are proportional to c where all is of this law. Beside layers that keep a stiffness of their own
+they are not: there c, as a ratio, is one more of the curve's parameters (`beside_layers`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from limbcli.errors import CaseError
+from limbcli.inference.joint import C_SPAN, C_STEP_FACTOR
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.two_step_fit import M_STEP_FACTOR
 from limbcli.materials.ogden import ogden_type
@@ -28,6 +30,7 @@ class FitLaw:
     """name, what it is in words, the shape's parameters, and (c, shape) -> Material.
 
     has_fibres : its fibres run along y until `along` turns them; fixed : parameters of the shape held fixed
+    has_ratio : the shape begins with a factor of c
     """
 
     name: str
@@ -36,13 +39,19 @@ class FitLaw:
     build: Callable[[float, Array], Material]
     has_fibres: bool = False
     fixed: Mapping[str, float] = field(default_factory=dict)
+    has_ratio: bool = False
 
     def along(self, direction: Value) -> FitLaw:
         """The law with its fibres in this direction (a unit vector, or one a cell); itself without fibres."""
         return replace(self, build=partial(_fibres, direction=direction)) if self.has_fibres else self
 
+    def beside_layers(self) -> FitLaw:
+        """The law with a factor of c as the first of its shape: what c does is simulated, too."""
+        return replace(self, shape=(_C_RATIO, *self.shape), has_ratio=True)
+
     def material(self, c: float, shape: Array | Sequence[float]) -> Material:
-        return self.build(c, np.asarray(shape, dtype=float))
+        shape = np.asarray(shape, dtype=float)
+        return self.build(c * float(shape[0]), shape[1:]) if self.has_ratio else self.build(c, shape)
 
     def searched(self, c: float, shape: Array) -> dict[str, Array]:
         """Material parameters that depend on the shape, with d parameter / d shape (n_shape,)."""
@@ -86,6 +95,7 @@ def _holmes_mow(c: float, shape: Array) -> Material:
     return Material("holmes_mow", {"mu": c / 2, "lambda": float(shape[0]) * c, "beta": float(shape[1])})
 
 
+_C_RATIO = FitParameter("c_ratio", 1.0, 1.0 / C_SPAN, C_SPAN, "log", step_factor=C_STEP_FACTOR)
 _F_KAPPA = FitParameter("f_kappa", 100.0, *F_KAPPA_BOUNDS, "log")
 _M = FitParameter("m", 2.0, *M_BOUNDS, "log", step_factor=M_STEP_FACTOR)
 

@@ -125,7 +125,7 @@ def _of_way(
         return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
 
     def quantity(theta: Array) -> float:
-        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(theta[1 : 1 + problem.n_shape], grid))
+        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(problem.curve_shape(theta), grid))
 
     low, high = _GRID[0] + _AT_END, _GRID[-1] - _AT_END
     if place is not None:

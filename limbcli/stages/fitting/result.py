@@ -61,7 +61,7 @@ def leave_result(
         writer.data["chi_square"], writer.data["n_freedom"] = best.chi_square, best.n_freedom
         writer.data["noise_scale"] = float(np.sqrt(best.scale))
         writer.data["most_likely"] = dict(
-            zip(("c_kpa", *NAMES), (kpa_from_mpa(float(best.best[0])), *best.best[1:]), strict=True)
+            zip(("c_kpa", *NAMES), (kpa_from_mpa(float(best.best[0])), *best.best[1:3]), strict=True)
         )
         _warn_unsolved(best, writer)
     write_curves(found, writer.file("curves", "curves.csv"))

@@ -28,7 +28,9 @@ from limbcli.stages.site_model.prestretch import (
     prestretched,
     skin_rise,
     through_depths,
+    with_layers_stretched,
 )
+from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.units import mpa_from_pa
 
 _NODES = "nodes.csv"
@@ -44,11 +46,12 @@ class StateCurve:
     """One model for all states: what they differ in are two stretches.
 
     Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1.
+    Beside layers that keep a stiffness of their own the shape is that of `law.beside_layers()`.
     Values are forces (n_levels,) N at depths from first touch, as it is in that state, then speeds
     (n_levels,) and the speed at rest (1,) over those of tissue that is stretched evenly (`even_speed`).
     Forces have exact derivatives, speeds none.
 
-    depths (n_levels,) mm, from first touch
+    depths (n_levels,) mm, from first touch; law : its fibres as the model has them
     """
 
     def __init__(
@@ -57,7 +60,8 @@ class StateCurve:
     ):  # fmt: skip
         self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
         self._model = through_depths(model, [*depths, (1.0 + _BEYOND_SHARE) * depths[-1] + _BEYOND])
-        self._law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
+        self._stretched = (TISSUE, *held_layers(model))
+        self.law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
         self._even = law.along(_one_direction(model))
         offsets = (
             abs(self.axes.along[1]),
@@ -65,14 +69,13 @@ class StateCurve:
         )  # of each way to the image's lateral axis
         self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
         self.n_shape, self.n_solves = len(law.shape), 0
-        start = self._material(np.r_[[each.start for each in law.shape], np.ones(len(self.ways))])
         shape = np.array([each.start for each in law.shape])
         stretched = np.full((1, len(self.ways)), 1.1)
         self._felt = [
             k for k in range(len(shape))
             if self._even_speeds(_moved(shape, k, 0.1), stretched) != self._even_speeds(shape, stretched)
         ]  # fmt: skip
-        first = self._model.with_material(TISSUE, start)
+        first = self.in_state(self._model, np.r_[shape, np.ones(len(self.ways))], c=c)
         self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
 
     def stretches(self, theta: Array) -> tuple[float, float]:
@@ -83,9 +86,11 @@ class StateCurve:
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
         theta = np.asarray(theta, dtype=float)
-        searched = self._law.searched(self._c, theta[: self.n_shape])
-        pulled = {(TISSUE, f"F0.{way}"): self._direction(theta, way) for way in self.ways}
-        model = self._model.with_material(TISSUE, self._material(theta))
+        searched = self.law.searched(self._c, theta[: self.n_shape])
+        pulled = {
+            (name, f"F0.{way}"): self._direction(theta, way) for way in self.ways for name in self._stretched
+        }
+        model = self.in_state(self._model, theta, c=self._c)
         try:
             result = self._session.solve(
                 self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
@@ -94,7 +99,7 @@ class StateCurve:
         except ArithmeticError as error:
             raise SolveError(
                 f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
-                where=f"reference solver, law {self._law.name}, states",
+                where=f"reference solver, law {self.law.name}, states",
                 fix="check the depths and stretches of the states, or choose another law",
             ) from error
         points = result.must_points
@@ -176,16 +181,18 @@ class StateCurve:
         pairs[:, [WAYS.index(way) for way in self.ways]] = stretches
         return pairs
 
+    def in_state(self, model: LimbModel, theta: Array, *, c: float) -> LimbModel:
+        """The model with this tissue, its layers stretched with it."""
+        gradient = self.axes.gradient(*self.stretches(theta))
+        return with_layers_stretched(model, gradient).with_material(TISSUE, self.tissue(theta, c=c))
+
     def tissue(self, theta: Array, *, c: float) -> Material:
         """The law with its prestretch at another c."""
-        law = self._law.material(c, theta[: self.n_shape])
+        law = self.law.material(c, theta[: self.n_shape])
         return prestretched(law, self.axes.gradient(*self.stretches(theta)))
 
     def close(self) -> None:
         self._session.close()
-
-    def _material(self, theta: Array) -> Material:
-        return self.tissue(theta, c=self._c)
 
     def _direction(self, theta: Array, way: str) -> Array:
         """d F_pre / d stretch, nine numbers."""
@@ -196,11 +203,13 @@ class StateCurve:
     def _slopes(self, found: Mapping[Parameter, Any], searched: Mapping[str, Array]) -> Array:
         """By theta (n, n_theta), of what was differentiated by material parameters and by the prestrain."""
         by_shape = sum(np.outer(found[(TISSUE, name)], slope) for name, slope in searched.items())
-        by_stretch = [np.atleast_1d(found[(TISSUE, f"F0.{way}")]) for way in self.ways]
+        by_stretch = [
+            np.atleast_1d(sum(found[(name, f"F0.{way}")] for name in self._stretched)) for way in self.ways
+        ]
         return np.column_stack([np.asarray(by_shape), *by_stretch])
 
     def _eased(self, model: LimbModel) -> LimbModel:
-        return softer_jumps(model) if self._law.has_fibres else model
+        return softer_jumps(model) if self.law.has_fibres else model
 
 
 def _moved(shape: Array, k: int, step: float) -> Array:

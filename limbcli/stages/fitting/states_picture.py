@@ -57,8 +57,8 @@ def _panel(
     grid = np.geomspace(max(0.95 * min(shown), LOW * zero), min(1.05 * max(shown), HIGH * zero), 81)
     stretches = np.ones((len(grid), len(plan.ways)))
     stretches[:, column] = grid / zero
-    shape = found.best[1 : 1 + problem.n_shape]
-    speed = np.exp(curve.even_speeds(shape, stretches)) * np.sqrt(found.best[0] / problem.task.c0)
+    ratio = problem.c_of_curve(found.best) / problem.task.c0
+    speed = np.exp(curve.even_speeds(problem.curve_shape(found.best), stretches)) * np.sqrt(ratio)
     lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_told else None
     return StatesPanel(way, each.counted, readings, grid, speed, zero, lowest)
 

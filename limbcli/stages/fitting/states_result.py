@@ -123,8 +123,8 @@ def _leave_models(
     depths = [float(each) for each in curve.depths]
     base = through_depths(model, depths, clear=False)
     for k, state in enumerate(site.states):
-        law = curve.tissue(problem.place(k, found.best), c=float(found.best[0]))
-        write_feb(base.with_material(TISSUE, law), writer.file(f"feb_{state.name}", f"{state.name}.feb"))
+        fitted = curve.in_state(base, problem.place(k, found.best), c=problem.c_of_curve(found.best))
+        write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
 
 
 def _say(

@@ -29,6 +29,7 @@ from limbcli.stages.fitting.geometry import GeometryDoubt
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
+_LEAST_EXPECTED = 0.5  # of a sum of squares: as many parameters as levels leave no scatter to judge by
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,29 +94,56 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
 
 
 def total_covariance(found: Identified, step: FittedStep) -> Array:
-    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen."""
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen.
+
+    Where the data scatter more than stated, the noise counts as much more as for the intervals.
+    """
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
     variance = _variance(found, step)
     free = inside(step)
     columns = answer.jacobian[:, free]
-    sigma, sigma_c = found.stiffness.force_deviation, found.stiffness.log_deviation
+    known, sigma_c = found.stiffness, found.stiffness.log_deviation
+    by_c = answer.values * c_share(found)
     covariance = np.full((3, 3), np.nan)
     covariance[0, 0] = sigma_c**2
     if not free:
         return covariance
     if not variance.any():  # without stated noise there is no standard error
         return covariance
-    block = log_covariance(columns, variance, nuisance=answer.values, nuisance_deviation=sigma)
+    held = np.column_stack([by_c, answer.values])  # ln c, and an error common to all forces
+    deviations = np.array([sigma_c, known.gain_deviation])
+    variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
+    block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
     if found.geometry is not None:
         moved = shifts(columns, geometry_spread(found, step))
         block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
     if np.isfinite(block).all():
-        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ answer.values
+        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ by_c
         covariance[0, places] = covariance[places, 0] = carried
     return covariance
+
+
+def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
+    """By how much the noise's variance is larger than stated: that of the intervals, else by the residuals.
+
+    columns (n, p) : sensitivities; held (n, k) N : one deviation each of what was held fixed. Residuals are
+    compared with what noise and these leave of an unweighted fit.
+    """
+    if found.intervals:
+        return found.intervals[next(k for k, each in enumerate(found.steps) if each is step)].scale
+    left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
+    expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
+    chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
+    return max(1.0, float(chi_square / max(np.sum(expected / variance), _LEAST_EXPECTED)))
+
+
+def c_share(found: Identified) -> Array:
+    """d ln force / d ln c (n,) at the loaded levels: 1 where all is tissue."""
+    depth, share = found.data.depth[found.data.loaded], found.stiffness.share
+    return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
 def geometry_spread(found: Identified, step: FittedStep) -> Array:

@@ -1,5 +1,7 @@
 """A site's model in a state: its tissue is stretched, and at rest, before the probe touches it.
 
+Layers of skin and fat are stretched with the tissue, and unloaded where it is.
+
 The elastic law sees F_e = F F_pre, the deformation of the mesh times the stretch that the tissue had when the
 mesh was made. F_pre is even and keeps the volume:
 
@@ -28,6 +30,7 @@ from limbcli.stages.site_model.indentation_model import (
     starting_depth,
     touched_first,
 )
+from limbcli.stages.site_model.site_layers import held_layers
 
 RAMP = "prestretch"  # the name of its load curve
 CLEAR_MM = 5.0  # the probe above first touch, while the tissue comes to rest
@@ -72,6 +75,13 @@ def prestretched(law: Material, gradient: Array) -> Material:
     return Material("prestrain", {"ramp": Curved(1.0, RAMP), "F0": numbers}, (law,), law.density)
 
 
+def with_layers_stretched(model: LimbModel, gradient: Array) -> LimbModel:
+    """The model with its layers of skin and fat prestretched by F_pre (3, 3)."""
+    for name in held_layers(model):
+        model = model.with_material(name, prestretched(model.materials[name], gradient))
+    return model
+
+
 def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True) -> LimbModel:
     """The built model, its prestretch coming in first, then the probe going through these depths (mm).
 
@@ -99,8 +109,9 @@ def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True)
 def in_state(model: LimbModel, depths: list[float], *, along: float, around: float) -> LimbModel:
     """The built model with its tissue stretched, then pressed to these depths (mm); first it is at rest."""
     gradient = StretchAxes.of(model).gradient(along, around)
+    stretched = with_layers_stretched(model, gradient)
     law = prestretched(model.materials[TISSUE], gradient)
-    return through_depths(model.with_material(TISSUE, law), depths)
+    return through_depths(stretched.with_material(TISSUE, law), depths)
 
 
 def with_nodes_moved(model: LimbModel, nodes: IntArray, displacement: Array) -> LimbModel:

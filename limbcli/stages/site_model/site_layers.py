@@ -20,7 +20,7 @@ from typing import Any
 
 from limbcli import case_schema as schema
 from limbcli.case import Site
-from limbcli.errors import CaseError, FitError
+from limbcli.errors import CaseError
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.layers import Layer, layers_of
 from limbcli.model import LimbModel, Material
@@ -246,23 +246,10 @@ def with_layer_laws(model: LimbModel, laws: Mapping[str, LayerLaw]) -> LimbModel
     return replace(model, materials=materials, domains=domains)
 
 
-def check_in_proportion(model: LimbModel, objective: str) -> None:
-    """Raise where forces do not grow in proportion to the tissue's c, which a fit that searches c relies on.
-
-    Raises
-    ------
-    FitError
-        If a layer has a law of its own, which stays as it is.
-    """
-    held = sorted({each.block for each in model.domains if each.material == each.block} & set(NAMES))
-    if held:
-        raise FitError(
-            f"the stiffness of the {' and '.join(held)} is held fixed, and --objective {objective} searches "
-            "the tissue's c: forces are not in proportion to it then",
-            where=f"layers of the model: {', '.join(held)}",
-            fix="use --objective force, which holds c; or build the model of one tissue: limbcli mesh and "
-            "build-feb without layers",
-        )
+def held_layers(model: LimbModel) -> tuple[str, ...]:
+    """The layers that keep a stiffness of their own: forces are not in proportion to the tissue's c then."""
+    held = {each.block for each in model.domains if each.material == each.block}
+    return tuple(name for name in NAMES if name in held)
 
 
 def layers_in(model: LimbModel) -> tuple[str, ...]:
