@@ -198,13 +198,16 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, 
     again.close()
 
 
-def test_curves_that_were_read_otherwise_are_solved_again(block, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "other"), [("_READING", keys._READING + 1), ("__version__", "0.0.0")])
+def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
+    block, tmp_path, monkeypatch, name, other
+):
     def n_kept() -> int:
         CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE).curves(8.0)
         return len(list(tmp_path.glob("*-levels.npz")))
 
     assert [n_kept(), n_kept()] == [1, 1]
-    monkeypatch.setattr(keys, "_READING", keys._READING + 1)
+    monkeypatch.setattr(keys, name, other)
     assert n_kept() == 2
 
 

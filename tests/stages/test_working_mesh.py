@@ -54,3 +54,12 @@ def test_a_mesh_that_was_being_kept_when_the_program_ended_is_not_taken_for_anot
             made(2.5)
     assert made(5.0) == coarse
     assert made(2.5) == fine
+
+
+def test_another_versions_mesh_is_made_anew(made, monkeypatch):
+    made(5.0)
+    anew = SimpleNamespace(model=reduced.block_model(2, 2, 3))
+    monkeypatch.setattr(prepare, "site_model", lambda *given, **more: anew)
+    assert made(5.0) != len(anew.model.mesh.points)
+    monkeypatch.setattr(prepare, "__version__", "0.0.0")
+    assert made(5.0) == len(anew.model.mesh.points)

@@ -49,6 +49,7 @@ from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readin
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 from limbcli.stages.site_model.site_levels import levels_of, maps_of
 from limbcli.stages.site_model.site_states import one_state
+from limbcli.version import __version__
 
 STAGE = "diagnose"
 _N_DEPTHS = 6
@@ -301,7 +302,7 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG]  # fmt: skip
+                  self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG, __version__]  # fmt: skip
         text = json.dumps(plain(recipe))
         self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"

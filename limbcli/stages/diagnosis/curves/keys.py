@@ -13,6 +13,7 @@ import numpy as np
 from limbcli.model import Array, LimbModel
 from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.version import __version__
 
 _READING = 3  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
 READING_OF_FIELDS = 2  # the same of those with an effect that is a factor on stiffnesses
@@ -46,9 +47,9 @@ def fingerprint(
     density_kg_per_m3: float = 1000.0,
 ) -> str:  # fmt: skip
     """What is solved, before effects: mesh, contact, depths, tissue and its density, the window that is read
-    and how, the end, and lines."""
+    and how, the end, and lines; and which version of the solver solves it."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
-    digest.update(f"read {_READING}".encode())
+    digest.update(f"limbcli {__version__}, read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]
     asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
     asked += [density_kg_per_m3]
