@@ -31,6 +31,7 @@ from limbcli.stages.provenance.asked import asked_of, asked_of_options
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.site_model.indentation_model import (
+    C_KPA,
     PROBE,
     TISSUE,
     facet_gap,
@@ -53,7 +54,6 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
 _WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
-C_KPA = (0.1, 500.0)  # kPa: c given by hand; beyond it stands another unit (8000 Pa are 8 kPa)
 _LINE_NEEDS = 3  # speeds, to tell c at 0 N by a line
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 

@@ -14,6 +14,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 
 PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
+C_KPA = (0.1, 500.0)  # kPa: c given by hand; beyond it stands another unit (8000 Pa are 8 kPa)
 RIGID_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
 NODE_FIELDS = ("ux", "uy", "uz")
 ELEMENT_FIELDS = (
