@@ -152,7 +152,7 @@ def test_drawn_bodies_whose_triangles_span_the_limb_are_a_limb(folder, tmp_path)
     assert errors_of(limb_problems(surfaces, limb="left", where="drawn")) == []
     assert surfaces["skin"].volume == pytest.approx(prism(30.0, -60.0, 60.0).volume)
     corners = surfaces["skin"].corners
-    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 12.0
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 25.0
 
 
 @pytest.mark.slow

@@ -20,9 +20,9 @@ from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.places import tell_places
 
-_LONGEST_EDGE = (
-    12.0  # mm: what follows looks at points and triangles; those of drawn bodies span the whole limb
-)
+# mm: what follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's, but at
+# its flat ends, are shorter, and stay as they were given.
+_LONGEST_EDGE = 25.0
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
