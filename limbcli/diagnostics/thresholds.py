@@ -44,8 +44,9 @@ BONES_SEEN: Final = 12.0
 """Gain of deviance (-2 ln likelihood, readings that both limbs predict) from which on a limb without a small
 bone is taken for the limb that was segmented: prior odds of one in 400 against it. Chosen."""
 
-BONES_MISPLACED: Final = 10.0
-"""The same for bones that lie outside the skin, so that one of the two limbs is wrong in any case. Chosen."""
+BONES_MISPLACED: Final = 6.0
+"""The same for bones that lie outside the skin, so that the limb is wrong as it was segmented: odds of one in
+20 against the place that was found for them. Chosen."""
 
 BONES_REMESHED: Final = 0.065
 """Deviance a reading by which both are raised: what another mesh of the same limb may gain. Numerical, seen
@@ -59,8 +60,9 @@ BONES_HOPELESS: Final = 1.5
 """Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
 that is more), above which its first force curves are enough to give it up. Chosen, for time."""
 
-BONES_LOOKED_AT: Final = 0.05
-"""p of the fit without effects, below which a limb with other bones is looked at. Convention."""
+BONES_LOOKED_AT: Final = 0.2
+"""p of the fit without effects, below which a limb with other bones is looked at: four times ALPHA, as chi2
+over all readings shows one cause late. Chosen."""
 
 BONES_ABSORBED: Final = 0.7
 """Share of the largest error of a model in maps, beyond which it is looked at, too: what is wrong with the

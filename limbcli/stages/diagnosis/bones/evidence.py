@@ -122,7 +122,7 @@ def compared(
     """The limb as it was segmented (`ours`) and with other bones, both fitted without effects."""
     here, there = _rows_in_both(ours, theirs)
     gain = _deviance(ours, our_fit, here) - _deviance(theirs, their_fit, there)
-    fits = not fits_badly(theirs, their_fit, thresholds.BONES_LOOKED_AT)
+    fits = not fits_badly(theirs, their_fit, thresholds.ALPHA)
     return Evidence(other, float(gain), len(here), fits)
 
 
