@@ -73,6 +73,18 @@ def test_parts_of_a_coarse_map_have_the_pixels_that_its_grid_has_there(pitch):
     assert np.flatnonzero(np.isnan(rest[1:])).tolist() == [fullest]
 
 
+@pytest.mark.parametrize(("rows", "there"), [(4, True), (3, True), (2, False), (1, False)])
+def test_parts_of_which_bone_hides_half_count_for_nothing(rows, there):
+    """As the probe goes in, the map ends sooner: no pixel anywhere of the rows in the bone."""
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-20, 20.1), np.arange(2, 26)))
+    windows = Windows.of_maps([SweMap(x, z, np.full(len(x), 2.0))])
+    kept = z < 22 + rows
+    found = windows.log_means(SweMap(x[kept], z[kept], np.full(kept.sum(), 2.0)))[0]
+    deepest = found[1 + windows.across * (windows.down - 1) :]
+    assert np.isfinite(deepest).all() if there else np.isnan(deepest).all()
+    assert np.isfinite(found[1 : 1 + windows.across * (windows.down - 1)]).all()
+
+
 def test_pixels_outside_the_region_belong_to_no_part():
     windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
     outside = SweMap(np.array([-11.0, 10.5, 0.0, 5.0]), np.array([5.0, 5.0, 13.0, 5.0]), np.full(4, 3.0))

@@ -21,7 +21,8 @@ from limbcli.shear_waves.pixels import Window, pixel_averages
 _PART_MM = 4.0  # of a side of a part, about
 _USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map tells it
 _WIDTH_PARTS = 10  # the usual region's parts across: those within the inner width are whole
-_SHARE = 0.6  # of a part's pixels that must be there
+_SHARE = 0.6  # of the places where a model is looked at in a part, that must lie in its tissue
+_SHARE_READ = 0.75  # of a part's pixels that must have been read: beside bone they tell of its edge, too
 _SUBDIVIDED = 2  # each side of a part, for the places where a model is looked at
 # A place is blurred by the scanner's smoothing along x, y and z, and over its slice along y.
 _BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in deviations: Gauss-Hermite
@@ -182,12 +183,12 @@ class Windows:
 
     def _most(self, swe: SweMap, counts: IntArray) -> Array:
         """Pixels (n_parts,) that each part has where none is missing: on a coarse grid some have two beside
-        each other, others one. counts (n_parts,) : that are there"""
-        x, z = (np.unique(np.round(each, 3)) for each in (swe.lateral, swe.depth))
-        column = np.floor((x - self.left) / (self.right - self.left) * self.across)
-        row = np.floor((z - self.top) / (self.bottom - self.top) * self.down)
-        across, down = ((each == np.arange(n)[:, None]).sum(axis=1) for each, n in
-                        ((column, self.across), (row, self.down)))  # fmt: skip
+        each other, others one. counts (n_parts,) : that are there
+
+        The grid goes on where nothing was read: rows that end in bone are missing, not coarse.
+        """
+        across = _grid_per_part(self.left, self.right, self.across, pitch_of(swe.lateral))
+        down = _grid_per_part(self.top, self.bottom, self.down, pitch_of(swe.depth))
         return np.minimum(np.outer(down, across).ravel(), counts.max(initial=0))
 
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
@@ -199,10 +200,21 @@ class Windows:
         inside = part >= 0
         counts = np.bincount(part[inside], minlength=self.n_parts)
         total = np.bincount(part[inside], swe.speed_m_per_s[inside], minlength=self.n_parts)
-        enough = counts >= np.maximum(_SHARE * self._most(swe, counts), 1)
+        enough = counts >= np.maximum(_SHARE_READ * self._most(swe, counts), 1)
         means = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
         whole = np.log(swe.speed_m_per_s[inside].mean()) if inside.any() else np.nan
         return np.r_[whole, means], np.r_[inside.sum(), counts]
+
+
+def _grid_per_part(low: float, high: float, n_parts: int, pitch: float) -> IntArray:
+    """Places of a grid (n_parts,) in each of the parts of one side.
+
+    >>> _grid_per_part(0.0, 15.0, 4, 2.5).tolist()
+    [1, 2, 1, 2]
+    """
+    at = (np.arange(max(round((high - low) / pitch), 1)) + 0.5) * pitch
+    part = np.floor(at / (high - low) * n_parts).astype(np.int64)
+    return np.bincount(np.minimum(part, n_parts - 1), minlength=n_parts)
 
 
 def pitch_of(values: Array) -> float:
