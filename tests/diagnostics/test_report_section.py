@@ -10,6 +10,7 @@ import pytest
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
+from limbcli.reporting.outcome import read_outcomes
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
 from limbcli.stages.diagnosis.report import (
@@ -23,6 +24,10 @@ from limbcli.stages.diagnosis.report import (
 from tests.diagnostics import test_reduced_site as reduced
 
 
+def page_of(out):
+    return SimpleNamespace(out=out, outcomes=read_outcomes(out, ("p1",), case_name="case"))
+
+
 @pytest.mark.slow
 def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
@@ -32,7 +37,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
         gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
         sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
-    shown = diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1"))
+    shown = diagnosis(page_of(tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
     assert shown.notes[0].startswith("ADEQUATE")
     names = {row[0].text for row in shown.tables[0].rows}
@@ -55,4 +60,4 @@ def test_sizes_are_drawn_within_what_is_looked_for(effect_name, parameter, ends,
 
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):
-    assert diagnosis(SimpleNamespace(out=tmp_path), SimpleNamespace(name="p1")) is None
+    assert diagnosis(page_of(tmp_path), SimpleNamespace(name="p1")) is None
