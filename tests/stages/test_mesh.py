@@ -155,6 +155,22 @@ def test_drawn_bodies_whose_triangles_span_the_limb_are_a_limb(folder, tmp_path)
     assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 25.0
 
 
+def test_scans_stay_as_they_were_given_though_their_flat_ends_are_of_long_triangles(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "scan")
+    around, up = np.meshgrid(np.arange(36), np.arange(25))
+    angle, height = 2 * np.pi * around.ravel() / 36, -60.0 + 5.0 * up.ravel()
+    points = np.stack([30.0 * np.cos(angle), 30.0 * np.sin(angle), height], axis=1)
+    a = (36 * up[:-1] + around[:-1]).ravel()
+    b = (36 * up[:-1] + (around[:-1] + 1) % 36).ravel()
+    end = np.stack([np.zeros(34), np.arange(1, 35), np.arange(2, 36)], axis=1)
+    faces = np.vstack([np.c_[a, b, b + 36], np.c_[a, b + 36, a + 36], end[:, ::-1], end + 36 * 24])
+    meshio.write(tmp_path / "scan" / "skin.ply", meshio.Mesh(points, [("triangle", faces.astype(int))]))
+    skin = read_surfaces(Case.open(tmp_path / "scan"))[0]["skin"]
+    edges = np.linalg.norm(skin.points[skin.triangles] - skin.points[np.roll(skin.triangles, 1, 1)], axis=2)
+    assert edges.max() > 50.0
+    assert len(skin.triangles) == len(faces)
+
+
 @pytest.mark.slow
 def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     shutil.copytree(out / "segment", tmp_path / "segment")

@@ -20,9 +20,10 @@ from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.places import tell_places
 
-# mm: what follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's, but at
-# its flat ends, are shorter, and stay as they were given.
-_LONGEST_EDGE = 25.0
+# What follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's do so at its
+# flat ends alone, and stay as they were given.
+_LONGEST_EDGE = 25.0  # mm
+_DRAWN_SHARE = 0.5  # of a drawn body's area, at least, lies in triangles with a longer edge
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
@@ -127,7 +128,7 @@ def _bone_names(case: Case) -> list[str]:
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
-    """The surface in triangles of a limb's scale, if its size is a body's."""
+    """The surface, a drawn body's in triangles of a limb's scale, if its size is a body's."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
         raise CaseError(
@@ -136,7 +137,18 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
             fix="save it in mm (patient LPS frame)",
             size_mm=float(size),
         )
+    if not _is_drawn(surface):
+        return surface
     return ClosedSurface(*divided(surface.points, surface.triangles, _LONGEST_EDGE))
+
+
+def _is_drawn(surface: ClosedSurface) -> bool:
+    """Whether most of its area lies in long triangles."""
+    corners = surface.points[surface.triangles]
+    edges = corners - np.roll(corners, 1, axis=1)
+    long = np.linalg.norm(edges, axis=2).max(axis=1) > _LONGEST_EDGE
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return bool(area[long].sum() > _DRAWN_SHARE * area.sum())
 
 
 def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
