@@ -39,15 +39,20 @@ def case_of(arguments: Sequence[str]) -> Path | None:
 
 
 def out_of(arguments: Sequence[str]) -> Path | None:
-    """The output folder that the arguments name, if any."""
+    """The output folder that the arguments name, if any; the last one counts, as for the command.
+
+    >>> [out_of(["mesh", "case", *words]) for words in (["--out=a"], ["-ob"], ["-o", "a", "--out", "c"], [])]
+    [PosixPath('a'), PosixPath('b'), PosixPath('c'), None]
+    """
+    found = None
     for before, text in zip(["", *arguments], arguments, strict=False):
         if before in ("--out", "-o"):
-            return Path(text)
-        if text.startswith("--out="):
-            return Path(text.removeprefix("--out="))
-        if text.startswith("-o") and len(text) > 2:  # as in -oresults
-            return Path(text[2:])
-    return None
+            found = Path(text)
+        elif text.startswith("--out="):
+            found = Path(text.removeprefix("--out="))
+        elif text.startswith("-o") and len(text) > 2:
+            found = Path(text[2:])
+    return found
 
 
 def _strangers(fix: str, own: Set[str], options: Options) -> Iterator[str]:

@@ -15,8 +15,9 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import Profile, best_of, noise_scale, profile_likelihood, threshold_95
+from limbcli.inference.profile import Profile, best_of, profile_likelihood
 from limbcli.inference.residual import Objective
+from limbcli.interval_limits import noise_scale, threshold_95
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import THRESHOLD_95, best_of
+from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual
+from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
 
 _HELD = 1e-3  # how closely the quantity is held, in its own unit

@@ -23,10 +23,10 @@ from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.residual import Objective, Residual
 from limbcli.inference.site_depth import (
+    DepthWeights,
     RestSpeed,
     SiteMeasurement,
     SitePrediction,
-    differ,
     invert,
     predict_beside_layers,
     predict_site,
@@ -91,7 +91,7 @@ class JointProblem:
         self._starts = list(starts)
         n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
         self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
-        self._weights = self._weights_at(self.starts()[0])
+        self._weights = DepthWeights(task.data, self.predict, self.starts()[0])
 
     # ------------------------------------------------------------ residuals
 
@@ -154,19 +154,10 @@ class JointProblem:
     def _gain(self, k: int, theta: Array) -> float:
         return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
 
-    def _weights_at(self, theta: Array) -> list[Array]:
-        """One deviation of every depth (mm), with the slopes of the curves there."""
-        return [each.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.data)]
-
     # ------------------------------------------------------------ what adaptive_profiles asks
 
     def settle(self, theta: Array) -> bool:
-        """The noise of force moves depth by the slope of the curve: that at the fit."""
-        weights = self._weights_at(theta)
-        if not differ(weights, self._weights):
-            return False
-        self._weights = weights
-        return True
+        return self._weights.settle(theta)
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]

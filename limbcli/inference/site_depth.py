@@ -75,10 +75,29 @@ class SitePrediction:
     layers_slope: Array
 
 
-def differ(some: Sequence[Array], others: Sequence[Array]) -> bool:
-    """Whether any of the weights differ by more than matters to a fit."""
-    changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(some, others, strict=True)]
-    return max(changes, default=0.0) > _SAME_WEIGHT
+class DepthWeights:
+    """One deviation (n,) mm of the depths of every site, with the slopes of its curve at one theta."""
+
+    def __init__(
+        self, data: Sequence[SiteMeasurement], predict: Callable[[int, Array], SitePrediction], theta: Array
+    ):
+        self._data, self._predict = data, predict
+        self._here = self._at(theta)
+
+    def __getitem__(self, k: int) -> Array:
+        return self._here[k]
+
+    def settle(self, theta: Array) -> bool:
+        """Take the slopes at this theta; whether that changes the weights by what matters to a fit."""
+        there = self._at(theta)
+        changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(there, self._here, strict=True)]
+        if max(changes, default=0.0) <= _SAME_WEIGHT:
+            return False
+        self._here = there
+        return True
+
+    def _at(self, theta: Array) -> list[Array]:
+        return [each.weights_at(self._predict(k, theta).stiffness) for k, each in enumerate(self._data)]
 
 
 RestSpeed = float | Callable[[Array], tuple[float, Array]]

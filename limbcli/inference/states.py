@@ -21,9 +21,9 @@ from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual
 from limbcli.inference.site_depth import (
+    DepthWeights,
     SiteMeasurement,
     SitePrediction,
-    differ,
     predict_beside_layers,
     predict_site,
 )
@@ -87,7 +87,7 @@ class StatesProblem:
         self._starts = list(starts)
         n_data = sum(len(each.data.force) + len(each.data.log_speed) for each in task.states)
         self.n_freedom = max(n_data - len(self.profiled), 1)
-        self._weights = self._weights_at(self.starts()[0])
+        self._weights = DepthWeights([each.data for each in task.states], self.predict, self.starts()[0])
 
     # ------------------------------------------------------------ where a state lies
 
@@ -172,21 +172,10 @@ class StatesProblem:
     def gain(self, theta: Array) -> float:
         return float(theta[-1]) if self.gained else 1.0
 
-    def _weights_at(self, theta: Array) -> list[Array]:
-        """One deviation of every depth (mm), with the slopes of the curves there."""
-        return [
-            each.data.weights_at(self.predict(k, theta).stiffness) for k, each in enumerate(self.task.states)
-        ]
-
     # ------------------------------------------------------------ what adaptive_profiles asks
 
     def settle(self, theta: Array) -> bool:
-        """The noise of force moves depth by the slope of the curve: that at the fit."""
-        weights = self._weights_at(theta)
-        if not differ(weights, self._weights):
-            return False
-        self._weights = weights
-        return True
+        return self._weights.settle(theta)
 
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(int(self.gained))] for each in self._starts]

@@ -77,7 +77,7 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
         if name in _OF_THE_CASE:
             found += _table(name, table, out, name, None, path)
         elif name in _BY_SITE:
-            for site, rules in _is_table(table, name, path).items():
+            for site, rules in _as_table(table, name, path).items():
                 found += _table(f"{name}.{site}", rules, out, _BY_SITE[name], site, path)
         else:
             known = {*_BY_SITE, *_OF_THE_CASE}
@@ -87,7 +87,7 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
     return found
 
 
-def _is_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
+def _as_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
     if not isinstance(content, dict):
         fix = f"write it as [{name}], with a line a key below it"
         raise CaseError(f"{name} is not a table: {content!r}", where=str(path), fix=fix)
@@ -98,7 +98,7 @@ def _table(
     label: str, content: object, out: Path, stage: str, site: str | None, path: Path
 ) -> list[Comparison]:
     rules = {
-        key: _rule(f"{label}.{key}", each, path) for key, each in _is_table(content, label, path).items()
+        key: _rule(f"{label}.{key}", each, path) for key, each in _as_table(content, label, path).items()
     }
     try:
         data: Mapping[str, Any] = read_result(out, stage, site=site).data

@@ -239,8 +239,8 @@ def beside_layers_task(true_ratio=1.25):
     return JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0], None, [True])
 
 
-def test_beside_layers_slopes_by_c_are_those_of_the_curve():
-    problem = JointProblem(beside_layers_task(), STARTS)
+def assert_slopes_are_exact(problem: JointProblem) -> np.ndarray:
+    """Of the residuals, against central differences, at the theta that is returned."""
     theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
     exact = residual(theta, True).jacobian
     for k in range(len(theta)):
@@ -248,6 +248,12 @@ def test_beside_layers_slopes_by_c_are_those_of_the_curve():
         up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
         rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
         np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+    return theta
+
+
+def test_beside_layers_slopes_by_c_are_those_of_the_curve():
+    problem = JointProblem(beside_layers_task(), STARTS)
+    assert_slopes_are_exact(problem)
 
 
 def test_one_site_beside_layers_and_one_without_share_c(simulated):
@@ -261,13 +267,7 @@ def test_one_site_beside_layers_and_one_without_share_c(simulated):
         [True, False],
     )  # fmt: skip
     problem = JointProblem(both, STARTS)
-    theta, residual = np.array([1.1 * C0, 60.0, 3.0, 1.01]), problem.objective()
-    exact = residual(theta, True).jacobian
-    for k in range(len(theta)):
-        up, down = theta.copy(), theta.copy()
-        up[k], down[k] = theta[k] * (1 + 1e-5), theta[k] * (1 - 1e-5)
-        rise = (residual(up, False).values - residual(down, False).values) / (2e-5 * theta[k])
-        np.testing.assert_allclose(exact[:, k], rise, rtol=1e-3, atol=1e-3 * abs(rise).max(), err_msg=str(k))
+    theta = assert_slopes_are_exact(problem)
     problem.solve(theta)
     assert [len(each.solved[-1][0]) for each in both.curves] == [3, 2]
 

@@ -10,8 +10,9 @@ from scipy.stats import t as student
 from limbcli.inference.adaptive import adaptive_profiles
 from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import THRESHOLD_95, Profile, noise_scale, threshold_95
+from limbcli.inference.profile import Profile
 from limbcli.inference.residual import Residual
+from limbcli.interval_limits import THRESHOLD_95, noise_scale, threshold_95
 
 F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
 

@@ -12,12 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from limbcli.drawing import figure_data
+from limbcli.interval_limits import THRESHOLD_95
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.reporting.figures.cohort import compliance
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
-from limbcli.reporting.figures.profiles import THRESHOLD_95, ProfileCurve, profile_figure
+from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_words, wave_speed

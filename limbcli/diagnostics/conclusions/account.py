@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, f
 
-from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
@@ -25,6 +23,7 @@ from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_w
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.errors import LimbError
+from limbcli.interval_limits import THRESHOLD_95, noise_scale, threshold_95
 
 _MOST_COMPARED = 5  # members of the set, in looking for the next measurement
 
@@ -95,13 +94,13 @@ class Account:
         return sizes_95(state, family, facts, trials, self._scale(state), widening)
 
     def _scale(self, state: LinearFit) -> float:
-        return max(state.chi2 / max(state.nu, 1), 1.0) if self.baseline.is_relative(state) else 1.0
+        return noise_scale(state.chi2, state.nu) if self.baseline.is_relative(state) else 1.0
 
     def _scale_within(self, state: LinearFit) -> float:
-        """The same for intervals about a fit: where few data tell the level, F(1, nu) stands in the place of
-        chi2(1)."""
-        scale, level = self._scale(state), chi2.cdf(thresholds.WITHIN, 1)
-        return scale if scale <= 1.0 else scale * float(f.ppf(level, 1, state.nu)) / thresholds.WITHIN
+        """The same for intervals about a fit, which reach further where few data tell the level."""
+        if not self.baseline.is_relative(state):
+            return 1.0
+        return self._scale(state) * threshold_95(state.chi2, state.nu) / THRESHOLD_95
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
         """Every candidate at a plausible size, the least visible first."""

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
 
-# 95 % quantile of chi-square with one degree of freedom.
-THRESHOLD_95 = 3.8415
 _MANY_DECADES = 200.0  # largest over smallest value: beyond it labels at 1, 2 and 5 would touch
 _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
