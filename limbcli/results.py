@@ -28,6 +28,8 @@ from limbcli.version import __version__
 FORMAT = 1
 CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
 ERROR_FILE = "error.json"  # what a batch leaves of a stage that failed
+# Raised where what a stage left is looked through, and it is damaged or of an older version.
+UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
 _PICTURES = (".png", ".svg", ".html")
 
 

@@ -108,10 +108,6 @@ def _fit_site(
     check_noise(site, speeds=True)
     model = built_model(case, site, out, writer)
     beside = held_layers(model)
-    if options.c_kpa is not None or options.c_deviation is not None:
-        writer.warnings.append(
-            "--c-kpa and --c-deviation-fraction say nothing to the fit of states: the speeds alone tell c"
-        )
     if beside:
         writer.warnings.append(
             f"{' and '.join(beside)}: the stiffness is taken as known, and as unloaded where the tissue is, "

@@ -8,10 +8,9 @@ from typing import Any
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
-from limbcli.results import StageResult
+from limbcli.results import UNLIKE_OURS, StageResult
 
 TITLE = "What is missing in the model, if anything?"
-_UNLIKE_OURS = (KeyError, IndexError, TypeError, ValueError, AttributeError)  # of a damaged or older result
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 
 
@@ -25,7 +24,7 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return placeholder(key, TITLE, outcome)
     try:
         return _told(key, site, outcome.usable)
-    except _UNLIKE_OURS as error:
+    except UNLIKE_OURS as error:
         text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
         return Reportlet(key, TITLE, "failed", site.name, warned=(text,), command=outcome.command)
 
@@ -56,7 +55,7 @@ def in_short(page: ReportData, site: SiteMaterial) -> str | None:
         return None
     try:
         return in_words(outcome.usable.data)
-    except _UNLIKE_OURS:
+    except UNLIKE_OURS:
         return None
 
 

@@ -19,10 +19,9 @@ from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import data_uri, render
-from limbcli.results import StageResult, plain, provenance, read_result, stage_folder
+from limbcli.results import UNLIKE_OURS, StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
-_UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError)  # of a damaged or older result
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def _rows(out: Path, folder: Path) -> list[IndexRow]:
         return [_row(out, report, site, link) for site in sites]
     except CaseError as error:
         return [_row_without_report(out, error)]
-    except _UNLIKE_OURS as error:
+    except UNLIKE_OURS as error:
         what = f"its results cannot be read ({type(error).__name__}: {error})"
         fix = "run `limbcli batch` or `limbcli report` of this case again"
         return [_row_without_report(out, CaseError(what, where=str(out), fix=fix))]
@@ -154,7 +153,7 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
             what = content["what"].splitlines()[0]
             state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
             break
-        except _UNLIKE_OURS:
+        except UNLIKE_OURS:
             continue
     name = out.resolve().name
     return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))
