@@ -30,10 +30,27 @@ def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None
 
 
 def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
-    """Write `path` (a PNG), and beside it the same as SVG: what is to be looked at, and is no graph."""
-    figure.savefig(path, format="png", metadata={"Software": None}, dpi="figure" if dpi is None else dpi)
-    figure.set_layout_engine("none")  # it is laid out, which takes as long as drawing it
-    figure.savefig(path.with_suffix(".svg"), format="svg", metadata={"Date": None, "Creator": "limbcli"})
+    """Write `path` (a PNG), and beside it the same as SVG: what is to be looked at, and is no graph.
+
+    It is laid out once and drawn twice; `Figure.savefig` goes through it once more for each file.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    own_dpi = figure.dpi
+    figure.dpi = own_dpi if dpi is None else dpi
+    _lay_out(figure)
+    FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
+    figure.dpi = own_dpi
+    FigureCanvasSVG(figure).print_svg(path.with_suffix(".svg"), metadata={"Date": None, "Creator": "limbcli"})
+
+
+def _lay_out(figure: Figure) -> None:
+    """Places for its axes; as they are laid out, they stay."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def data_file(path: Path) -> Path:
