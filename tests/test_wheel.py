@@ -62,7 +62,8 @@ def test_installed_wheel_takes_a_case_from_images_to_model_and_report(installed:
     where = run(installed.parent / "python", "-c", "import limbcli; print(limbcli.__file__)", cwd=tmp_path)
     assert str(installed.parents[1]) in where.stdout, "the repository was imported, not the wheel"
     case = REPOSITORY / "cases" / "phantom"
-    commands = (["segment"], ["mesh", "--element", "tet4"], ["build-feb"], ["report"])
+    coarse = ["--element", "tet4", "--size-mm", "5", "--far-size-mm", "12"]
+    commands = (["segment"], ["mesh", *coarse], ["build-feb"], ["report"])
     for command, *options in commands:  # `run` compiles its kernels anew there, and needs no further file
         run(installed, command, case, "--out", tmp_path / "out", *options, cwd=tmp_path)
     assert (tmp_path / "out" / "report" / "report.html").is_file()
