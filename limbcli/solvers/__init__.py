@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, ToolError
 from limbcli.solvers.base import Solver
 
 KINDS = ("auto", "febio", "reference")
+ABSENT = "absent"  # in place of a solver that is asked for and is not there
 
 
 def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None = None) -> Solver:
@@ -35,3 +36,15 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
     from limbcli.solvers.reference import ReferenceSolver
 
     return ReferenceSolver()
+
+
+def identity(kind: str = "auto", febio: Path | None = None) -> str:
+    """What `choose` would give, in words that change where its results may: for keys of results.
+
+    >>> identity("reference")
+    'reference'
+    """
+    try:
+        return choose(kind, febio).identity()
+    except ToolError:
+        return ABSENT

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TextIO
 
@@ -18,6 +19,7 @@ from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.proof import check_belongs, marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
+from limbcli.files import sha256
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.scratch import ends_with_this_process
@@ -97,6 +99,18 @@ class FebioSolver:
             reader.feed(line)
         return reader.version or "unknown"
 
+    def identity(self) -> str:
+        """By the binary's content, and by the version that it tells: its libraries are files of their own.
+
+        Raises
+        ------
+        ToolError
+            As `version`.
+        """
+        binary = self.need()
+        found = binary.stat()
+        return _identity(binary, found.st_mtime_ns, found.st_size)
+
     def write(self, model: LimbModel, folder: Path) -> Path:
         return write_feb(model, folder / MODEL_FILE)
 
@@ -169,6 +183,16 @@ class FebioSolver:
             )
         except OSError as error:
             raise _not_startable(binary, error) from error
+
+
+@cache
+def _identity(binary: Path, changed_ns: int, size: int) -> str:
+    """Asked once a process while the file is the same; its date stands for content that cannot be read."""
+    try:
+        content = sha256(binary)
+    except PermissionError:
+        content = f"{size} bytes of {changed_ns}"
+    return f"febio {FebioSolver(binary).version()} {content}"
 
 
 def _not_startable(binary: Path, error: OSError) -> ToolError:

@@ -55,6 +55,9 @@ class ReferenceSolver:
     def version(self) -> str:
         return __version__
 
+    def identity(self) -> str:
+        return self.name
+
     def write(self, model: LimbModel, folder: Path) -> Path:
         return write_feb(model, folder / MODEL_FILE)
 
