@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
+from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.model import Curved, ElementMap, NodeMap
 
@@ -121,6 +122,9 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<analysis>STATIC", "<analysis>DYNAMIC", "analysis", "DYNAMIC"),
         ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
+        ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
+        ('name="bone">1,2,3,', 'name="bone">1 2,3,', "NodeSet", "not a list of ids"),
+        ('name="bone">1,', 'name="bone">1_0,', "NodeSet", "not a list of ids"),
     ],
 )
 def test_what_cannot_be_held_is_refused_by_tag_and_line(
@@ -135,6 +139,16 @@ def test_what_cannot_be_held_is_refused_by_tag_and_line(
     assert abs(int(str(error.facts["line"])) - line) <= 1
     assert words in str(error)
     assert str(path) in error.where
+
+
+def test_a_comment_within_a_value_stands_for_nothing(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", 'name="fixed">1,2,3,', 'name="fixed">1,2,<!-- bone: -->3,')
+    path = edited(path, path, "<cp>0.05</cp>", "<!-- MPa --><cp>0<!-- point -->.0<!-- five -->5</cp>")
+    found, whole = read_feb(path), read_feb(punch)
+    assert found.mesh.node_sets["fixed"].tolist() == whole.mesh.node_sets["fixed"].tolist()
+    assert found.materials == whole.materials
+    assert found.info == whole.info
+    assert read_outline(path).materials == read_outline(punch).materials
 
 
 def test_the_line_is_right_beyond_65535(punch: Path, tmp_path: Path) -> None:
@@ -161,6 +175,14 @@ def test_an_entity_bomb_is_not_expanded(tmp_path: Path) -> None:
         '<!DOCTYPE a [<!ENTITY b "bbbb">]><febio_spec version="4.0"><Mesh>&b;</Mesh></febio_spec>'
     )
     with pytest.raises(CaseError):
+        read_feb(path)
+
+
+def test_an_entity_of_the_files_own_is_refused(punch: Path, tmp_path: Path) -> None:
+    text = punch.read_text().replace("<febio_spec", '<!DOCTYPE x [<!ENTITY more "4,5">]>\n<febio_spec', 1)
+    path = tmp_path / "model.feb"
+    path.write_text(text.replace('name="fixed">1,2,3,', 'name="fixed">1,2,&more;,3,', 1))
+    with pytest.raises(CaseError, match="entities"):
         read_feb(path)
 
 
