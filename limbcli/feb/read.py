@@ -22,7 +22,7 @@ from limbcli.feb import read_loads
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
-from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
+from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data, refuse_repeated
 from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
 from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
@@ -131,6 +131,7 @@ def _domains(
     domains: list[Domain] = []
     bodies = dict(materials.bodies)
     blocks = {block.name: block for block in mesh.mesh.blocks}
+    refuse_repeated(tag)
     for each in tag:
         name, material = each.attribute("name"), each.attribute("mat")
         if name not in blocks:

@@ -123,6 +123,32 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
         ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
+        (
+            '<NodeSet name="skin">',
+            '<NodeSet name="fixed">1</NodeSet><NodeSet name="skin">',
+            "NodeSet",
+            "'fixed'",
+        ),
+        (
+            '<NodeSet name="bone">',
+            '<ElementSet name="tissue">1</ElementSet><NodeSet name="bone">',
+            "ElementSet",
+            "'tissue' is that of the <Elements>",
+        ),
+        (
+            '<Surface name="probe_face">',
+            '<Surface name="skin"><tri3 id="1">51,52,57</tri3></Surface><Surface name="probe_face">',
+            "Surface",
+            "'skin'",
+        ),
+        (
+            "</Mesh>",
+            '<SurfacePair name="probe_contact_pair"><primary>probe_face</primary><secondary>skin'
+            "</secondary></SurfacePair></Mesh>",
+            "SurfacePair",
+            "'probe_contact_pair'",
+        ),
+        ("<ShellDomain", '<SolidDomain name="tissue" mat="tissue"/><ShellDomain', "SolidDomain", "'tissue'"),
         ('name="bone">1,2,3,', 'name="bone">1 2,3,', "NodeSet", "not a list of ids"),
         ('name="bone">1,', 'name="bone">1_0,', "NodeSet", "not a list of ids"),
     ],
