@@ -123,6 +123,14 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
         ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
+        ("<time_steps>10", "<time_steps>0", "time_steps", "not positive"),
+        ("<step_size>0.1", "<step_size>0", "step_size", "not positive"),
+        (
+            "<interpolate>LINEAR</interpolate><extend>CONSTANT</extend><points>",
+            "<interpolate>SMOOTH</interpolate><extend>CONSTANT</extend><points><pt>0,1</pt>",
+            "points",
+            "two points at one time",
+        ),
         (
             '<NodeSet name="skin">',
             '<NodeSet name="fixed">1</NodeSet><NodeSet name="skin">',
@@ -175,6 +183,11 @@ def test_a_comment_within_a_value_stands_for_nothing(punch: Path, tmp_path: Path
     assert found.materials == whole.materials
     assert found.info == whole.info
     assert read_outline(path).materials == read_outline(punch).materials
+
+
+def test_a_must_point_that_stands_twice_is_one(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", "<pt>0.5,0.1</pt>", "<pt>0.5,0.1</pt><pt>0.5,0.05</pt>")
+    assert read_feb(path).steps[0].must_points == (0.25, 0.5, 1.0)
 
 
 def test_the_line_is_right_beyond_65535(punch: Path, tmp_path: Path) -> None:
