@@ -163,7 +163,8 @@ def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
     tag.allow(attributes=("name", "mat", "elem_type", "type"))
     if rule not in (None, "elastic-solid"):
         raise tag.problem(f"the domain type {rule!r} is not supported", fix="leave it out, or use ut4-solid")
-    return Domain(name, material, tag.optional("elem_type"))
+    element = tag.optional("elem_type")
+    return Domain(name, material, None if element == "default" else element)
 
 
 def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:

@@ -260,7 +260,7 @@ def open_model(path: Path) -> Tag:
 
 
 def _take_out_comments(root: etree._Element) -> None:
-    """Those inside the sections: what stands before and after one is one text, as to FEBio (XMLReader::GetChar).
+    """Those inside the sections: the text before and after one is whole, as to FEBio (XMLReader::GetChar).
 
     Those between the sections stay, among them the writer's own.
     """

@@ -185,6 +185,12 @@ def test_a_comment_within_a_value_stands_for_nothing(punch: Path, tmp_path: Path
     assert read_outline(path).materials == read_outline(punch).materials
 
 
+def test_an_element_type_of_default_is_none(punch: Path, tmp_path: Path) -> None:
+    old = '<SolidDomain name="tissue" mat="tissue"'
+    path = edited(punch, tmp_path / "model.feb", old, f'{old} elem_type="default"')
+    assert read_feb(path).domains == read_feb(punch).domains
+
+
 def test_a_must_point_that_stands_twice_is_one(punch: Path, tmp_path: Path) -> None:
     path = edited(punch, tmp_path / "model.feb", "<pt>0.5,0.1</pt>", "<pt>0.5,0.1</pt><pt>0.5,0.05</pt>")
     assert read_feb(path).steps[0].must_points == (0.25, 0.5, 1.0)
