@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from limbcli.errors import CaseError, ToolError
@@ -19,16 +20,17 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
     CaseError
         If `kind` is none of these.
     ToolError
-        If FEBio is asked for, by kind or by naming its binary, and is not there.
+        If FEBio is asked for, by kind or by naming its binary here or in the environment, and is not there.
     """
-    from limbcli.solvers.febio import FebioSolver
+    from limbcli.solvers.febio import VARIABLE, FebioSolver
 
     if kind not in KINDS:
         raise CaseError(
             f"there is no solver {kind!r}", where="--solver", fix=f"use one of: {', '.join(KINDS)}"
         )
     solver = FebioSolver(febio, threads=threads)
-    if kind == "febio" or (kind == "auto" and febio is not None):
+    named = febio is not None or bool(os.environ.get(VARIABLE))
+    if kind == "febio" or (kind == "auto" and named):
         solver.need()
         return solver
     if kind == "auto" and solver.found():

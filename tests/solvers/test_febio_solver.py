@@ -233,6 +233,10 @@ def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
         choose("abaqus")
     monkeypatch.setenv("PATH", str(binary.parent))
     assert choose("auto").name == "febio"
+    monkeypatch.setenv("LIMBCLI_FEBIO", str(tmp_path / "elsewhere"))
+    with pytest.raises(ToolError, match="elsewhere"):
+        choose("auto")
+    assert choose("reference").name == "reference"
 
 
 def test_what_febio_writes_it_reads(tmp_path: Path) -> None:
