@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.feb.read_mesh import Numbering
+from limbcli.feb.read_output import logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
@@ -131,16 +132,18 @@ def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:
 
 
 def _records(root: Tag) -> tuple[LogRecord, ...]:
-    names = {each.get("id"): each.get("name") for each in root.element.iterfind("Material/material")}
-    bodies = [each.get("name") for each in root.element.iterfind("Material/material[@type='rigid body']")]
+    materials = enumerate(root.element.iterfind("Material/material"), start=1)
+    bodies = {
+        each.get("id"): each.get("name") or f"material_{number}"
+        for number, each in materials
+        if each.get("type") == "rigid body"
+    }
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)
         if tag.name not in _KINDS or tag.optional("file") is None:
             continue
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
-        body = None
-        if tag.name == "rigid_body_data":
-            body = names.get(tag.text) or (bodies[0] if bodies else None) or tag.optional("name") or "body"
+        body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
         records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]
     return tuple(records)

@@ -27,7 +27,6 @@ from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
 from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
-UNITS = "mm-N-s"
 INFO_MARK = "limbcli-info "
 EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # kept beside `info`
 _SECTIONS = (
@@ -108,11 +107,6 @@ def _check_module(tag: Tag | None) -> None:
     tag.allow(attributes=("type",), children=("units",))
     if tag.attribute("type") not in ("solid", "biphasic"):
         raise tag.problem(f"module {tag.attribute('type')!r} is not supported", fix='use type="solid"')
-    units = tag.child("units")
-    if units is not None and units.text != UNITS:
-        raise units.problem(
-            f"the unit system {units.text!r} is not ours", fix=f"convert the model to {UNITS}"
-        )
 
 
 def _check_globals(tag: Tag | None) -> None:

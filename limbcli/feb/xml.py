@@ -17,6 +17,7 @@ from limbcli.errors import CaseError
 from limbcli.files import gunzip
 from limbcli.model import Array, IntArray
 
+UNITS = "mm-N-s"
 LARGEST_ID = 50_000_000  # of a node or an element
 _GZIP_MAGIC = b"\x1f\x8b"
 _LARGEST = 500_000_000  # bytes of a model's text
@@ -255,8 +256,31 @@ def open_model(path: Path) -> Tag:
             f"format version {tag.optional('version')!r} is not supported",
             fix="save the model in FEBio's format 4.0",
         )
+    _check_units(tag)
+    _refuse_other_files(tag)
     _check_file_names(tag)
     return tag
+
+
+def _check_units(root: Tag) -> None:
+    """What is read of a model and of its records is in these units; a file that names none is taken to be."""
+    module = root.child("Module")
+    units = module.child("units") if module is not None else None
+    if units is not None and units.text != UNITS:
+        raise units.problem(
+            f"the unit system {units.text!r} is not ours", fix=f"convert the model to {UNITS}"
+        )
+
+
+def _refuse_other_files(root: Tag) -> None:
+    """A run takes one file along, and its hash stands for the whole model."""
+    steps = root.child("Step")
+    for each in (*root, *(part for step in steps or () for part in step)):
+        if each.name == "Include" or each.optional("from") is not None:
+            raise each.problem(
+                f"it stands in another file ({each.optional('from') or each.text})",
+                fix="put its content in this place, in one file",
+            )
 
 
 def _take_out_comments(root: etree._Element) -> None:
