@@ -12,11 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import Numbering
 from limbcli.feb.read_output import logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
+# As FEBio numbers them (FEAnalysis, FE_Output_Level).
+_OUTPUT_LEVELS = (
+    "OUTPUT_NEVER", "OUTPUT_MAJOR_ITRS", "OUTPUT_MINOR_ITRS", "OUTPUT_MUST_POINTS", "OUTPUT_FINAL",
+)  # fmt: skip
+_NEVER, _MAJOR, _MINOR = 0, 1, 2
 _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
 
 
@@ -28,6 +34,7 @@ class Outline:
     nodes, cells : table[id] = number from 0
     must_points : global times listed under `<dtmax>`
     materials : by id, the parameters that are plain numbers, by name
+    output_levels : of the steps, as FEBio numbers them
     """
 
     end_time: float | None
@@ -36,6 +43,7 @@ class Outline:
     cells: IntArray
     must_points: tuple[float, ...]
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    output_levels: tuple[int, ...] = ()
 
     @property
     def node_ids(self) -> IntArray:
@@ -65,7 +73,35 @@ def read_outline(path: Path) -> Outline:
         cells=_table(root, "Mesh/Elements/elem"),
         must_points=_must_points(root, controls),
         materials=_materials(root),
+        output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
     )
+
+
+def check_output(outline: Outline, path: Path) -> None:
+    """Pass a model whose records FEBio writes at converged times.
+
+    Raises
+    ------
+    CaseError
+        If it would write every iteration, or nothing at all.
+    """
+    levels = outline.output_levels
+    if not outline.records or not levels or (_MINOR not in levels and set(levels) != {_NEVER}):
+        return
+    what = "writes what has not converged" if _MINOR in levels else "leaves the record files empty"
+    raise CaseError(
+        f"<output_level>: {_OUTPUT_LEVELS[_MINOR if _MINOR in levels else _NEVER]} {what}",
+        where=str(path),
+        fix=f"give {_OUTPUT_LEVELS[_MAJOR]}, or leave it out",
+    )
+
+
+def _output_level(tag: Tag | None) -> int:
+    """By name or by number; what is neither is FEBio's to refuse."""
+    text = tag.text.upper() if tag is not None else _OUTPUT_LEVELS[_MAJOR]
+    if text in _OUTPUT_LEVELS:
+        return _OUTPUT_LEVELS.index(text)
+    return int(text) if text.isascii() and text.isdigit() else _MAJOR
 
 
 def _end_time(controls: list[Tag]) -> float | None:

@@ -15,7 +15,7 @@ from typing import TextIO
 
 from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.log import LogReader, check_complete, quote, read_log
-from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.outline import Outline, check_output, read_outline
 from limbcli.feb.proof import check_belongs, marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
@@ -121,6 +121,8 @@ class FebioSolver:
 
         Raises
         ------
+        CaseError
+            If FEBio would write no records of the model, or unconverged ones.
         ToolError
             If there is no FEBio, or it cannot be started.
         SolveError
@@ -128,6 +130,7 @@ class FebioSolver:
             load of this very model was reached, whatever the exit status.
         """
         outline = read_outline(feb)
+        check_output(outline, feb)
         log = feb.parent / LOG_FILE
         for stale in [log, *(feb.parent / record.file for record in outline.records)]:
             stale.unlink(missing_ok=True)

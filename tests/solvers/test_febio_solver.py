@@ -311,3 +311,31 @@ def test_a_model_s_own_limit_grows_with_nodes_and_levels() -> None:
     assert limit(100, 5) == limit(200, 5)
     assert limit(60_000, 20) == pytest.approx(4 * limit(30_000, 10))
     assert limit(30_000, 10) > 3600
+
+
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [("OUTPUT_MINOR_ITRS", "has not converged"), ("2", "has not converged"), ("OUTPUT_NEVER", "empty")],
+)
+def test_records_of_unconverged_iterations_are_not_asked_for(
+    binary: Path, feb: Path, level: str, words: str
+) -> None:
+    control = f"<step_size>0.1</step_size><output_level>{level}</output_level>"
+    feb.write_text(feb.read_text().replace("<step_size>0.1</step_size>", control))
+    with pytest.raises(CaseError, match=words):
+        FebioSolver(binary).run(feb, progress=SILENT)
+    feb.write_text(feb.read_text().replace(f"{level}</output_level>", "OUTPUT_MUST_POINTS</output_level>"))
+    FebioSolver(binary).run(feb, progress=SILENT)
+
+
+def test_records_with_a_step_twice_are_not_believed(binary: Path, feb: Path) -> None:
+    FebioSolver(binary).run(feb, progress=SILENT)
+    table = feb.parent / "rigid_body.csv"
+    text = table.read_text().replace("*Time  = 0.25", "*Time  = 0.5")
+    table.write_text(text)  # two steps whose times differ in no digit that is printed
+    for other in ("nodes.csv", "elements.csv"):
+        (feb.parent / other).write_text((feb.parent / other).read_text().replace("= 0.25", "= 0.5"))
+    assert FebioSolver(binary).read(feb).times.tolist() == [0, 0.5, 0.5, 1]
+    table.write_text(text.replace("*Step  = 1", "*Step  = 2"))
+    with pytest.raises(SolveError, match=r"step at time 0\.5 stands in it more than once"):
+        FebioSolver(binary).read(feb)
