@@ -15,7 +15,9 @@ import pytest
 from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.read import read_feb
 from limbcli.results import read_result
+from limbcli.solvers.base import Simulation, Table
 from limbcli.stages.run import RunOptions, run, run_file
+from limbcli.stages.running.files import doubts
 from tests.stages.block_case import make_case
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
@@ -147,6 +149,26 @@ def test_a_model_without_rigid_records_gives_no_curve(febio: Path, tmp_path: Pat
     result = run_file(tmp_path / "bare.feb", out=tmp_path / "out", febio=febio)
     assert "force_depth" not in result.files
     assert "no force-depth curve" in result.warnings[0]
+
+
+def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
+    """Of a file of one's own the probe may have another name, and its centre lie above its face."""
+
+    def simulated(**heights: float) -> Simulation:
+        times = np.array([0.0, 1.0])
+        tables = {
+            name: Table(("z", "Fz"), times, np.zeros(1, int), np.array([[[z, 0.0]], [[z - 2, -0.8]]]))
+            for name, z in heights.items()
+        }
+        return Simulation("febio", "4.11.0", times, tables)
+
+    assert doubts(simulated(probe=-0.05), "probe") == []
+    assert doubts(simulated(bone=0.0, probe=-0.2), "probe") == []
+    assert doubts(simulated(head=0.0), "head") == []
+    (other,) = doubts(simulated(bone=0.0, head=0.0), "bone")
+    assert "the curve is that of bone" in other
+    (far,) = doubts(simulated(probe=20.0), "probe")
+    assert "-20.00 mm at the start; it goes 2.00 mm" in far
 
 
 def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ from limbcli.solvers.base import Simulation
 
 COLUMNS = ("time_s", "depth_mm", "force_n")
 _NEEDED = {"z", "Fz"}
+_PROBE = "probe"
+_FAR_START_MM = 1.0  # of the face from first touch: ours begin at most 0.2 mm inside
 _DIGITS = 12
 
 
@@ -47,6 +49,7 @@ def leave_simulation(
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
+    writer.warnings.extend(doubts(simulation, body))
     curve = force_depth_rows(simulation, body)
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
@@ -61,10 +64,32 @@ def leave_simulation(
     )
 
 
+def doubts(simulation: Simulation, body: str) -> list[str]:
+    """Warnings of a curve that may be another body's, or whose depth does not count from first touch."""
+    found = []
+    names = _with_curve(simulation)
+    if len(names) > 1 and body != _PROBE:
+        found.append(
+            f"{' and '.join(names)} log z and Fz and none is called {_PROBE}: the curve is that of {body}"
+        )
+    depth = simulation.probe_depth(body)
+    if abs(depth[0]) > _FAR_START_MM:
+        found.append(
+            f"depth_mm is how far the centre of mass of {body} lies below z = 0, "
+            f"and that is {depth[0]:.2f} mm at the start; it goes {depth[-1] - depth[0]:.2f} mm from there"
+        )
+    return found
+
+
 def probe_body(simulation: Simulation) -> str | None:
     """The body called `probe`, else the first one that logs height and force."""
-    names = [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
-    return "probe" if "probe" in names else next(iter(names), None)
+    names = _with_curve(simulation)
+    return _PROBE if _PROBE in names else next(iter(names), None)
+
+
+def _with_curve(simulation: Simulation) -> list[str]:
+    """The bodies that log height and force."""
+    return [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
 
 
 def force_depth_rows(simulation: Simulation, body: str) -> Array:
