@@ -140,12 +140,25 @@ def _domains(
         elif each.name == "ShellDomain":
             raise each.problem("shells of deformable material are not supported", fix="use solid elements")
         else:
+            _refuse_other_maps(each, name, materials.materials[material])
             domains.append(_solid_domain(each, name, material))
     given = {domain.block for domain in domains} | {name for body in bodies.values() for name in body.blocks}
     for name in blocks:
         if name not in given:
             raise tag.problem(f"the <Elements> section {name!r} has no domain", fix="add a domain for it")
     return tuple(domains), bodies
+
+
+def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
+    """The maps of a domain's material hold values of its cells."""
+    for value in material.parameters.values():
+        if isinstance(value, ElementMap) and value.block != block:
+            raise tag.problem(
+                f"its material has a map over {value.block!r}",
+                fix=f"give the map over {block!r}, or this part a material of its own",
+            )
+    for part in material.parts:
+        _refuse_other_maps(tag, block, part)
 
 
 def _solid_domain(tag: Tag, name: str, material: str) -> Domain:

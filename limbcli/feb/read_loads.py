@@ -212,7 +212,7 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
     if kind in ("force", "moment"):
         children.append("load_type")
         load_type = tag.child("load_type")
-        if load_type is not None and load_type.text not in ("LOAD", "0"):
+        if load_type is not None and load_type.constant() not in ("LOAD", "0"):
             raise load_type.problem(f"{load_type.text!r} is not supported", fix="use LOAD")
     tag.allow(attributes=("name", "type"), children=children)
     value = tag.need("value")

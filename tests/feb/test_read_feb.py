@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
+from limbcli.feb.law_tags import lame
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.model import Curved, ElementMap, NodeMap
@@ -25,6 +26,18 @@ SPRING = (
     '<rigid_connector type="rigid spring"><body_a>probe</body_a><body_b>probe</body_b><k>20</k>'
     "<insertion_a>0,0,0</insertion_a><insertion_b>0,0,5</insertion_b><free_length>5</free_length>"
     "</rigid_connector></Rigid>"
+)
+
+TISSUE = (
+    'type="Ogden unconstrained"><density>1e-09</density><cp>0.05</cp>'
+    "<c1>0.0025</c1><m1>2</m1><c2>0.0025</c2><m2>-2</m2>"
+)
+MAPPED_OGDEN = 'type="Ogden unconstrained"><cp>1</cp><c1 type="map">own</c1><m1>2</m1>'
+NEO_HOOKE = 'type="neo-Hookean"><E>1</E><v>0.3</v>'
+MAPPED_E = NEO_HOOKE.replace("<E>1", '<E type="map">own')
+FIBRES_OF_A_MAP = (
+    'type="solid mixture"><solid type="neo-Hookean"><E>1</E><v>0.3</v></solid><solid type="fiber-exp-pow">'
+    '<alpha>0</alpha><beta>2</beta><ksi>1</ksi><fiber type="map"><map>own</map></fiber></solid>'
 )
 
 
@@ -316,3 +329,41 @@ def test_the_golden_limb_carries_its_must_points(golden: Path) -> None:
     assert (step.n_steps, step.step_size, step.dt_max) == (50, 0.02, 0.1)
     assert len(model.mesh.block("Tissue").cells) == 12345
     assert list(model.curves) == ["curve_1"]
+
+
+def _mapped(values: list[str], *, part: str = "tissue", kind: str = "scalar") -> str:
+    """`<MeshData>` with the map "own" over a part, before what follows it."""
+    rows = "".join(f'<e lid="{k}">{value}</e>' for k, value in enumerate(values, start=1))
+    name = f'name="own" elem_set="{part}" data_type="{kind}"'
+    return f"<MeshData><ElementData {name}>{rows}</ElementData></MeshData>\n<MeshDomains>"
+
+
+@pytest.mark.parametrize(
+    ("law", "mapped", "words"),
+    [
+        (MAPPED_OGDEN, _mapped(["1,0,0"] * 192, kind="vec3"), "not one of scalars"),
+        (FIBRES_OF_A_MAP, _mapped(["1"] * 192), "not one of vec3s"),
+        (MAPPED_OGDEN, _mapped(["1"] * 4, part="probe"), "a map over 'probe'"),
+        (MAPPED_E.replace("0.3", "0.5"), _mapped(["1"] * 192), "v = 0.5"),
+        (NEO_HOOKE.replace("<v>0.3", '<v type="map">own'), _mapped(["0.3"] * 191 + ["0.6"]), "v = 0.6"),
+    ],
+)  # fmt: skip
+def test_a_map_that_says_nothing_of_the_law_is_refused(
+    punch: Path, tmp_path: Path, law: str, mapped: str, words: str
+) -> None:
+    path = edited(punch, tmp_path / "model.feb", TISSUE, law)
+    edited(path, path, "<MeshDomains>", mapped)
+    with pytest.raises(CaseError, match=words):
+        read_feb(path)
+
+
+@pytest.mark.parametrize("mapped", ["E", "v"])
+def test_either_elastic_constant_may_be_a_map(punch: Path, tmp_path: Path, mapped: str) -> None:
+    value = {"E": "1", "v": "0.3"}[mapped]
+    law = NEO_HOOKE.replace(f"<{mapped}>{value}", f'<{mapped} type="map">own')
+    path = edited(punch, tmp_path / "model.feb", TISSUE, law)
+    edited(path, path, "<MeshDomains>", _mapped([value] * 192))
+    found = read_feb(path).materials["tissue"].parameters
+    for name, constant in zip(("mu", "lambda"), lame(1.0, 0.3), strict=True):
+        assert isinstance(found[name], ElementMap)
+        np.testing.assert_array_equal(found[name].values, np.full(192, constant))

@@ -61,3 +61,12 @@ def test_tissue_that_does_not_resist_shear_is_refused(c: float, as_map: bool):
     refuse_limp(
         replace(model, materials={"tissue": replace(law, parameters={**terms, "c1": Curved(c, "ramp")})})
     )
+
+
+def test_an_exponent_that_is_0_in_one_cell_is_refused():
+    model = punch()
+    (block,) = model.mesh.solid_blocks
+    m = ElementMap("m", block.name, np.r_[np.full(len(block.cells) - 1, 2.0), 0.0])
+    law = model.materials["tissue"].with_parameters(m1=m)
+    with pytest.raises(SolveError, match="exponent m1 is 0"):
+        check_supported(replace(model, materials={"tissue": law}))
