@@ -52,13 +52,19 @@ class FebioSolver:
 
     def path(self) -> Path | None:
         """The binary that would be started, or None."""
-        named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
-        candidates = [str(named)] if named else list(BINARIES)
-        for each in candidates:
+        named = self._named()
+        if named is not None and named.is_file():
+            return named.resolve() if os.access(named, os.X_OK) else None
+        for each in BINARIES if named is None else [str(named)]:
             found = shutil.which(each)
             if found:
                 return Path(found).resolve()
         return None
+
+    def _named(self) -> Path | None:
+        """A file, from here or from the root, or else the name of a program on PATH."""
+        named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+        return named.expanduser() if named is not None else None
 
     def found(self) -> bool:
         return self.path() is not None
@@ -160,9 +166,12 @@ class FebioSolver:
         """The binary; a ToolError says where it was looked for."""
         path = self.path()
         if path is None:
-            named = self.binary or os.environ.get(VARIABLE)
+            named = self._named()
+            what = f"FEBio was not found at {named}" if named else "FEBio was not found"
+            if named is not None and named.exists():
+                what = f"{named} is a folder" if named.is_dir() else f"{named} may not be executed"
             raise ToolError(
-                f"FEBio was not found at {named}" if named else "FEBio was not found",
+                what,
                 where=f"--febio, {VARIABLE}, then {' and '.join(BINARIES)} on PATH",
                 fix="install FEBio 4 (https://febio.org) and name its binary with --febio FILE, "
                 "or use --solver reference",

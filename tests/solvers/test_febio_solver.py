@@ -21,6 +21,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.febio_watch import default_limit_s
+from limbcli.stages.batching.outcome import BatchOptions
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 
@@ -216,6 +217,27 @@ def test_the_binary_is_looked_for_by_option_then_variable_then_path(
     monkeypatch.setenv("LIMBCLI_FEBIO", str(other))
     assert FebioSolver().path() == other
     assert FebioSolver(binary).path() == binary
+
+
+def test_a_file_from_here_comes_before_a_program_of_that_name(
+    binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`--febio ./febio4` is `febio4` once it is a path."""
+    monkeypatch.setenv("PATH", str(binary.parent))
+    monkeypatch.chdir(tmp_path)
+    assert FebioSolver(Path("febio4")).path() == binary
+    assert BatchOptions.of(febio=Path("febio4"), templates=None).febio == Path("febio4")
+    own = Path(shutil.copy(binary, tmp_path / "febio4"))
+    assert FebioSolver(Path("./febio4")).path() == own
+    assert BatchOptions.of(febio=Path("./febio4"), templates=None).febio == own
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("LIMBCLI_FEBIO", "~/febio4")
+    assert FebioSolver().path() == own
+    own.chmod(0o644)
+    with pytest.raises(ToolError, match="may not be executed"):
+        FebioSolver().need()
+    with pytest.raises(ToolError, match="is a folder"):
+        FebioSolver(binary.parent).need()
 
 
 def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
