@@ -146,6 +146,18 @@ def test_empty_sets_are_not_written_and_yet_come_back(model: LimbModel, tmp_path
     assert differences(bare, round_trip(bare, tmp_path)) == []
 
 
+def test_a_node_set_may_be_called_as_the_nodes_are(model: LimbModel, tmp_path: Path) -> None:
+    sets = {**model.mesh.node_sets, "all_nodes": np.arange(4)}
+    changed = replace(model, mesh=replace(model.mesh, node_sets=sets))
+    assert differences(changed, round_trip(changed, tmp_path)) == []
+
+
+def test_contacts_of_one_name_are_not_written(model: LimbModel) -> None:
+    other = replace(model.contacts[0], primary=model.contacts[0].secondary)
+    with pytest.raises(CaseError, match="contacts share a name"):
+        render(replace(model, contacts=(*model.contacts, other)))
+
+
 def test_names_that_febio_cannot_read_are_refused(model: LimbModel, tmp_path: Path) -> None:
     spring = Spring("Führung → 1", "probe", "probe", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     with pytest.raises(CaseError, match="→"):
