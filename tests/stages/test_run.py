@@ -177,6 +177,10 @@ def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) ->
     assert run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio).data["max_force_n"] == 0.8
     with pytest.raises(CaseError, match="Constraints"):
         run_file(tmp_path / "odd.feb", out=tmp_path / "out", solver="reference")
+    febio.write_text('#!/bin/sh\ntouch "$0.started"\n')
+    with pytest.raises(CaseError, match="without --vtu"):  # which needs to read it, too; said before the run
+        run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio, options=RunOptions(vtu=True))
+    assert not febio.with_name("febio4.started").exists()
 
 
 def test_missing_pieces_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
