@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from limbcli.errors import CaseError, ToolError
+from limbcli.errors import CaseError, LimbError
 from limbcli.solvers.base import Solver
 
 KINDS = ("auto", "febio", "reference")
-ABSENT = "absent"  # in place of a solver that is asked for and is not there
+ABSENT = "absent"  # in place of a solver that is asked for and cannot be had
 
 
 def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None = None) -> Solver:
@@ -48,5 +48,5 @@ def identity(kind: str = "auto", febio: Path | None = None) -> str:
     """
     try:
         return choose(kind, febio).identity()
-    except ToolError:
+    except LimbError:  # the stage that needs it says so
         return ABSENT

@@ -18,7 +18,7 @@ from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.outline import Outline
 from limbcli.feb.read import read_feb
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers import choose
+from limbcli.solvers import ABSENT, choose, identity
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.febio_watch import default_limit_s
 from limbcli.stages.batching.outcome import BatchOptions
@@ -259,6 +259,7 @@ def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
     with pytest.raises(ToolError, match="elsewhere"):
         choose("auto")
     assert choose("reference").name == "reference"
+    assert {identity("auto"), identity("abaqus")} == {ABSENT}  # no reason for a key to fail
 
 
 def test_what_febio_writes_it_reads(tmp_path: Path) -> None:
