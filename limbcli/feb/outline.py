@@ -14,7 +14,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.read_output import logged_body
+from limbcli.feb.read_output import check_form, logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
@@ -179,6 +179,7 @@ def _records(root: Tag) -> tuple[LogRecord, ...]:
         tag = Tag(element, root.file)
         if tag.name not in _KINDS or tag.optional("file") is None:
             continue
+        check_form(tag)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
         body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
         records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]

@@ -34,8 +34,7 @@ def read_output(
         logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
         for each in logfile:
             each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
-            if each.optional("delim") not in _DELIMITERS:
-                raise each.problem(f"delim={each.optional('delim')!r} is not supported", fix='use delim=","')
+            check_form(each)
             records.append(_record(each, mesh, bodies, materials_by_id))
     return tuple(records), variables
 
@@ -69,6 +68,21 @@ def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
 
 def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
     return Numbering.look_up(table, tag.ids(), tag, kind) if tag.text else None
+
+
+def check_form(tag: Tag) -> None:
+    """A record whose file can be read back."""
+    unreadable = {
+        "delim": tag.optional("delim") not in _DELIMITERS,
+        "format": tag.optional("format") is not None,
+        "comments": tag.optional("comments") not in (None, "on"),
+    }
+    for name, wrong in unreadable.items():
+        if wrong:
+            raise tag.problem(
+                f"{name}={tag.optional(name)!r} leaves a file that limbcli cannot read",
+                fix='give delim="," and neither format nor comments',
+            )
 
 
 def logged_body(tag: Tag, bodies: Mapping[Any, str]) -> str:

@@ -55,6 +55,7 @@ def test_the_log_and_plot_file_may_not_be_led_elsewhere(tmp_path: Path) -> None:
         ("<Material>", "<Include>sub.feb</Include><Material>", "another file (sub.feb)"),
         ("<Material>", '<Material from="laws.feb">', "another file (laws.feb)"),
         ("</Output>", '</Output><Step><step id="1"><Boundary from="b.feb"/></step></Step>', "(b.feb)"),
+        ('sz" delim=","', 'sz" delim=";"', "delim=';' leaves a file"),
         ('name="probe">2<', 'name="probe">1<', "not the material id of one rigid body"),
         ('name="probe">2<', 'name="probe">2,3<', "not the material id of one rigid body"),
     ],
@@ -63,6 +64,11 @@ def test_what_a_run_could_not_take_along_or_name_is_refused_before_it(
     tmp_path: Path, old: str, new: str, words: str, read
 ) -> None:
     assert words in refused(tmp_path, old, new, read).what
+
+
+@pytest.mark.parametrize("form", ['format="%g"', 'comments="off"'])
+def test_records_in_a_form_that_cannot_be_read_back_are_refused(tmp_path: Path, form: str) -> None:
+    assert "leaves a file" in refused(tmp_path, 'data="J;sz"', f'data="J;sz" {form}', read_outline).what
 
 
 def test_bodies_without_a_name_are_told_apart(tmp_path: Path) -> None:
