@@ -22,15 +22,14 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
     ToolError
         If FEBio is asked for, by kind or by naming its binary here or in the environment, and is not there.
     """
-    from limbcli.solvers.febio import VARIABLE, FebioSolver
+    from limbcli.solvers.febio import FebioSolver
 
     if kind not in KINDS:
         raise CaseError(
             f"there is no solver {kind!r}", where="--solver", fix=f"use one of: {', '.join(KINDS)}"
         )
     solver = FebioSolver(febio, threads=threads)
-    named = febio is not None or bool(os.environ.get(VARIABLE))
-    if kind == "febio" or (kind == "auto" and named):
+    if kind == "febio" or (kind == "auto" and is_named(febio)):
         solver.need()
         return solver
     if kind == "auto" and solver.found():
@@ -38,6 +37,13 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
     from limbcli.solvers.reference import ReferenceSolver
 
     return ReferenceSolver()
+
+
+def is_named(febio: Path | None) -> bool:
+    """Whether a FEBio is named, here or in the environment, and so must be there."""
+    from limbcli.solvers.febio import VARIABLE
+
+    return febio is not None or bool(os.environ.get(VARIABLE))
 
 
 def identity(kind: str = "auto", febio: Path | None = None) -> str:
