@@ -162,8 +162,9 @@ def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:
     for control in controls:
         largest = control.element.find("time_stepper/dtmax")
         curve = largest.get("lc") if largest is not None else None
-        for each in root.element.iterfind(f"LoadData/load_controller[@id='{curve}']/points/*"):
-            times.add(Tag(each, root.file).numbers(2)[0])
+        for controller in root.element.iterfind("LoadData/load_controller"):
+            if curve is not None and controller.get("id") == curve:
+                times |= {Tag(each, root.file).numbers(2)[0] for each in controller.iterfind("points/*")}
     return tuple(sorted(times - {0.0}))
 
 

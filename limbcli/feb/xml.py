@@ -184,8 +184,8 @@ class Tag:
             if ":" not in self.text:
                 return np.array(words, dtype=np.int64)
             for word in words:
-                first, last, step = ([int(part) for part in word.split(":")] + [0, 1])[:3]
-                several = range(first, last + 1, step) if ":" in word else [first]
+                first, *rest = (int(part) for part in word.split(":")[:3])
+                several = range(first, rest[0] + 1, *rest[1:]) if rest else [first]
                 if len(values) + len(several) > _MOST_IDS:
                     raise ValueError("too many")
                 values.extend(several)

@@ -198,6 +198,21 @@ def test_a_comment_within_a_value_stands_for_nothing(punch: Path, tmp_path: Path
     assert read_outline(path).materials == read_outline(punch).materials
 
 
+@pytest.mark.parametrize("ids", ["1:25", "1:25:1", "1,2:10,\n11:24,25,", " 1 , 2:25 "])
+def test_ranges_of_ids_are_febios(punch: Path, tmp_path: Path, ids: str) -> None:
+    """FEBio, XMLTag::value(vector<int>&)."""
+    start = punch.read_text().index('name="fixed">') + len('name="fixed">')
+    listed = punch.read_text()[start : punch.read_text().index("<", start)]
+    path = edited(punch, tmp_path / "model.feb", f'name="fixed">{listed}', f'name="fixed">{ids}')
+    assert read_feb(path).mesh.node_sets["fixed"].tolist() == list(range(25))
+
+
+def test_a_load_controller_of_any_name_is_looked_for(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", '<dtmax lc="2">', '<dtmax lc="2\'">')
+    assert read_outline(path).must_points == ()
+    assert read_outline(punch).must_points == (0.25, 0.5, 1.0)
+
+
 def test_an_element_type_of_default_is_none(punch: Path, tmp_path: Path) -> None:
     old = '<SolidDomain name="tissue" mat="tissue"'
     path = edited(punch, tmp_path / "model.feb", old, f'{old} elem_type="default"')
