@@ -35,6 +35,7 @@ class Outline:
     must_points : global times listed under `<dtmax>`
     materials : by id, the parameters that are plain numbers, by name
     output_levels : of the steps, as FEBio numbers them
+    bodies : names of the rigid ones by their material's id, which their records carry
     """
 
     end_time: float | None
@@ -44,6 +45,7 @@ class Outline:
     must_points: tuple[float, ...]
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     output_levels: tuple[int, ...] = ()
+    bodies: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def node_ids(self) -> IntArray:
@@ -66,14 +68,16 @@ def read_outline(path: Path) -> Outline:
     """
     root = open_model(path)
     controls = [Tag(each, path) for each in root.element.iter("Control")]
+    bodies = _bodies(root)
     return Outline(
         end_time=_end_time(controls),
-        records=_records(root),
+        records=_records(root, bodies),
         nodes=_table(root, "Mesh/Nodes/node"),
         cells=_table(root, "Mesh/Elements/elem"),
         must_points=_must_points(root, controls),
         materials=_materials(root),
         output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
+        bodies=bodies,
     )
 
 
@@ -168,13 +172,16 @@ def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:
     return tuple(sorted(times - {0.0}))
 
 
-def _records(root: Tag) -> tuple[LogRecord, ...]:
+def _bodies(root: Tag) -> dict[str, str]:
     materials = enumerate(root.element.iterfind("Material/material"), start=1)
-    bodies = {
-        each.get("id"): each.get("name") or f"material_{number}"
+    return {
+        each.get("id", ""): each.get("name") or f"material_{number}"
         for number, each in materials
         if each.get("type") == "rigid body"
     }
+
+
+def _records(root: Tag, bodies: Mapping[str, str]) -> tuple[LogRecord, ...]:
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from limbcli.bodies import RigidBody
 from limbcli.feb.read_mesh import MeshSection, Numbering
@@ -85,7 +84,7 @@ def check_form(tag: Tag) -> None:
             )
 
 
-def logged_body(tag: Tag, bodies: Mapping[Any, str]) -> str:
+def logged_body(tag: Tag, bodies: Mapping[str, str]) -> str:
     """The rigid body of a record, by its material's id in `bodies`; an empty list means all of them."""
     if not tag.text and len(bodies) == 1:
         return next(iter(bodies.values()))
