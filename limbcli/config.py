@@ -22,7 +22,7 @@ def templates_folder(override: Path | None = None) -> Path:
     Raises
     ------
     ToolError
-        If the folder named, or every usual place, is absent.
+        If the folder named, or every usual place, is absent, or holds no templates.
     """
     if override is not None:
         if not override.is_dir():
@@ -30,6 +30,12 @@ def templates_folder(override: Path | None = None) -> Path:
                 f"the template folder {override} does not exist",
                 where="--templates",
                 fix="name a folder that holds feb/*.j2, or leave the option out",
+            )
+        if not any((override / each).is_dir() for each in ("feb", "report")):
+            raise ToolError(
+                f"the template folder {override} holds neither feb/ nor report/",
+                where="--templates",
+                fix="put your templates into feb/ (of the model file) or report/ (of the pages) below it",
             )
         return override
     for folder in (PACKAGE.parent / "templates", PACKAGE / "_templates"):

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"model", "bodies", "case", "case_fibres", "case_files", "case_imaging", "case_instruments",
           "case_parts", "case_schema", "case_states", "config", "units", "errors", "progress", "faults",
-          "files", "results", "problems",
+          "files", "filling", "results", "problems",
           "interval_limits", "model_io", "monotone", "scratch", "ahead", "pasting", "drawing", "writing",
           "version", "unforeseen"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}

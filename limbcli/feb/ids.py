@@ -60,6 +60,13 @@ def give_ids(model: LimbModel) -> Ids:
             where="model",
             fix="name each of them differently",
         )
+    contacts = [contact.name for contact in model.contacts]
+    if len(set(contacts)) != len(contacts):
+        raise CaseError(
+            f"contacts share a name, by which their surfaces are found: {contacts}",
+            where="model",
+            fix="name each of them differently",
+        )
     curves = dict(model.curves)
     must_curves: list[str | None] = []
     start = 0.0

@@ -12,10 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import Numbering
+from limbcli.feb.read_output import check_form, logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
+# As FEBio numbers them (FEAnalysis, FE_Output_Level).
+_OUTPUT_LEVELS = (
+    "OUTPUT_NEVER", "OUTPUT_MAJOR_ITRS", "OUTPUT_MINOR_ITRS", "OUTPUT_MUST_POINTS", "OUTPUT_FINAL",
+)  # fmt: skip
+_NEVER, _MAJOR, _MINOR = 0, 1, 2
 _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
 
 
@@ -27,6 +34,8 @@ class Outline:
     nodes, cells : table[id] = number from 0
     must_points : global times listed under `<dtmax>`
     materials : by id, the parameters that are plain numbers, by name
+    output_levels : of the steps, as FEBio numbers them
+    bodies : names of the rigid ones by their material's id, which their records carry
     """
 
     end_time: float | None
@@ -35,6 +44,8 @@ class Outline:
     cells: IntArray
     must_points: tuple[float, ...]
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    output_levels: tuple[int, ...] = ()
+    bodies: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def node_ids(self) -> IntArray:
@@ -57,14 +68,44 @@ def read_outline(path: Path) -> Outline:
     """
     root = open_model(path)
     controls = [Tag(each, path) for each in root.element.iter("Control")]
+    bodies = _bodies(root)
     return Outline(
         end_time=_end_time(controls),
-        records=_records(root),
+        records=_records(root, bodies),
         nodes=_table(root, "Mesh/Nodes/node"),
         cells=_table(root, "Mesh/Elements/elem"),
         must_points=_must_points(root, controls),
         materials=_materials(root),
+        output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
+        bodies=bodies,
     )
+
+
+def check_output(outline: Outline, path: Path) -> None:
+    """Pass a model whose records FEBio writes at converged times.
+
+    Raises
+    ------
+    CaseError
+        If it would write every iteration, or nothing at all.
+    """
+    levels = outline.output_levels
+    if not outline.records or not levels or (_MINOR not in levels and set(levels) != {_NEVER}):
+        return
+    what = "writes what has not converged" if _MINOR in levels else "leaves the record files empty"
+    raise CaseError(
+        f"<output_level>: {_OUTPUT_LEVELS[_MINOR if _MINOR in levels else _NEVER]} {what}",
+        where=str(path),
+        fix=f"give {_OUTPUT_LEVELS[_MAJOR]}, or leave it out",
+    )
+
+
+def _output_level(tag: Tag | None) -> int:
+    """By name or by number; what is neither is FEBio's to refuse."""
+    text = tag.text.upper() if tag is not None else _OUTPUT_LEVELS[_MAJOR]
+    if text in _OUTPUT_LEVELS:
+        return _OUTPUT_LEVELS.index(text)
+    return int(text) if text.isascii() and text.isdigit() else _MAJOR
 
 
 def _end_time(controls: list[Tag]) -> float | None:
@@ -125,22 +166,29 @@ def _must_points(root: Tag, controls: list[Tag]) -> tuple[float, ...]:
     for control in controls:
         largest = control.element.find("time_stepper/dtmax")
         curve = largest.get("lc") if largest is not None else None
-        for each in root.element.iterfind(f"LoadData/load_controller[@id='{curve}']/points/*"):
-            times.add(Tag(each, root.file).numbers(2)[0])
+        for controller in root.element.iterfind("LoadData/load_controller"):
+            if curve is not None and controller.get("id") == curve:
+                times |= {Tag(each, root.file).numbers(2)[0] for each in controller.iterfind("points/*")}
     return tuple(sorted(times - {0.0}))
 
 
-def _records(root: Tag) -> tuple[LogRecord, ...]:
-    names = {each.get("id"): each.get("name") for each in root.element.iterfind("Material/material")}
-    bodies = [each.get("name") for each in root.element.iterfind("Material/material[@type='rigid body']")]
+def _bodies(root: Tag) -> dict[str, str]:
+    materials = enumerate(root.element.iterfind("Material/material"), start=1)
+    return {
+        each.get("id", ""): each.get("name") or f"material_{number}"
+        for number, each in materials
+        if each.get("type") == "rigid body"
+    }
+
+
+def _records(root: Tag, bodies: Mapping[str, str]) -> tuple[LogRecord, ...]:
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)
         if tag.name not in _KINDS or tag.optional("file") is None:
             continue
+        check_form(tag)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
-        body = None
-        if tag.name == "rigid_body_data":
-            body = names.get(tag.text) or (bodies[0] if bodies else None) or tag.optional("name") or "body"
+        body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
         records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]
     return tuple(records)

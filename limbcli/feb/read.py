@@ -22,12 +22,11 @@ from limbcli.feb import read_loads
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
-from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data
+from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data, refuse_repeated
 from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
 from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
-UNITS = "mm-N-s"
 INFO_MARK = "limbcli-info "
 EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # kept beside `info`
 _SECTIONS = (
@@ -108,11 +107,6 @@ def _check_module(tag: Tag | None) -> None:
     tag.allow(attributes=("type",), children=("units",))
     if tag.attribute("type") not in ("solid", "biphasic"):
         raise tag.problem(f"module {tag.attribute('type')!r} is not supported", fix='use type="solid"')
-    units = tag.child("units")
-    if units is not None and units.text != UNITS:
-        raise units.problem(
-            f"the unit system {units.text!r} is not ours", fix=f"convert the model to {UNITS}"
-        )
 
 
 def _check_globals(tag: Tag | None) -> None:
@@ -131,6 +125,7 @@ def _domains(
     domains: list[Domain] = []
     bodies = dict(materials.bodies)
     blocks = {block.name: block for block in mesh.mesh.blocks}
+    refuse_repeated(tag)
     for each in tag:
         name, material = each.attribute("name"), each.attribute("mat")
         if name not in blocks:
@@ -145,12 +140,25 @@ def _domains(
         elif each.name == "ShellDomain":
             raise each.problem("shells of deformable material are not supported", fix="use solid elements")
         else:
+            _refuse_other_maps(each, name, materials.materials[material])
             domains.append(_solid_domain(each, name, material))
     given = {domain.block for domain in domains} | {name for body in bodies.values() for name in body.blocks}
     for name in blocks:
         if name not in given:
             raise tag.problem(f"the <Elements> section {name!r} has no domain", fix="add a domain for it")
     return tuple(domains), bodies
+
+
+def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
+    """The maps of a domain's material hold values of its cells."""
+    for value in material.parameters.values():
+        if isinstance(value, ElementMap) and value.block != block:
+            raise tag.problem(
+                f"its material has a map over {value.block!r}",
+                fix=f"give the map over {block!r}, or this part a material of its own",
+            )
+    for part in material.parts:
+        _refuse_other_maps(tag, block, part)
 
 
 def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
@@ -162,7 +170,8 @@ def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
     tag.allow(attributes=("name", "mat", "elem_type", "type"))
     if rule not in (None, "elastic-solid"):
         raise tag.problem(f"the domain type {rule!r} is not supported", fix="leave it out, or use ut4-solid")
-    return Domain(name, material, tag.optional("elem_type"))
+    element = tag.optional("elem_type")
+    return Domain(name, material, None if element == "default" else element)
 
 
 def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:

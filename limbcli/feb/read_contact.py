@@ -6,6 +6,7 @@ from typing import Literal, cast
 
 from limbcli.bodies import Contact
 from limbcli.feb.read_loads import Scene, flag
+from limbcli.feb.read_mesh import refuse_repeated
 from limbcli.feb.xml import Tag
 
 # FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
@@ -29,6 +30,7 @@ def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
     if tag is None:
         return ()
     tag.allow(many=("contact",))
+    refuse_repeated(tag)
     return tuple(_contact(each, scene) for each in tag)
 
 

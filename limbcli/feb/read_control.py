@@ -84,13 +84,19 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
     loads = _loads(owner, context.scene) if owner else {}
     kind = analysis.choice(("STATIC", "TRANSIENT")).lower() if analysis else "static"
     return Step(
-        n_steps=tag.need("time_steps").integer(),
-        step_size=tag.need("step_size").number(),
+        n_steps=_positive(tag.need("time_steps")).integer(),
+        step_size=_positive(tag.need("step_size")).number(),
         analysis=cast(Literal["static", "transient"], kind),
         control=control,
         **loads,
         **fields,
     )
+
+
+def _positive(tag: Tag) -> Tag:
+    if tag.number() <= 0:
+        raise tag.problem(f"{tag.text!r} is not positive", fix="give a number above 0")
+    return tag
 
 
 def _loads(owner: Tag, scene: Scene) -> dict[str, Any]:
@@ -141,7 +147,7 @@ def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
     times = tuple(round(time - start, _TIME_DIGITS) if start else time for time, _ in curve.points)
     found: dict[str, Any] = {
         "dt_max": max(value for _, value in curve.points),
-        "must_points": tuple(time for time in times if time > 0),
+        "must_points": tuple(dict.fromkeys(time for time in times if time > 0)),
     }
     if len({value for _, value in curve.points}) > 1:
         found["dt_max_curve"] = name

@@ -73,6 +73,7 @@ def read_curves(tag: Tag | None) -> tuple[dict[str, Curve], dict[str, str]]:
 
 def _curve(tag: Tag) -> Curve:
     interpolate, extend = tag.child("interpolate"), tag.child("extend")
+    kind = interpolate.choice(_INTERPOLATIONS) if interpolate else "linear"
     points = tag.need("points")
     points.allow(many=("pt", "point"))
     pairs: list[tuple[float, float]] = []
@@ -84,12 +85,13 @@ def _curve(tag: Tag) -> Curve:
         pairs.append((time, value))
     if not pairs:
         raise points.problem("there is no point", fix="add <pt>time,value</pt>")
+    if kind == "smooth" and len({time for time, _ in pairs}) < len(pairs):
+        raise points.problem(
+            "a smooth curve has two points at one time", fix="keep one of them, or use LINEAR"
+        )
     return Curve(
         points=tuple(pairs),
-        interpolate=cast(
-            Literal["linear", "step", "smooth"],
-            interpolate.choice(_INTERPOLATIONS) if interpolate else "linear",
-        ),
+        interpolate=cast(Literal["linear", "step", "smooth"], kind),
         extend=cast(
             Literal["constant", "extrapolate", "repeat", "repeat offset"],
             extend.choice(_EXTENSIONS) if extend else "constant",
@@ -210,7 +212,7 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
     if kind in ("force", "moment"):
         children.append("load_type")
         load_type = tag.child("load_type")
-        if load_type is not None and load_type.text not in ("LOAD", "0"):
+        if load_type is not None and load_type.constant() not in ("LOAD", "0"):
             raise load_type.problem(f"{load_type.text!r} is not supported", fix="use LOAD")
     tag.allow(attributes=("name", "type"), children=children)
     value = tag.need("value")

@@ -134,27 +134,32 @@ def _value(tag: Tag, names: _Names) -> Value:
     return Curved(value, names.curves[curve])
 
 
-def _map(tag: Tag, name: str, names: _Names) -> ElementMap:
+def _map(tag: Tag, name: str, names: _Names, *, vectors: bool = False) -> ElementMap:
     if name not in names.maps:
         raise tag.problem(f"there is no element map {name!r}", fix="add it to <MeshData>")
+    if (names.maps[name].values.ndim == 2) != vectors:
+        kind = "vec3" if vectors else "scalar"
+        raise tag.problem(f"the map {name!r} is not one of {kind}s", fix=f'name a map of data_type="{kind}"')
     names.used_maps.add(name)
     return names.maps[name]
 
 
 def _lame(tag: Tag, names: _Names) -> tuple[Value, Value]:
     young, poisson = (_value(tag.need(name), names) for name in ("E", "v"))
+    if not isinstance(young, float | ElementMap) or not isinstance(poisson, float | ElementMap):
+        raise tag.problem("load curves are not supported here", fix="use numbers or maps for E and v")
+    E, v = (each.values if isinstance(each, ElementMap) else np.array(each) for each in (young, poisson))
+    if not ((v > -1) & (v < 0.5)).all():
+        wrong = v[~((v > -1) & (v < 0.5))].ravel()[0]
+        raise tag.problem(f"v = {wrong} is not between -1 and 0.5", fix="give a v below 0.5")
     if isinstance(young, float) and isinstance(poisson, float):
-        if not -1 < poisson < 0.5:
-            raise tag.problem(f"v = {poisson} is not between -1 and 0.5", fix="give a v below 0.5")
         return lame(young, poisson)
-    if isinstance(young, ElementMap) and isinstance(poisson, float | ElementMap):
-        ratio = poisson.values if isinstance(poisson, ElementMap) else np.full(len(young.values), poisson)
-        mu, lam = young.values / (2 * (1 + ratio)), young.values * ratio / ((1 + ratio) * (1 - 2 * ratio))
-        return (
-            ElementMap(f"{young.name}_mu", young.block, mu),
-            ElementMap(f"{young.name}_lambda", young.block, lam),
-        )
-    raise tag.problem("load curves are not supported here", fix="use numbers or maps for E and v")
+    maps = [each for each in (young, poisson) if isinstance(each, ElementMap)]
+    if len({each.block for each in maps}) > 1:
+        raise tag.problem("the maps of E and v are over different sets", fix="define both over one part")
+    mu, lam = np.broadcast_arrays(E / (2 * (1 + v)), E * v / ((1 + v) * (1 - 2 * v)))
+    name, block = maps[0].name, maps[0].block
+    return ElementMap(f"{name}_mu", block, mu), ElementMap(f"{name}_lambda", block, lam)
 
 
 def _fiber(tag: Tag, names: _Names) -> Value:
@@ -174,7 +179,7 @@ def _fiber(tag: Tag, names: _Names) -> Value:
         return (math.cos(theta) * math.sin(phi), math.sin(theta) * math.sin(phi), math.cos(phi))
     if kind == "map":
         tag.allow(attributes=("type",), children=("map",))
-        return _map(tag, (tag.child("map") or tag).text, names)
+        return _map(tag, (tag.child("map") or tag).text, names, vectors=True)
     raise tag.problem(f"a fibre of type {kind!r} is not supported", fix="use vector, angles or map")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +12,12 @@ from limbcli.feb.xml import LARGEST_ID, Tag
 from limbcli.model import NODES_PER_CELL, Array, Block, ElementMap, IntArray, Mesh, NodeMap, Surface
 
 _FACETS = ("tri3", "tri6", "quad4")
+_NAMES = (
+    ("Nodes", "NodeSet"),
+    ("Elements", "ElementSet"),
+    ("Surface",),
+    ("SurfacePair",),
+)  # one name, one set
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +90,8 @@ class MeshSection:
 
 def read_mesh(tag: Tag) -> MeshSection:
     tag.allow(many=("Nodes", "Elements", "NodeSet", "Surface", "SurfacePair", "ElementSet"))
+    for kinds in _NAMES:
+        refuse_repeated([each for each in tag if each.name in kinds])
     node_ids, points = _nodes(tag)
     node_table = Numbering.of(node_ids)
     blocks, cell_ids = _blocks(tag, node_table)
@@ -95,6 +103,19 @@ def read_mesh(tag: Tag) -> MeshSection:
         each.allow(attributes=("name",))
         sets[each.attribute("name")] = Numbering.look_up(numbering.cells, each.ids(), each, "element")
     return MeshSection(mesh, numbering, _pairs(tag, surfaces), sets)
+
+
+def refuse_repeated(tags: Iterable[Tag]) -> None:
+    """Two of one name: FEBio refuses them or takes the first."""
+    seen: dict[str, Tag] = {}
+    for each in tags:
+        name = each.optional("name")
+        first = seen.setdefault(name, each) if name is not None else each
+        if first is not each:
+            raise each.problem(
+                f"the name {name!r} is that of the <{first.name}> in line {first.line}",
+                fix="name them differently",
+            )
 
 
 def _nodes(tag: Tag) -> tuple[IntArray, Array]:
@@ -214,6 +235,7 @@ def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, Ele
     if tag is None:
         return elements, nodes
     tag.allow(many=("ElementData", "NodeData"))
+    refuse_repeated(tag)
     for each in tag.all("ElementData"):
         each.allow(attributes=("name", "elem_set", "data_type", "datatype"), many=("e",))
         width = _width(each)

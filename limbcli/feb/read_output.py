@@ -33,8 +33,7 @@ def read_output(
         logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
         for each in logfile:
             each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
-            if each.optional("delim") not in _DELIMITERS:
-                raise each.problem(f"delim={each.optional('delim')!r} is not supported", fix='use delim=","')
+            check_form(each)
             records.append(_record(each, mesh, bodies, materials_by_id))
     return tuple(records), variables
 
@@ -45,7 +44,8 @@ def _record(
     fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
     file = tag.attribute("file")
     if tag.name == "rigid_body_data":
-        return LogRecord("rigid_body", fields, file, _body(tag, bodies, materials_by_id))
+        by_id = {number: name for number, name in materials_by_id.items() if name in bodies}
+        return LogRecord("rigid_body", fields, file, logged_body(tag, by_id))
     if tag.name == "node_data":
         return LogRecord("node", fields, file, _nodes(tag, mesh))
     return LogRecord("element", fields, file, _elements(tag, mesh))
@@ -69,14 +69,28 @@ def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
     return Numbering.look_up(table, tag.ids(), tag, kind) if tag.text else None
 
 
-def _body(tag: Tag, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]) -> str:
-    """A rigid body is listed by its material's id; an empty list means all of them."""
+def check_form(tag: Tag) -> None:
+    """A record whose file can be read back."""
+    unreadable = {
+        "delim": tag.optional("delim") not in _DELIMITERS,
+        "format": tag.optional("format") is not None,
+        "comments": tag.optional("comments") not in (None, "on"),
+    }
+    for name, wrong in unreadable.items():
+        if wrong:
+            raise tag.problem(
+                f"{name}={tag.optional(name)!r} leaves a file that limbcli cannot read",
+                fix='give delim="," and neither format nor comments',
+            )
+
+
+def logged_body(tag: Tag, bodies: Mapping[str, str]) -> str:
+    """The rigid body of a record, by its material's id in `bodies`; an empty list means all of them."""
     if not tag.text and len(bodies) == 1:
-        return next(iter(bodies))
-    name = materials_by_id.get(tag.text, "")
-    if name not in bodies:
+        return next(iter(bodies.values()))
+    if tag.text not in bodies:
         raise tag.problem(
             f"{tag.text!r} is not the material id of one rigid body",
             fix="write one record for each body, by its id",
         )
-    return name
+    return bodies[tag.text]

@@ -73,6 +73,9 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
         at = kept[int(np.argwhere(~np.isfinite(values))[0][0])].time
         raise _broken(path, f"a value at time {at:g} is not a number")
     times = np.array([block.time for block in kept])
+    again = np.flatnonzero((np.diff(times) == 0) & (np.diff([block.step for block in kept]) == 0))
+    if len(again):  # two steps may be closer than the digits of their times
+        raise _broken(path, f"the step at time {times[again[0]]:g} stands in it more than once: unconverged")
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
         raise _broken(path, "its times do not grow from step to step")
     ids = kept[0].rows[:, 0]

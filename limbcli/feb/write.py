@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import gzip
 import json
 from numbers import Real
@@ -27,10 +28,12 @@ from limbcli.feb.views import (
     surface_rows,
 )
 from limbcli.files import atomic_file
+from limbcli.filling import TemplateFolders, filled
 from limbcli.model import LimbModel
 from limbcli.results import plain
 
-MAIN_TEMPLATE = "feb/model.feb.j2"
+_FOLDER = "feb"
+MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"
 # FEBio's own XML reader (XMLReader::GetChar) knows five entities by name and none by number,
 # and looks for them in comments too.
 _ENTITIES = {"&#39;": "&apos;", "&#34;": "&quot;"}
@@ -74,24 +77,35 @@ def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Pa
 
 def render(model: LimbModel, *, templates: Path | None = None) -> str:
     """The text of the model file."""
-    try:
-        text = _environment(templates).get_template(MAIN_TEMPLATE).render(_context(model))
-    except jinja2.TemplateError as error:
-        line = getattr(error, "lineno", None)
-        raise CaseError(
-            f"a template of the model file is faulty: {error}",
-            where=f"{getattr(error, 'filename', None) or MAIN_TEMPLATE}" + (f", line {line}" if line else ""),
-            fix="compare it with limbcli's own templates/feb, or leave --templates out",
-        ) from error
+    environment = _environment(templates)
+    text = filled(environment, MAIN_TEMPLATE, _context(model), ours="templates/feb")
+    if templates is not None:
+        _refuse_unused(templates, environment)
     for foreign, known in _ENTITIES.items():
         text = text.replace(foreign, known)
     return text
 
 
+def _refuse_unused(templates: Path, environment: jinja2.Environment) -> None:
+    """A file that has no name of ours, and that no other asks for, would be lost in silence."""
+    assert isinstance(environment.loader, TemplateFolders)
+    known = sorted(path.name for path in (templates_folder() / _FOLDER).glob("*.j2"))
+    for path in sorted((templates / _FOLDER).glob("*.j2")):
+        if path.name not in known and f"{_FOLDER}/{path.name}" not in environment.loader.asked:
+            near = difflib.get_close_matches(path.name, known, n=1)
+            raise CaseError(
+                f"the template {path.name} is used by nothing",
+                where=str(path),
+                fix=f"did you mean {near[0]}?"
+                if near
+                else f"include it, or call it one of {', '.join(known)}",
+            )
+
+
 def _environment(templates: Path | None) -> jinja2.Environment:
     folders = [templates_folder(templates), templates_folder()]
     environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader([jinja2.FileSystemLoader(each) for each in folders]),
+        loader=TemplateFolders(folders),
         undefined=jinja2.StrictUndefined,
         autoescape=True,
         keep_trailing_newline=True,

@@ -17,6 +17,7 @@ from limbcli.errors import CaseError
 from limbcli.files import gunzip
 from limbcli.model import Array, IntArray
 
+UNITS = "mm-N-s"
 LARGEST_ID = 50_000_000  # of a node or an element
 _GZIP_MAGIC = b"\x1f\x8b"
 _LARGEST = 500_000_000  # bytes of a model's text
@@ -152,7 +153,7 @@ class Tag:
         """Finite numbers between commas. attributes : see `constant`"""
         words = self.constant(attributes=attributes).split(",")
         try:
-            values = tuple(float(word) for word in words)
+            values = tuple(float(word) for word in words if "_" not in word)
         except ValueError:
             values = ()
         if len(values) != count or not np.isfinite(values).all():
@@ -171,14 +172,20 @@ class Tag:
         return bool(self.integer())
 
     def ids(self) -> IntArray:
-        """Whole numbers between commas (or white space); a:b is a range as in FEBio."""
+        """Whole numbers between commas; a:b and a:b:step are ranges as in FEBio.
+
+        Of numbers with only white space between them FEBio takes the first (XMLTag::value).
+        """
         values: list[int] = []
+        words = [word for each in self.text.split(",") if (word := each.strip())]
         try:
+            if "_" in self.text:
+                raise ValueError("a Python number")
             if ":" not in self.text:
-                return np.array(self.text.replace(",", " ").split(), dtype=np.int64)
-            for word in self.text.replace(",", " ").split():
-                first, last, step = ([int(part) for part in word.split(":")] + [0, 1])[:3]
-                several = range(first, last + 1, step) if ":" in word else [first]
+                return np.array(words, dtype=np.int64)
+            for word in words:
+                first, *rest = (int(part) for part in word.split(":")[:3])
+                several = range(first, rest[0] + 1, *rest[1:]) if rest else [first]
                 if len(values) + len(several) > _MOST_IDS:
                     raise ValueError("too many")
                 values.extend(several)
@@ -200,7 +207,7 @@ class Tag:
             ids = np.array([each.get(key) for each in rows], dtype=np.int64)
             text = ",".join(each.text or "" for each in rows)
             values = np.array(text.split(","), dtype=np.float64) if rows else np.zeros(0)
-            if np.isfinite(values).all():
+            if "_" not in text and np.isfinite(values).all():
                 return ids, values.reshape(len(rows), width)
         except (ValueError, OverflowError):
             pass
@@ -239,13 +246,51 @@ def open_model(path: Path) -> Tag:
     if root is None or root.tag != "febio_spec":
         raise CaseError("this is not a FEBio model file", where=str(path), fix="name a .feb file")
     tag = Tag(root, path)
+    if next(root.iter(etree.Entity), None) is not None:
+        raise tag.problem(
+            "limbcli and FEBio do not know entities of a file's own", fix="write out what they hold"
+        )
+    _take_out_comments(root)
     if tag.optional("version") != "4.0":
         raise tag.problem(
             f"format version {tag.optional('version')!r} is not supported",
             fix="save the model in FEBio's format 4.0",
         )
+    _check_units(tag)
+    _refuse_other_files(tag)
     _check_file_names(tag)
     return tag
+
+
+def _check_units(root: Tag) -> None:
+    """What is read of a model and of its records is in these units; a file that names none is taken to be."""
+    module = root.child("Module")
+    units = module.child("units") if module is not None else None
+    if units is not None and units.text != UNITS:
+        raise units.problem(
+            f"the unit system {units.text!r} is not ours", fix=f"convert the model to {UNITS}"
+        )
+
+
+def _refuse_other_files(root: Tag) -> None:
+    """A run takes one file along, and its hash stands for the whole model."""
+    steps = root.child("Step")
+    for each in (*root, *(part for step in steps or () for part in step)):
+        if each.name == "Include" or each.optional("from") is not None:
+            raise each.problem(
+                f"it stands in another file ({each.optional('from') or each.text})",
+                fix="put its content in this place, in one file",
+            )
+
+
+def _take_out_comments(root: etree._Element) -> None:
+    """Those inside the sections: the text before and after one is whole, as to FEBio (XMLReader::GetChar).
+
+    Those between the sections stay, among them the writer's own.
+    """
+    for section in root:
+        if isinstance(section.tag, str):
+            etree.strip_elements(section, etree.Comment, with_tail=False)
 
 
 def model_text(path: Path) -> bytes:

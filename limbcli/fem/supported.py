@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from limbcli import ahead
+from limbcli.bodies import Contact
 from limbcli.errors import SolveError
 from limbcli.fem.record_fields import check_record
 from limbcli.materials import compile_material
+from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
+
+_LEAST_STIFFNESS = 1e-9  # of the largest; a law without any resistance to shear is left with round-off
 
 
 def check_supported(model: LimbModel) -> None:
@@ -17,6 +23,7 @@ def check_supported(model: LimbModel) -> None:
     for contact in model.contacts:
         if contact.kind != "sliding-elastic":
             raise _refused(f"contact of type {contact.kind!r}", f"contact {contact.name!r}")
+        _refuse_no_contact(contact)
     for domain in model.domains:
         if domain.material not in model.materials:
             raise _refused(f"domain {domain.block!r} without a material", "domains")
@@ -30,8 +37,53 @@ def check_supported(model: LimbModel) -> None:
     for step in model.steps:
         if step.analysis == "transient":
             raise _refused("a transient analysis (inertia)", "steps of the model")
+        if step.control.get("arc_length"):
+            raise _refused("the arc-length method, which scales the load,", "steps of the model")
     for record in model.records:
         check_record(record)
+
+
+def _refuse_no_contact(contact: Contact) -> None:
+    """Numbers with which nothing would press, or friction would push."""
+    what = ""
+    if not contact.penalty > 0:
+        what = f"its penalty {contact.penalty:g} is not positive: nothing would press"
+    elif contact.friction < 0:
+        what = f"its fric_coeff {contact.friction:g} is below 0"
+    if what:
+        raise SolveError(
+            f"contact {contact.name!r}: {what}",
+            where=f"contact {contact.name!r}",
+            fix="correct it in the model file",
+        )
+
+
+def refuse_limp(model: LimbModel) -> None:
+    """Pass materials that resist deformation from rest; those that follow a load curve are not judged.
+
+    Raises
+    ------
+    SolveError
+        If a tangent at rest has an eigenvalue that is not positive.
+    """
+    for domain in model.domains:
+        compiled = compile_material(model.materials[domain.material], domain.material)
+        if compiled.varies:
+            continue
+        n_cells = len(model.mesh.block(domain.block).cells)
+        stiffness = np.linalg.eigvalsh(tangents_at_rest(compiled.program(n_cells, _at_1)))
+        least = float(stiffness.min())
+        if not least > _LEAST_STIFFNESS * stiffness.max():
+            raise SolveError(
+                f"material {domain.material!r} does not resist deformation: "
+                f"its least stiffness at rest is {least:.3g} MPa",
+                where=f"material {domain.material!r}, cells of {domain.block!r}",
+                fix="correct its moduli: those of an Ogden law have a positive sum",
+            )
+
+
+def _at_1(_curve: str) -> float:
+    return 1.0
 
 
 def _refused(what: str, where: str) -> SolveError:

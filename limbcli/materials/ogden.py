@@ -21,7 +21,7 @@ from limbcli.materials.kernel import OGDEN, Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law, Values
 from limbcli.materials.principal import add_principal, principal_axes
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, square6
-from limbcli.model import Material
+from limbcli.model import ElementMap, Material
 
 MAX_TERMS = 6
 
@@ -204,9 +204,16 @@ def check_terms(given: Values) -> tuple[str, str] | None:
     for key, value in given.items():
         if key.startswith("c") and f"m{key[1:]}" not in given:
             return f"{key} without m{key[1:]}", f"give m{key[1:]}"
-        if key.startswith("m") and isinstance(value, float | int) and value == 0:
+        if key.startswith("m") and _has_0(value):
             return f"the exponent {key} is 0", "give an exponent that is not 0"
     return None
+
+
+def _has_0(value: Any) -> bool:
+    """Of a number, or of any cell of a map; a load curve's values are not looked at."""
+    if isinstance(value, ElementMap):
+        return not value.values.all()
+    return isinstance(value, float | int) and value == 0
 
 
 def with_terms(total: Any, p: Any, number: int, squares: Any, logarithm: Any) -> Any:

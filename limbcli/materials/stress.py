@@ -26,6 +26,15 @@ def _evaluate(F, ops, par, S, CC, tangent):
     return J
 
 
+def tangents_at_rest(program: Program) -> Array:
+    """dS/dE at F = 1, Voigt (n, 6, 6) MPa; n is 1 where the numbers are those of all cells."""
+    n = len(program.par)
+    F = np.repeat(np.eye(3)[None], n, axis=0)
+    S, CC = np.zeros((n, 6)), np.zeros((n, 6, 6))
+    _evaluate(F, program.ops, program.par, S, CC, True)
+    return CC
+
+
 def second_piola_kirchhoff(material: Material, F: Array, *, time_s: float = 0.0) -> tuple[Array, Array]:
     """S (n, 3, 3) MPa and its tangent CC = dS/dE (n, 3, 3, 3, 3) of an elastic law at F (n, 3, 3).
 

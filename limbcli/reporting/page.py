@@ -14,8 +14,8 @@ from markupsafe import Markup, escape
 
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
-from limbcli.errors import CaseError
 from limbcli.faults import in_utf8
+from limbcli.filling import TemplateFolders, filled
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 
@@ -96,22 +96,14 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
     if templates is not None:
         folders.insert(0, templates_folder(templates) / "report")
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders),
+        loader=TemplateFolders(folders),
         autoescape=jinja2.select_autoescape(["html", "j2"], default=True),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters["symbols"] = symbols
-    try:
-        return in_utf8(environment.get_template(template).render(**facts))
-    except jinja2.TemplateError as error:
-        line = f", line {error.lineno}" if isinstance(error, jinja2.TemplateSyntaxError) else ""
-        raise CaseError(
-            f"the report's template fails: {error}",
-            where=f"{templates or folders[-1]}: {template}{line}",
-            fix="compare it with ours in templates/report, or leave --templates out",
-        ) from error
+    return in_utf8(filled(environment, template, facts, ours="templates/report"))
 
 
 def symbols(text: str) -> Markup:

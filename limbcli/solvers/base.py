@@ -69,6 +69,10 @@ class Solver(Protocol):
 
     def version(self) -> str: ...
 
+    def identity(self) -> str:
+        """Words that change where another program would be started; our own sources are not meant."""
+        ...
+
     def write(self, model: LimbModel, folder: Path) -> Path: ...
 
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:

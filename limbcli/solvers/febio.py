@@ -9,15 +9,17 @@ import signal
 import subprocess
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.log import LogReader, check_complete, quote, read_log
-from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.outline import Outline, check_output, read_outline
 from limbcli.feb.proof import check_belongs, marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
+from limbcli.files import sha256
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.scratch import ends_with_this_process
@@ -50,13 +52,19 @@ class FebioSolver:
 
     def path(self) -> Path | None:
         """The binary that would be started, or None."""
-        named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
-        candidates = [str(named)] if named else list(BINARIES)
-        for each in candidates:
+        named = self._named()
+        if named is not None and named.is_file():
+            return named.resolve() if os.access(named, os.X_OK) else None
+        for each in BINARIES if named is None else [str(named)]:
             found = shutil.which(each)
             if found:
                 return Path(found).resolve()
         return None
+
+    def _named(self) -> Path | None:
+        """A file, from here or from the root, or else the name of a program on PATH."""
+        named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+        return named.expanduser() if named is not None else None
 
     def found(self) -> bool:
         return self.path() is not None
@@ -97,6 +105,18 @@ class FebioSolver:
             reader.feed(line)
         return reader.version or "unknown"
 
+    def identity(self) -> str:
+        """By the binary's content, and by the version that it tells: its libraries are files of their own.
+
+        Raises
+        ------
+        ToolError
+            As `version`.
+        """
+        binary = self.need()
+        found = binary.stat()
+        return _identity(binary, found.st_mtime_ns, found.st_size)
+
     def write(self, model: LimbModel, folder: Path) -> Path:
         return write_feb(model, folder / MODEL_FILE)
 
@@ -107,6 +127,8 @@ class FebioSolver:
 
         Raises
         ------
+        CaseError
+            If FEBio would write no records of the model, or unconverged ones.
         ToolError
             If there is no FEBio, or it cannot be started.
         SolveError
@@ -114,6 +136,7 @@ class FebioSolver:
             load of this very model was reached, whatever the exit status.
         """
         outline = read_outline(feb)
+        check_output(outline, feb)
         log = feb.parent / LOG_FILE
         for stale in [log, *(feb.parent / record.file for record in outline.records)]:
             stale.unlink(missing_ok=True)
@@ -143,9 +166,12 @@ class FebioSolver:
         """The binary; a ToolError says where it was looked for."""
         path = self.path()
         if path is None:
-            named = self.binary or os.environ.get(VARIABLE)
+            named = self._named()
+            what = f"FEBio was not found at {named}" if named else "FEBio was not found"
+            if named is not None and named.exists():
+                what = f"{named} is a folder" if named.is_dir() else f"{named} may not be executed"
             raise ToolError(
-                f"FEBio was not found at {named}" if named else "FEBio was not found",
+                what,
                 where=f"--febio, {VARIABLE}, then {' and '.join(BINARIES)} on PATH",
                 fix="install FEBio 4 (https://febio.org) and name its binary with --febio FILE, "
                 "or use --solver reference",
@@ -169,6 +195,16 @@ class FebioSolver:
             )
         except OSError as error:
             raise _not_startable(binary, error) from error
+
+
+@cache
+def _identity(binary: Path, changed_ns: int, size: int) -> str:
+    """Asked once a process while the file is the same; its date stands for content that cannot be read."""
+    try:
+        content = sha256(binary)
+    except PermissionError:
+        content = f"{size} bytes of {changed_ns}"
+    return f"febio {FebioSolver(binary).version()} {content}"
 
 
 def _not_startable(binary: Path, error: OSError) -> ToolError:

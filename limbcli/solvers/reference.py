@@ -55,6 +55,9 @@ class ReferenceSolver:
     def version(self) -> str:
         return __version__
 
+    def identity(self) -> str:
+        return self.name
+
     def write(self, model: LimbModel, folder: Path) -> Path:
         return write_feb(model, folder / MODEL_FILE)
 
@@ -128,10 +131,11 @@ def prepare(
     stalled: float = 0.0,
 ) -> Analysis:
     """An analysis of a model, after checking that all of it is supported."""
-    from limbcli.fem.supported import check_supported, warm_up
+    from limbcli.fem.supported import check_supported, refuse_limp, warm_up
 
     check_supported(model)
     warm_up(progress)
+    refuse_limp(model)
     from limbcli.fem.analysis import Analysis
     from limbcli.fem.equilibrium.newton import Settings
 

@@ -29,12 +29,13 @@ def _unloaded(forces: Forces) -> Forces:
 class RunFiles:
     """Open files of one run; leaving the block by an error writes an error termination.
 
-    outline : of the model's file, whose ids of nodes and cells the records carry
+    outline : of the model's file, whose ids of nodes, cells and rigid materials the records carry
     """
 
     def __init__(self, model: LimbModel, folder: Path, *, outline: Outline, version: str, mark: str):
         self.model, self.folder = model, folder
         self._ids = {"node": outline.node_ids, "element": outline.cell_ids}
+        self._body_ids = {name: int(number) for number, name in outline.bodies.items()}
         self._stack = contextlib.ExitStack()
         for name in (LOG_FILE, *(record.file for record in model.records)):
             (folder / name).unlink(missing_ok=True)
@@ -116,7 +117,7 @@ class RunFiles:
         title = record.items if record.kind == "rigid_body" else ";".join(record.fields)
         stream.write(f"*Step  = {step}\n*Time  = {time:.12g}\n*Data  = {title}\n")
         if record.kind == "rigid_body":
-            ids = np.asarray(ids) + 1 + len(self.model.materials)
+            ids = np.array([self._body_ids[str(record.items)]])
         else:
             ids = self._ids[record.kind][ids]
         table = np.column_stack([ids, values])

@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from limbcli.config import templates_folder
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers import choose
+from limbcli.solvers import choose, is_named
 from limbcli.stages.machine import libraries
 from limbcli.version import __version__
 
@@ -55,7 +55,8 @@ class DoctorResult:
 def doctor(*, febio: Path | None = None, progress: Progress = SILENT) -> DoctorResult:
     """Versions, packages, system libraries, solvers with a self test, cores and memory.
 
-    febio : the FEBio binary, where it is not found by itself; then it is needed
+    febio : the FEBio binary, where it is not found by itself; then it is needed, as is one that
+        LIMBCLI_FEBIO names
 
     Nothing is raised for what is missing: each is a finding with its way out.
     """
@@ -133,7 +134,7 @@ def _solvers(febio: Path | None, progress: Progress) -> list[Finding]:
     try:
         choose("febio", febio)
     except ToolError as error:
-        needed: State = "missing" if febio is not None else "note"
+        needed: State = "missing" if is_named(febio) else "note"
         words = "" if needed == "missing" else "; the reference solver takes its place"
         return [*found, Finding("solvers", "febio", needed, error.what + words, error.fix)]
     return [*found, _tested("febio", febio, progress)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
+from limbcli.feb.read import read_feb
 from limbcli.feb.xml import model_text
 from limbcli.files import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels
@@ -159,6 +160,8 @@ def _simulate(
     feb = writer.file("feb", MODEL_FILE)
     feb.write_bytes(model_text(source))
     writer.used("model", source)
+    if options.vtu:
+        _check_readable(feb, source)
     progress.event("note", text=f"solver: {engine.name} {_version(engine)}")
     stopped = writer.target.with_name(writer.target.name + FAILED) / RESTART_FILE
     if engine.name == REFERENCE and stopped.is_file():
@@ -183,6 +186,16 @@ def _simulate(
     if options.vtu:
         write_series(feb, simulation, writer)
     writer.data["model_sha256"] = sha256(feb)
+
+
+def _check_readable(feb: Path, source: Path) -> None:
+    """A time series needs the model, of which FEBio takes more than limbcli: told before it is run."""
+    try:
+        read_feb(feb)
+    except CaseError as error:
+        own = _of_source(error, feb, source)
+        fix = f"{own.fix}, without --vtu"
+        raise CaseError(own.what, where=own.where, fix=fix, **own.facts) from error
 
 
 def _version(engine: Solver) -> str:

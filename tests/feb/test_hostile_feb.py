@@ -48,6 +48,40 @@ def test_the_log_and_plot_file_may_not_be_led_elsewhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("read", [read_feb, read_outline])
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mm-N-s", "SI", "unit system 'SI'"),
+        ("<Material>", "<Include>sub.feb</Include><Material>", "another file (sub.feb)"),
+        ("<Material>", '<Material from="laws.feb">', "another file (laws.feb)"),
+        ("</Output>", '</Output><Step><step id="1"><Boundary from="b.feb"/></step></Step>', "(b.feb)"),
+        ('sz" delim=","', 'sz" delim=";"', "delim=';' leaves a file"),
+        ('name="probe">2<', 'name="probe">1<', "not the material id of one rigid body"),
+        ('name="probe">2<', 'name="probe">2,3<', "not the material id of one rigid body"),
+    ],
+)
+def test_what_a_run_could_not_take_along_or_name_is_refused_before_it(
+    tmp_path: Path, old: str, new: str, words: str, read
+) -> None:
+    assert words in refused(tmp_path, old, new, read).what
+
+
+@pytest.mark.parametrize("form", ['format="%g"', 'comments="off"'])
+def test_records_in_a_form_that_cannot_be_read_back_are_refused(tmp_path: Path, form: str) -> None:
+    assert "leaves a file" in refused(tmp_path, 'data="J;sz"', f'data="J;sz" {form}', read_outline).what
+
+
+def test_bodies_without_a_name_are_told_apart(tmp_path: Path) -> None:
+    other = '<material id="3" type="rigid body"><center_of_mass>0,0,5</center_of_mass></material></Material>'
+    more = '<rigid_body_data data="z;Fz" file="other.csv">3</rigid_body_data></logfile>'
+    text = TEXT.replace('id="2" name="probe"', 'id="2"').replace("<rb>probe<", "<rb>material_2<")
+    path = tmp_path / "model.feb"
+    path.write_text(text.replace("</Material>", other).replace("</logfile>", more))
+    named = [each.items for each in read_outline(path).records if each.kind == "rigid_body"]
+    assert named == ["material_2", "material_3"]
+
+
+@pytest.mark.parametrize("read", [read_feb, read_outline])
 @pytest.mark.parametrize("number", ["99999999999", "99999999999999999999999", "-4", "0", "1e3", "seven"])
 @pytest.mark.parametrize("tag", ["node", "elem"])
 def test_an_id_out_of_range_is_told_with_its_line(tmp_path: Path, tag: str, number: str, read) -> None:

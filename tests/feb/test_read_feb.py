@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
+from limbcli.feb.law_tags import lame
+from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.model import Curved, ElementMap, NodeMap
 
@@ -24,6 +26,18 @@ SPRING = (
     '<rigid_connector type="rigid spring"><body_a>probe</body_a><body_b>probe</body_b><k>20</k>'
     "<insertion_a>0,0,0</insertion_a><insertion_b>0,0,5</insertion_b><free_length>5</free_length>"
     "</rigid_connector></Rigid>"
+)
+
+TISSUE = (
+    'type="Ogden unconstrained"><density>1e-09</density><cp>0.05</cp>'
+    "<c1>0.0025</c1><m1>2</m1><c2>0.0025</c2><m2>-2</m2>"
+)
+MAPPED_OGDEN = 'type="Ogden unconstrained"><cp>1</cp><c1 type="map">own</c1><m1>2</m1>'
+NEO_HOOKE = 'type="neo-Hookean"><E>1</E><v>0.3</v>'
+MAPPED_E = NEO_HOOKE.replace("<E>1", '<E type="map">own')
+FIBRES_OF_A_MAP = (
+    'type="solid mixture"><solid type="neo-Hookean"><E>1</E><v>0.3</v></solid><solid type="fiber-exp-pow">'
+    '<alpha>0</alpha><beta>2</beta><ksi>1</ksi><fiber type="map"><map>own</map></fiber></solid>'
 )
 
 
@@ -121,6 +135,43 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<analysis>STATIC", "<analysis>DYNAMIC", "analysis", "DYNAMIC"),
         ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
+        ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
+        ("<time_steps>10", "<time_steps>0", "time_steps", "not positive"),
+        ("<step_size>0.1", "<step_size>0", "step_size", "not positive"),
+        (
+            "<interpolate>LINEAR</interpolate><extend>CONSTANT</extend><points>",
+            "<interpolate>SMOOTH</interpolate><extend>CONSTANT</extend><points><pt>0,1</pt>",
+            "points",
+            "two points at one time",
+        ),
+        (
+            '<NodeSet name="skin">',
+            '<NodeSet name="fixed">1</NodeSet><NodeSet name="skin">',
+            "NodeSet",
+            "'fixed'",
+        ),
+        (
+            '<NodeSet name="bone">',
+            '<ElementSet name="tissue">1</ElementSet><NodeSet name="bone">',
+            "ElementSet",
+            "'tissue' is that of the <Elements>",
+        ),
+        (
+            '<Surface name="probe_face">',
+            '<Surface name="skin"><tri3 id="1">51,52,57</tri3></Surface><Surface name="probe_face">',
+            "Surface",
+            "'skin'",
+        ),
+        (
+            "</Mesh>",
+            '<SurfacePair name="probe_contact_pair"><primary>probe_face</primary><secondary>skin'
+            "</secondary></SurfacePair></Mesh>",
+            "SurfacePair",
+            "'probe_contact_pair'",
+        ),
+        ("<ShellDomain", '<SolidDomain name="tissue" mat="tissue"/><ShellDomain', "SolidDomain", "'tissue'"),
+        ('name="bone">1,2,3,', 'name="bone">1 2,3,', "NodeSet", "not a list of ids"),
+        ('name="bone">1,', 'name="bone">1_0,', "NodeSet", "not a list of ids"),
     ],
 )
 def test_what_cannot_be_held_is_refused_by_tag_and_line(
@@ -135,6 +186,42 @@ def test_what_cannot_be_held_is_refused_by_tag_and_line(
     assert abs(int(str(error.facts["line"])) - line) <= 1
     assert words in str(error)
     assert str(path) in error.where
+
+
+def test_a_comment_within_a_value_stands_for_nothing(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", 'name="fixed">1,2,3,', 'name="fixed">1,2,<!-- bone: -->3,')
+    path = edited(path, path, "<cp>0.05</cp>", "<!-- MPa --><cp>0<!-- point -->.0<!-- five -->5</cp>")
+    found, whole = read_feb(path), read_feb(punch)
+    assert found.mesh.node_sets["fixed"].tolist() == whole.mesh.node_sets["fixed"].tolist()
+    assert found.materials == whole.materials
+    assert found.info == whole.info
+    assert read_outline(path).materials == read_outline(punch).materials
+
+
+@pytest.mark.parametrize("ids", ["1:25", "1:25:1", "1,2:10,\n11:24,25,", " 1 , 2:25 "])
+def test_ranges_of_ids_are_febios(punch: Path, tmp_path: Path, ids: str) -> None:
+    """FEBio, XMLTag::value(vector<int>&)."""
+    start = punch.read_text().index('name="fixed">') + len('name="fixed">')
+    listed = punch.read_text()[start : punch.read_text().index("<", start)]
+    path = edited(punch, tmp_path / "model.feb", f'name="fixed">{listed}', f'name="fixed">{ids}')
+    assert read_feb(path).mesh.node_sets["fixed"].tolist() == list(range(25))
+
+
+def test_a_load_controller_of_any_name_is_looked_for(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", '<dtmax lc="2">', '<dtmax lc="2\'">')
+    assert read_outline(path).must_points == ()
+    assert read_outline(punch).must_points == (0.25, 0.5, 1.0)
+
+
+def test_an_element_type_of_default_is_none(punch: Path, tmp_path: Path) -> None:
+    old = '<SolidDomain name="tissue" mat="tissue"'
+    path = edited(punch, tmp_path / "model.feb", old, f'{old} elem_type="default"')
+    assert read_feb(path).domains == read_feb(punch).domains
+
+
+def test_a_must_point_that_stands_twice_is_one(punch: Path, tmp_path: Path) -> None:
+    path = edited(punch, tmp_path / "model.feb", "<pt>0.5,0.1</pt>", "<pt>0.5,0.1</pt><pt>0.5,0.05</pt>")
+    assert read_feb(path).steps[0].must_points == (0.25, 0.5, 1.0)
 
 
 def test_the_line_is_right_beyond_65535(punch: Path, tmp_path: Path) -> None:
@@ -161,6 +248,14 @@ def test_an_entity_bomb_is_not_expanded(tmp_path: Path) -> None:
         '<!DOCTYPE a [<!ENTITY b "bbbb">]><febio_spec version="4.0"><Mesh>&b;</Mesh></febio_spec>'
     )
     with pytest.raises(CaseError):
+        read_feb(path)
+
+
+def test_an_entity_of_the_files_own_is_refused(punch: Path, tmp_path: Path) -> None:
+    text = punch.read_text().replace("<febio_spec", '<!DOCTYPE x [<!ENTITY more "4,5">]>\n<febio_spec', 1)
+    path = tmp_path / "model.feb"
+    path.write_text(text.replace('name="fixed">1,2,3,', 'name="fixed">1,2,&more;,3,', 1))
+    with pytest.raises(CaseError, match="entities"):
         read_feb(path)
 
 
@@ -249,3 +344,41 @@ def test_the_golden_limb_carries_its_must_points(golden: Path) -> None:
     assert (step.n_steps, step.step_size, step.dt_max) == (50, 0.02, 0.1)
     assert len(model.mesh.block("Tissue").cells) == 12345
     assert list(model.curves) == ["curve_1"]
+
+
+def _mapped(values: list[str], *, part: str = "tissue", kind: str = "scalar") -> str:
+    """`<MeshData>` with the map "own" over a part, before what follows it."""
+    rows = "".join(f'<e lid="{k}">{value}</e>' for k, value in enumerate(values, start=1))
+    name = f'name="own" elem_set="{part}" data_type="{kind}"'
+    return f"<MeshData><ElementData {name}>{rows}</ElementData></MeshData>\n<MeshDomains>"
+
+
+@pytest.mark.parametrize(
+    ("law", "mapped", "words"),
+    [
+        (MAPPED_OGDEN, _mapped(["1,0,0"] * 192, kind="vec3"), "not one of scalars"),
+        (FIBRES_OF_A_MAP, _mapped(["1"] * 192), "not one of vec3s"),
+        (MAPPED_OGDEN, _mapped(["1"] * 4, part="probe"), "a map over 'probe'"),
+        (MAPPED_E.replace("0.3", "0.5"), _mapped(["1"] * 192), "v = 0.5"),
+        (NEO_HOOKE.replace("<v>0.3", '<v type="map">own'), _mapped(["0.3"] * 191 + ["0.6"]), "v = 0.6"),
+    ],
+)  # fmt: skip
+def test_a_map_that_says_nothing_of_the_law_is_refused(
+    punch: Path, tmp_path: Path, law: str, mapped: str, words: str
+) -> None:
+    path = edited(punch, tmp_path / "model.feb", TISSUE, law)
+    edited(path, path, "<MeshDomains>", mapped)
+    with pytest.raises(CaseError, match=words):
+        read_feb(path)
+
+
+@pytest.mark.parametrize("mapped", ["E", "v"])
+def test_either_elastic_constant_may_be_a_map(punch: Path, tmp_path: Path, mapped: str) -> None:
+    value = {"E": "1", "v": "0.3"}[mapped]
+    law = NEO_HOOKE.replace(f"<{mapped}>{value}", f'<{mapped} type="map">own')
+    path = edited(punch, tmp_path / "model.feb", TISSUE, law)
+    edited(path, path, "<MeshDomains>", _mapped([value] * 192))
+    found = read_feb(path).materials["tissue"].parameters
+    for name, constant in zip(("mu", "lambda"), lame(1.0, 0.3), strict=True):
+        assert isinstance(found[name], ElementMap)
+        np.testing.assert_array_equal(found[name].values, np.full(192, constant))

@@ -146,6 +146,18 @@ def test_empty_sets_are_not_written_and_yet_come_back(model: LimbModel, tmp_path
     assert differences(bare, round_trip(bare, tmp_path)) == []
 
 
+def test_a_node_set_may_be_called_as_the_nodes_are(model: LimbModel, tmp_path: Path) -> None:
+    sets = {**model.mesh.node_sets, "all_nodes": np.arange(4)}
+    changed = replace(model, mesh=replace(model.mesh, node_sets=sets))
+    assert differences(changed, round_trip(changed, tmp_path)) == []
+
+
+def test_contacts_of_one_name_are_not_written(model: LimbModel) -> None:
+    other = replace(model.contacts[0], primary=model.contacts[0].secondary)
+    with pytest.raises(CaseError, match="contacts share a name"):
+        render(replace(model, contacts=(*model.contacts, other)))
+
+
 def test_names_that_febio_cannot_read_are_refused(model: LimbModel, tmp_path: Path) -> None:
     spring = Spring("Führung → 1", "probe", "probe", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     with pytest.raises(CaseError, match="→"):
@@ -216,6 +228,40 @@ def test_a_faulty_template_is_named_with_its_line(model: LimbModel, tmp_path: Pa
         render(model, templates=tmp_path / "templates")
     with pytest.raises(ToolError, match="does not exist"):
         render(model, templates=tmp_path / "absent")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\n{{ 1 / 0 }}", r"(?s)division by zero.*feb/output\.j2, line 2"),
+        (b"\n{{ none|number }}", r"(?s)NoneType.*feb/output\.j2, line 2"),
+        (b"\n{{ model.meshh }}", r"(?s)meshh.*feb/output\.j2, line 2"),
+        (b'{% include "feb/output.j2" %}', r"(?s)recursion.*feb/output\.j2, line 1"),
+        (b"{# gro\xdf #}", r"(?s)utf-8.*feb/output\.j2"),
+    ],
+)
+def test_whatever_a_template_does_wrong_is_told_with_its_place(
+    model: LimbModel, tmp_path: Path, content: bytes, words: str
+) -> None:
+    own = tmp_path / "templates" / "feb"
+    own.mkdir(parents=True)
+    (own / "output.j2").write_bytes(content)
+    with pytest.raises(CaseError, match=words):
+        render(model, templates=tmp_path / "templates")
+
+
+def test_a_template_that_would_be_passed_over_is_refused(model: LimbModel, tmp_path: Path) -> None:
+    own = tmp_path / "templates" / "feb"
+    own.mkdir(parents=True)
+    (own / "control.j2").write_text("")  # ours by name, though this model of several steps has no use for it
+    render(model, templates=tmp_path / "templates")
+    (own / "contacts.j2").write_text("<Contact/>")
+    with pytest.raises(CaseError, match=r"did you mean contact\.j2"):
+        render(model, templates=tmp_path / "templates")
+    (own / "contact.j2").write_text('{% include "feb/contacts.j2" %}')
+    assert "<Contact/>" in render(model, templates=tmp_path / "templates")
+    with pytest.raises(ToolError, match="neither feb/ nor report/"):
+        render(model, templates=own)
 
 
 @pytest.mark.parametrize(

@@ -70,3 +70,16 @@ def test_records_carry_the_files_ids(tmp_path: Path) -> None:
     np.testing.assert_allclose(rest, read_feb(feb).mesh.points[nodes_read.items], atol=1e-9)
     assert read_records(tmp_path / "cells.csv").ids.tolist() == [104, 106]
     assert found.elements["cells.csv"].items.tolist() == [3, 5]
+
+
+def test_a_bodys_record_carries_its_materials_id(tmp_path: Path) -> None:
+    """In a file of one's own the rigid body may come first."""
+    record = LogRecord("rigid_body", ("z", "Fz"), "body.csv", "probe")
+    feb = write_feb(replace(punch(n=(1, 1, 1), depth=0.5), records=(record,)), tmp_path / "model.feb")
+    text = feb.read_text()
+    tissue, probe = re.findall(r"<material id=.*</material>", text)
+    swapped = "\n".join([probe.replace('id="2"', 'id="1"'), tissue.replace('id="1"', 'id="2"')])
+    text = text.replace(f"{tissue}\n{probe}", swapped)
+    feb.write_text(re.sub(r'(name="probe">)2<', r"\g<1>1<", text))
+    assert run(feb).probe_depth()[-1] == pytest.approx(0.5)
+    assert read_records(tmp_path / "body.csv").ids.tolist() == [1]

@@ -18,9 +18,10 @@ from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.outline import Outline
 from limbcli.feb.read import read_feb
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers import choose
+from limbcli.solvers import ABSENT, choose, identity
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.febio_watch import default_limit_s
+from limbcli.stages.batching.outcome import BatchOptions
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 
@@ -218,6 +219,27 @@ def test_the_binary_is_looked_for_by_option_then_variable_then_path(
     assert FebioSolver(binary).path() == binary
 
 
+def test_a_file_from_here_comes_before_a_program_of_that_name(
+    binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`--febio ./febio4` is `febio4` once it is a path."""
+    monkeypatch.setenv("PATH", str(binary.parent))
+    monkeypatch.chdir(tmp_path)
+    assert FebioSolver(Path("febio4")).path() == binary
+    assert BatchOptions.of(febio=Path("febio4"), templates=None).febio == Path("febio4")
+    own = Path(shutil.copy(binary, tmp_path / "febio4"))
+    assert FebioSolver(Path("./febio4")).path() == own
+    assert BatchOptions.of(febio=Path("./febio4"), templates=None).febio == own
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("LIMBCLI_FEBIO", "~/febio4")
+    assert FebioSolver().path() == own
+    own.chmod(0o644)
+    with pytest.raises(ToolError, match="may not be executed"):
+        FebioSolver().need()
+    with pytest.raises(ToolError, match="is a folder"):
+        FebioSolver(binary.parent).need()
+
+
 def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
     binary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,6 +255,11 @@ def test_choose_takes_febio_where_it_is_and_refuses_to_pretend(
         choose("abaqus")
     monkeypatch.setenv("PATH", str(binary.parent))
     assert choose("auto").name == "febio"
+    monkeypatch.setenv("LIMBCLI_FEBIO", str(tmp_path / "elsewhere"))
+    with pytest.raises(ToolError, match="elsewhere"):
+        choose("auto")
+    assert choose("reference").name == "reference"
+    assert {identity("auto"), identity("abaqus")} == {ABSENT}  # no reason for a key to fail
 
 
 def test_what_febio_writes_it_reads(tmp_path: Path) -> None:
@@ -307,3 +334,31 @@ def test_a_model_s_own_limit_grows_with_nodes_and_levels() -> None:
     assert limit(100, 5) == limit(200, 5)
     assert limit(60_000, 20) == pytest.approx(4 * limit(30_000, 10))
     assert limit(30_000, 10) > 3600
+
+
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [("OUTPUT_MINOR_ITRS", "has not converged"), ("2", "has not converged"), ("OUTPUT_NEVER", "empty")],
+)
+def test_records_of_unconverged_iterations_are_not_asked_for(
+    binary: Path, feb: Path, level: str, words: str
+) -> None:
+    control = f"<step_size>0.1</step_size><output_level>{level}</output_level>"
+    feb.write_text(feb.read_text().replace("<step_size>0.1</step_size>", control))
+    with pytest.raises(CaseError, match=words):
+        FebioSolver(binary).run(feb, progress=SILENT)
+    feb.write_text(feb.read_text().replace(f"{level}</output_level>", "OUTPUT_MUST_POINTS</output_level>"))
+    FebioSolver(binary).run(feb, progress=SILENT)
+
+
+def test_records_with_a_step_twice_are_not_believed(binary: Path, feb: Path) -> None:
+    FebioSolver(binary).run(feb, progress=SILENT)
+    table = feb.parent / "rigid_body.csv"
+    text = table.read_text().replace("*Time  = 0.25", "*Time  = 0.5")
+    table.write_text(text)  # two steps whose times differ in no digit that is printed
+    for other in ("nodes.csv", "elements.csv"):
+        (feb.parent / other).write_text((feb.parent / other).read_text().replace("= 0.25", "= 0.5"))
+    assert FebioSolver(binary).read(feb).times.tolist() == [0, 0.5, 0.5, 1]
+    table.write_text(text.replace("*Step  = 1", "*Step  = 2"))
+    with pytest.raises(SolveError, match=r"step at time 0\.5 stands in it more than once"):
+        FebioSolver(binary).read(feb)

@@ -120,6 +120,38 @@ def test_force_and_another_element_redo(tmp_path: Path, calls: list[str]):
     assert calls[0] == "segment"
 
 
+def test_a_febio_that_comes_goes_or_is_another_redoes_what_is_simulated(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out, binary = two_sites(tmp_path / "case"), tmp_path / "out", tmp_path / "bin" / "febio4"
+    binary.parent.mkdir()
+    monkeypatch.setenv("PATH", f"{binary.parent}:/usr/bin:/bin")
+    monkeypatch.delenv("LIMBCLI_FEBIO", raising=False)
+    simulated = ["run p1", "fit p1", "run p2", "fit p2", "report"]
+
+    def again() -> list[str]:
+        calls.clear()
+        batch(case, out=out)
+        return list(calls)
+
+    def install(content: str) -> None:
+        binary.write_text(content)
+        binary.chmod(0o755)
+
+    again()
+    install('#!/bin/sh\ncat "$0".version # \n')
+    (tmp_path / "bin" / "febio4.version").write_text("  version 4.5.0\n")
+    assert again() == simulated
+    assert again() == []
+    install('#!/bin/sh\ncat "$0".version # another build\n')
+    assert again() == simulated
+    (tmp_path / "bin" / "febio4.version").write_text("  version 4.11.0\n")  # its libraries, say
+    install('#!/bin/sh\ncat "$0".version # another build\n')
+    assert again() == simulated
+    binary.unlink()
+    assert again() == simulated
+
+
 def test_one_site_failing_leaves_the_other_and_a_report(tmp_path: Path, calls: list[str]):
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
     batch(case, out=out)

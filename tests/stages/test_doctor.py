@@ -89,6 +89,8 @@ def test_febio_that_was_named_and_is_not_there_is_missing(tmp_path: Path, monkey
     monkeypatch.setattr(module, "_tested", lambda *_: module.Finding("solvers", "reference", "good", ""))
     result = doctor(febio=tmp_path / "nowhere")
     assert [each.name for each in result.missing] == ["febio"]
+    monkeypatch.setenv("LIMBCLI_FEBIO", str(tmp_path / "nowhere"))
+    assert [each.name for each in doctor().missing] == ["febio"]
     assert result.exit_code == 4
 
 

@@ -15,7 +15,9 @@ import pytest
 from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.read import read_feb
 from limbcli.results import read_result
+from limbcli.solvers.base import Simulation, Table
 from limbcli.stages.run import RunOptions, run, run_file
+from limbcli.stages.running.files import doubts
 from tests.stages.block_case import make_case
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
@@ -149,12 +151,36 @@ def test_a_model_without_rigid_records_gives_no_curve(febio: Path, tmp_path: Pat
     assert "no force-depth curve" in result.warnings[0]
 
 
+def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
+    """Of a file of one's own the probe may have another name, and its centre lie above its face."""
+
+    def simulated(**heights: float) -> Simulation:
+        times = np.array([0.0, 1.0])
+        tables = {
+            name: Table(("z", "Fz"), times, np.zeros(1, int), np.array([[[z, 0.0]], [[z - 2, -0.8]]]))
+            for name, z in heights.items()
+        }
+        return Simulation("febio", "4.11.0", times, tables)
+
+    assert doubts(simulated(probe=-0.05), "probe") == []
+    assert doubts(simulated(bone=0.0, probe=-0.2), "probe") == []
+    assert doubts(simulated(head=0.0), "head") == []
+    (other,) = doubts(simulated(bone=0.0, head=0.0), "bone")
+    assert "the curve is that of bone" in other
+    (far,) = doubts(simulated(probe=20.0), "probe")
+    assert "-20.00 mm at the start; it goes 2.00 mm" in far
+
+
 def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:
     text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints/><Boundary>")
     (tmp_path / "odd.feb").write_text(text)
     assert run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio).data["max_force_n"] == 0.8
     with pytest.raises(CaseError, match="Constraints"):
         run_file(tmp_path / "odd.feb", out=tmp_path / "out", solver="reference")
+    febio.write_text('#!/bin/sh\ntouch "$0.started"\n')
+    with pytest.raises(CaseError, match="without --vtu"):  # which needs to read it, too; said before the run
+        run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio, options=RunOptions(vtu=True))
+    assert not febio.with_name("febio4.started").exists()
 
 
 def test_missing_pieces_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

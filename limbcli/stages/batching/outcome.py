@@ -32,9 +32,9 @@ class BatchOptions:
 
     @classmethod
     def of(cls, *, febio: Path | None, templates: Path | None, **others: Any) -> BatchOptions:
-        """With paths that hold in other processes, too."""
-        absolute = [None if each is None else each.absolute() for each in (febio, templates)]
-        return cls(febio=absolute[0], templates=absolute[1], **others)
+        """With paths that hold in other processes, too; a FEBio that is no file here is a program's name."""
+        named = febio.absolute() if febio is not None and febio.exists() else febio
+        return cls(febio=named, templates=None if templates is None else templates.absolute(), **others)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.progress import Progress
 from limbcli.results import stage_folder
+from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.asked import Asked, options_of
 
@@ -62,7 +63,7 @@ def site_steps(
         SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
         SiteStep(
             "run",
-            (*solver.items(), *parts_of(ran)),
+            (options.solver, identity(options.solver, options.febio), *parts_of(ran)),
             lambda: run(case, options=options_of(RunOptions, ran), **solver, **common),
         ),
         SiteStep(

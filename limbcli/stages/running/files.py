@@ -17,7 +17,10 @@ from limbcli.solvers.base import Simulation
 
 COLUMNS = ("time_s", "depth_mm", "force_n")
 _NEEDED = {"z", "Fz"}
+_PROBE = "probe"
+_FAR_START_MM = 1.0  # of the face from first touch: ours begin at most 0.2 mm inside
 _DIGITS = 12
+_TIME_DIGITS = 1e-8  # relative: FEBio writes nine digits of a time
 
 
 def leave_simulation(
@@ -47,6 +50,7 @@ def leave_simulation(
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
+    writer.warnings.extend(doubts(simulation, body))
     curve = force_depth_rows(simulation, body)
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
@@ -61,10 +65,32 @@ def leave_simulation(
     )
 
 
+def doubts(simulation: Simulation, body: str) -> list[str]:
+    """Warnings of a curve that may be another body's, or whose depth does not count from first touch."""
+    found = []
+    names = _with_curve(simulation)
+    if len(names) > 1 and body != _PROBE:
+        found.append(
+            f"{' and '.join(names)} log z and Fz and none is called {_PROBE}: the curve is that of {body}"
+        )
+    depth = simulation.probe_depth(body)
+    if abs(depth[0]) > _FAR_START_MM:
+        found.append(
+            f"depth_mm is how far the centre of mass of {body} lies below z = 0, "
+            f"and that is {depth[0]:.2f} mm at the start; it goes {depth[-1] - depth[0]:.2f} mm from there"
+        )
+    return found
+
+
 def probe_body(simulation: Simulation) -> str | None:
     """The body called `probe`, else the first one that logs height and force."""
-    names = [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
-    return "probe" if "probe" in names else next(iter(names), None)
+    names = _with_curve(simulation)
+    return _PROBE if _PROBE in names else next(iter(names), None)
+
+
+def _with_curve(simulation: Simulation) -> list[str]:
+    """The bodies that log height and force."""
+    return [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
 
 
 def force_depth_rows(simulation: Simulation, body: str) -> Array:
@@ -81,9 +107,19 @@ def write_curve(path: Path, curve: Array) -> None:
 
 
 def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:
-    """The converged steps that are must-points."""
-    found = curve[np.isclose(curve[:, :1], np.array([must_points]), rtol=0, atol=1e-9).any(axis=1)]
-    return [dict(zip(COLUMNS, row, strict=True)) for row in found.tolist()]
+    return [dict(zip(COLUMNS, row, strict=True)) for row in at_must_points(curve, must_points).tolist()]
+
+
+def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:
+    """The converged steps that are must-points, each once: of several within the digits of a time, the last.
+
+    >>> curve = np.array([[0.142857143, 1.0, 2.0], [0.142857143, 1.1, 2.1], [1234.56789, 3.0, 4.0]])
+    >>> at_must_points(curve, (1 / 7, 0.5, 1234.567891))[:, 1]
+    array([1.1, 3. ])
+    """
+    near = np.isclose(curve[:, 0], np.array(must_points).reshape(-1, 1), rtol=_TIME_DIGITS, atol=1e-9)
+    found = [int(np.flatnonzero(rows)[-1]) for rows in near if rows.any()]
+    return np.asarray(curve[found])
 
 
 def draw_curve(
@@ -115,8 +151,8 @@ def draw_curve(
         figure = new_figure()
         axes = figure.add_subplot()
         axes.plot(curve[:, 1], curve[:, 2], "-", color="C0", label=label.replace(", start values", ""))
-        at = np.isclose(curve[:, :1], np.array([must_points]), rtol=0, atol=1e-9).any(axis=1)
-        axes.plot(curve[at, 1], curve[at, 2], "o", color="C0", markersize=5, label="must-points")
+        marked = at_must_points(curve, must_points)
+        axes.plot(marked[:, 1], marked[:, 2], "o", color="C0", markersize=5, label="must-points")
         axes.set_xlabel("probe depth / mm")
         axes.set_ylabel("force on the tissue / N")
         axes.legend()

@@ -1,0 +1,60 @@
+"""Templates filled in: whatever is wrong with one is an error that names its file and line."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from limbcli.errors import CaseError
+
+# What an expression of a template can raise besides Jinja's own; a file that is not UTF-8 is a ValueError.
+_OF_EXPRESSIONS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+
+class TemplateFolders(jinja2.FileSystemLoader):
+    """Looks in one folder after the other. asked : names of what was loaded, in order"""
+
+    def __init__(self, folders: Sequence[Path]):
+        super().__init__(folders)
+        self.asked: list[str] = []
+
+    def get_source(
+        self, environment: jinja2.Environment, template: str
+    ) -> tuple[str, str, Callable[[], bool]]:
+        self.asked.append(template)
+        return super().get_source(environment, template)
+
+
+def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, Any], *, ours: str) -> str:
+    """The text of a template. ours : where limbcli's own lie, to compare with
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or fails.
+    """
+    try:
+        return environment.get_template(template).render(facts)
+    except (jinja2.TemplateError, *_OF_EXPRESSIONS) as error:
+        raise CaseError(
+            f"a template is faulty: {error or type(error).__name__}",
+            where=_place(error, environment, template),
+            fix=f"compare it with limbcli's own {ours}, or leave --templates out",
+        ) from error
+
+
+def _place(error: Exception, environment: jinja2.Environment, template: str) -> str:
+    """File and line, as far as they are known: of the last frame that lies in a template."""
+    if isinstance(error, jinja2.TemplateSyntaxError):
+        return f"{error.filename or error.name or template}, line {error.lineno}"
+    if isinstance(error, UnicodeDecodeError):
+        loader = environment.loader
+        return loader.asked[-1] if isinstance(loader, TemplateFolders) and loader.asked else template
+    frames = [
+        each for each in traceback.extract_tb(error.__traceback__) if Path(each.filename).suffix == ".j2"
+    ]
+    return f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else template
