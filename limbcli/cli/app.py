@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -16,6 +17,7 @@ import typer
 from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
+from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
 from limbcli.faults import NO_MEMORY, in_words
 from limbcli.version import __version__
@@ -80,6 +82,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run; every foreseen error becomes a message and its family's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
+        arguments = list(map(_from_home, arguments))
         _refuse_no_numbers(arguments)
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
@@ -109,6 +112,16 @@ def command_options() -> dict[str, frozenset[str]]:
 def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
     report_error(for_command_line(error, arguments, command_options()), as_json="--json" in arguments)
     sys.exit(error.exit_code)
+
+
+def _from_home(text: str) -> str:
+    """An argument, or the value of `--option=value`, that begins with `~`: a shell leaves the latter as it is.
+
+    >>> _from_home("--out=~/results") == f"--out={os.path.expanduser('~/results')}", _from_home("--out=a~")
+    (True, '--out=a~')
+    """
+    option, equals, value = text.partition("=") if text.startswith("--") else ("", "", text)
+    return f"{option}{equals}{at_home(Path(value))}" if value.startswith("~") else text
 
 
 def _refuse_no_numbers(arguments: Sequence[str]) -> None:
