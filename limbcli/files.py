@@ -12,8 +12,8 @@ import hashlib
 import io
 import os
 import platform
+import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from limbcli.faults import PARTIAL, file_system_errors
 
 _OLD = "-old-"
+_TOKEN_BYTES = 6  # of a new name: no two are alike
 _NAME_LENGTH = 60  # of a computer's name within a file's
 _ABANDONED_S = 24 * 3600.0
 _PLY_HEAD = 20_000  # bytes that a PLY's header may have
@@ -45,14 +46,10 @@ def atomic_file(target: Path) -> Iterator[Path]:
     """
     with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f"{PARTIAL}{_maker()}-", suffix=target.suffix, dir=target.parent
-        )
-        os.close(handle)
-        partial = Path(name)
+        partial = _beside(target)
+        partial.touch(exist_ok=False)
         try:
             yield partial
-            partial.chmod(0o644)
             os.replace(partial, target)
         finally:
             partial.unlink(missing_ok=True)
@@ -67,13 +64,19 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
-        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{_maker()}-", dir=target.parent))
-        partial.chmod(0o755)
+        partial = _beside(target)
+        partial.mkdir()
         try:
             yield partial
             _put_in_place(partial, target)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+def _beside(target: Path) -> Path:
+    """A new name beside the target, of its kind. What gets it has the rights that this person gives to new files
+    (umask), as the system sees to: neither a group that works together nor a secret is let down."""
+    return target.parent / f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}{target.suffix}"
 
 
 def _put_in_place(partial: Path, target: Path) -> None:

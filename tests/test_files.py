@@ -42,6 +42,21 @@ def test_folder_is_replaced_whole(tmp_path: Path):
     assert os.listdir(tmp_path / "stage") == ["b"]
 
 
+@pytest.mark.parametrize(("umask", "file", "folder"), [(0o077, 0o600, 0o700), (0o002, 0o664, 0o775)])
+def test_what_is_made_has_the_rights_that_new_files_have(tmp_path: Path, umask: int, file: int, folder: int):
+    """A patient's results stay one's own under umask 077, and a group's under 002."""
+    before = os.umask(umask)
+    try:
+        with atomic_file(tmp_path / "rows.csv") as path:
+            path.write_text("a")
+        with atomic_folder(tmp_path / "stage") as work:
+            (work / "a").write_text("a")
+    finally:
+        os.umask(before)
+    found = [(tmp_path / name).stat().st_mode & 0o777 for name in ("rows.csv", "stage", "stage/a")]
+    assert found == [file, folder, file]
+
+
 def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path: Path):
     process = subprocess.Popen(["true"])
     process.wait()

@@ -115,7 +115,7 @@ def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
 
 
 def _from_home(text: str) -> str:
-    """An argument, or the value of `--option=value`, that begins with `~`: a shell leaves the latter as it is.
+    """An argument, or the value of `--option=value`, that begins with `~`: a shell leaves the latter.
 
     >>> _from_home("--out=~/results") == f"--out={os.path.expanduser('~/results')}", _from_home("--out=a~")
     (True, '--out=a~')
