@@ -73,17 +73,36 @@ def atomic_folder(target: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
+    """An empty folder to fill; what is in it replaces its namesakes in `folder` when the block ends well.
+
+    All is written before the first is replaced. File systems replace one name at a time: a kill in that
+    moment leaves some of the old set, so the file named `last` should hold the hashes of the others.
+    """
+    with file_system_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        clear_partial(folder)
+        partial = _beside(folder / "set")
+        partial.mkdir()
+        try:
+            yield partial
+            for each in sorted(partial.iterdir(), key=lambda path: (path.name == last, path.name)):
+                _put_in_place(each, folder / each.name)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
 def _beside(target: Path) -> Path:
-    """A new name beside the target, of its kind. What gets it has the rights that this person gives to new files
-    (umask), as the system sees to: neither a group that works together nor a secret is let down."""
+    """A new name beside the target, of its kind; what gets it has the rights that umask leaves."""
     return target.parent / f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}{target.suffix}"
 
 
 def _put_in_place(partial: Path, target: Path) -> None:
-    """The folder takes the target's place; what was there comes back if that fails."""
+    """A file or folder takes the target's place; a folder that was there comes back if that fails."""
     retired = target.parent / f"{PARTIAL}{_maker()}{_OLD}{target.name}"
     try:
-        if target.exists():
+        if target.is_dir() and partial.is_dir():
             os.replace(target, retired)
         os.replace(partial, target)
     except BaseException:
