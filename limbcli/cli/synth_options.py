@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
+
 if TYPE_CHECKING:
     from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
@@ -69,18 +71,30 @@ SynthElementOpt = Annotated[
 ]
 SynthSizeOpt = Annotated[
     float,
-    typer.Option("--size-mm", min=0.8, max=10, help="Edge length under the probe.", rich_help_panel=_MESH),
+    typer.Option(
+        "--size-mm",
+        min=SIZE_MM[0],
+        max=SIZE_MM[1],
+        help="Edge length under the probe.",
+        rich_help_panel=_MESH,
+    ),
 ]
 SynthFarSizeOpt = Annotated[
     float,
-    typer.Option("--far-size-mm", min=0.8, max=25, help="Edge length far from it.", rich_help_panel=_MESH),
+    typer.Option(
+        "--far-size-mm",
+        min=FAR_SIZE_MM[0],
+        max=FAR_SIZE_MM[1],
+        help="Edge length far from it.",
+        rich_help_panel=_MESH,
+    ),
 ]
 SynthMarginOpt = Annotated[
     float | None,
     typer.Option(
         "--margin-mm",
-        min=5,
-        max=150,
+        min=MARGIN_MM[0],
+        max=MARGIN_MM[1],
         help="Tissue kept beyond the probe; default: the case's.",
         rich_help_panel=_MESH,
         show_default=False,
