@@ -1,4 +1,4 @@
-"""What sizes a mesh may be asked for (lowest, largest, mm): in case.toml, on the command line, from Python."""
+"""What sizes a mesh may be asked for (lowest, largest, mm): in case.toml, on the command line, in Python."""
 
 from __future__ import annotations
 
