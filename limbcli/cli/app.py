@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import json
 import math
@@ -27,6 +28,7 @@ app = typer.Typer(
     help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
     no_args_is_help=True,
     add_completion=True,
+    rich_markup_mode=None,  # tables of Rich cut the names of options off on a terminal of 80 columns
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
@@ -75,7 +77,9 @@ def _root(
 
 
 for _name, _module in COMMANDS.items():
-    app.command(_name, epilog=f"Example: {EXAMPLES[_name]}")(import_module(f"limbcli.cli.{_module}").command)
+    _command = import_module(f"limbcli.cli.{_module}").command
+    _first = inspect.getdoc(_command).partition("\n\n")[0]  # type: ignore[union-attr]
+    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {EXAMPLES[_name]}")(_command)
 
 
 def main(arguments: list[str] | None = None) -> None:
