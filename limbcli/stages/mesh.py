@@ -107,7 +107,7 @@ def mesh_options(
     """The case's options with those of this run on top."""
     usual = Sizes()
     sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
-    margin = case.model.margin if margin is None else margin
+    margin = case.model.margin if margin is None else float(margin)
     for name, value, low, high in (
         ("--size-mm", sizes.under_probe, *SIZE_MM),
         ("--far-size-mm", sizes.far, sizes.under_probe, FAR_SIZE_MM[1]),
