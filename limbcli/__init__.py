@@ -10,8 +10,10 @@ A name opens the files that it needs when it is first used, so that `import limb
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from limbcli.kernel_folder import keep_kernels
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -95,6 +97,7 @@ _PUBLIC = {
     "solvers.base": ("Simulation",),
     "solvers.session": ("MustPoints", "ReferenceSession", "SessionResult"),
 }  # fmt: skip
+keep_kernels(Path(__file__).parent)  # before anything is compiled
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = ["__version__", *_HOME]
 

@@ -22,6 +22,7 @@ from limbcli.case_imaging import place_of, read_imaging
 from limbcli.case_instruments import read_instruments, read_layers
 from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case_states import read_states, site_schema
+from limbcli.config import at_home
 from limbcli.errors import CaseError
 from limbcli.faults import not_in_utf8
 from limbcli.problems import Problem, checked, errors_of
@@ -58,7 +59,7 @@ class Case:
         CaseError
             With every problem of case.toml and every file missing.
         """
-        return checked(*read_case(Path(folder)), CaseError)
+        return checked(*read_case(at_home(Path(folder))), CaseError)
 
     @staticmethod
     def open_images(folder: Path) -> Case:

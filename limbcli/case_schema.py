@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from limbcli.mesh_bounds import MARGIN_MM
 from limbcli.problems import Problem, suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
@@ -189,7 +190,7 @@ PROBE = {
     "edge_radius_mm": Key("mm", number(0.0, 20.0, "mm"), default=3.0),
 }
 MODEL = {
-    "margin_mm": Key("mm", number(5.0, 150.0, "mm"), default=40.0),
+    "margin_mm": Key("mm", number(*MARGIN_MM, "mm"), default=40.0),
     "element": Key("tet10 | tet4", one_of("tet10", "tet4"), default="tet10"),
 }
 SITE = {

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from limbcli.errors import ToolError
+from limbcli.errors import CaseError, ToolError
 
 PACKAGE = Path(__file__).resolve().parent
 THREADS = "LIMBCLI_THREADS"  # in the environment: the most threads of one simulation
@@ -49,9 +49,29 @@ def templates_folder(override: Path | None = None) -> Path:
 
 
 def default_out(case_folder: Path) -> Path:
-    """Output folder of a case where none is named: `out/<name of the case folder>` here."""
-    base = os.environ.get("LIMBCLI_OUT", "out")
-    return Path(base) / case_folder.resolve().name
+    """Output folder of a case where none is named: `out/<name of the case folder>` here.
+
+    LIMBCLI_OUT names another folder than `out`; left empty, as by a variable of a script that is not set, it
+    says nothing.
+    """
+    base = os.environ.get("LIMBCLI_OUT") or "out"
+    return at_home(Path(base)) / case_folder.resolve().name
+
+
+def at_home(path: Path) -> Path:
+    """The path with the home folder for a leading `~`, which no shell has put in the place of.
+
+    Raises
+    ------
+    CaseError
+        If that person has no home folder here: the results would go to a folder named `~`.
+    """
+    try:
+        return path.expanduser()
+    except RuntimeError as error:
+        raise CaseError(
+            f"it is not known which folder {path.parts[0]} means", where=str(path), fix="give the whole path"
+        ) from error
 
 
 def at_most(threads: int) -> int:

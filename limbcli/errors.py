@@ -14,6 +14,7 @@ no skin under the probe
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 
@@ -32,7 +33,7 @@ class LimbcliError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, *, where: str, fix: str, **facts: object):
-        super().__init__(f"{what}\n  where: {where}\n  fix:   {fix}")
+        super().__init__(_text(what, where, fix))
         self.what = what
         self.where = where
         self.fix = fix
@@ -48,6 +49,10 @@ class LimbcliError(Exception):
         return _arrived, (type(self), self.what, self.where, self.fix, self.facts)
 
 
+def _text(what: str, where: str, fix: str) -> str:
+    return f"{what}\n  where: {where}\n  fix:   {fix}"
+
+
 def _arrived(
     family: type[LimbcliError], what: str, where: str, fix: str, facts: dict[str, Any]
 ) -> LimbcliError:
@@ -57,6 +62,20 @@ def _arrived(
 
 
 LimbError = LimbcliError  # the name within the package
+
+
+def tell_site(error: LimbError, name: str) -> None:
+    """Say that it happened at this site, unless `where` tells it: of several a person must know which.
+
+    >>> error = MeshError("286 cells are inverted", where="layers", fix="give thinner layers")
+    >>> tell_site(error, "p1")
+    >>> tell_site(error, "p1")
+    >>> error.where
+    'site p1, layers'
+    """
+    if not re.search(rf"(?<!\w){re.escape(name)}(?!\w)", error.where):
+        error.where = f"site {name}, {error.where}"
+        error.args = (_text(error.what, error.where, error.fix),)
 
 
 class CaseError(LimbError):

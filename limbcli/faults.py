@@ -10,6 +10,7 @@ from pathlib import Path
 from limbcli.errors import CaseError, LimbError, ToolError
 
 PARTIAL = ".partial-"  # how the name begins of what is not whole yet
+SCRATCH = "limbcli-scratch-"  # ... and of a temporary folder
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
@@ -35,6 +36,12 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
     named = str(error.filename or "")
     where = str(place) if place is not None and (not named or PARTIAL in named) else named or "unknown"
     why = f"({error.strerror})"
+    if error.errno in _FULL and SCRATCH in named:
+        return ToolError(
+            f"the disk with the temporary files is full {why}",
+            where=str(Path(named[: named.index(SCRATCH)])),
+            fix="free space there, or let TMPDIR name a folder with more; the same command then goes on",
+        )
     if error.errno in _FULL:
         return ToolError(
             f"the disk is full {why}",

@@ -12,8 +12,8 @@ import hashlib
 import io
 import os
 import platform
+import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from limbcli.faults import PARTIAL, file_system_errors
 
 _OLD = "-old-"
+_TOKEN_BYTES = 6  # of a new name: no two are alike
 _NAME_LENGTH = 60  # of a computer's name within a file's
 _ABANDONED_S = 24 * 3600.0
 _PLY_HEAD = 20_000  # bytes that a PLY's header may have
@@ -45,14 +46,10 @@ def atomic_file(target: Path) -> Iterator[Path]:
     """
     with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f"{PARTIAL}{_maker()}-", suffix=target.suffix, dir=target.parent
-        )
-        os.close(handle)
-        partial = Path(name)
+        partial = _beside(target)
+        partial.touch(exist_ok=False)
         try:
             yield partial
-            partial.chmod(0o644)
             os.replace(partial, target)
         finally:
             partial.unlink(missing_ok=True)
@@ -67,8 +64,8 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     with file_system_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
-        partial = Path(tempfile.mkdtemp(prefix=f"{PARTIAL}{_maker()}-", dir=target.parent))
-        partial.chmod(0o755)
+        partial = _beside(target)
+        partial.mkdir()
         try:
             yield partial
             _put_in_place(partial, target)
@@ -76,11 +73,36 @@ def atomic_folder(target: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
+    """An empty folder to fill; what is in it replaces its namesakes in `folder` when the block ends well.
+
+    All is written before the first is replaced. File systems replace one name at a time: a kill in that
+    moment leaves some of the old set, so the file named `last` should hold the hashes of the others.
+    """
+    with file_system_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        clear_partial(folder)
+        partial = _beside(folder / "set")
+        partial.mkdir()
+        try:
+            yield partial
+            for each in sorted(partial.iterdir(), key=lambda path: (path.name == last, path.name)):
+                _put_in_place(each, folder / each.name)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _beside(target: Path) -> Path:
+    """A new name beside the target, of its kind; what gets it has the rights that umask leaves."""
+    return target.parent / f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}{target.suffix}"
+
+
 def _put_in_place(partial: Path, target: Path) -> None:
-    """The folder takes the target's place; what was there comes back if that fails."""
+    """A file or folder takes the target's place; a folder that was there comes back if that fails."""
     retired = target.parent / f"{PARTIAL}{_maker()}{_OLD}{target.name}"
     try:
-        if target.exists():
+        if target.is_dir() and partial.is_dir():
             os.replace(target, retired)
         os.replace(partial, target)
     except BaseException:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, LimbError, tell_site
 from limbcli.faults import in_utf8
 from limbcli.files import atomic_folder, sha256
 from limbcli.version import __version__
@@ -95,6 +95,8 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     ------
     CaseError
         If what lies there is none of ours: it would be lost (`foreign` is among its facts).
+    LimbError
+        Of the block itself: with the site, whoever raised it.
 
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
@@ -107,7 +109,12 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     target = stage_folder(out, stage, site)
     with atomic_folder(target) as work:
         writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
-        yield writer
+        try:
+            yield writer
+        except LimbError as error:
+            if site:
+                tell_site(error, site)
+            raise
         writer.result = writer.finish()
         _refuse_foreign(target, work, stage)
 

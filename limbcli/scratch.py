@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import os
 import shutil
@@ -13,7 +14,11 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-PREFIX = "limbcli-scratch-"
+from limbcli.faults import SCRATCH
+
+PREFIX = SCRATCH
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+_ROOM_BYTES = 1_000_000  # of which less is left on a disk that is full
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 _CAN_TELL_CHILDREN = sys.platform.startswith("linux")
 
@@ -22,7 +27,8 @@ _CAN_TELL_CHILDREN = sys.platform.startswith("linux")
 def scratch_folder() -> Iterator[Path]:
     """An empty temporary folder, removed when the block ends; those of makers that were killed go too.
 
-    Its maker holds the system's lock on the folder, which ends with it, however it ends.
+    Its maker holds the system's lock on the folder, which ends with it, however it ends. What finds no room
+    and does not say where names the folder, where its disk is full.
 
     >>> with scratch_folder() as folder:
     ...     _ = (folder / "a.txt").write_text("for now")
@@ -33,9 +39,17 @@ def scratch_folder() -> Iterator[Path]:
     folder, held = _made()
     try:
         yield folder
+    except OSError as error:
+        if error.errno in _NO_ROOM and not error.filename and _is_full(folder):
+            raise OSError(error.errno, error.strerror, str(folder)) from error
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         os.close(held)
+
+
+def _is_full(folder: Path) -> bool:
+    return shutil.disk_usage(folder).free < _ROOM_BYTES
 
 
 def _made() -> tuple[Path, int]:

@@ -10,9 +10,9 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"model", "bodies", "case", "case_fibres", "case_files", "case_imaging", "case_instruments",
           "case_parts", "case_schema", "case_states", "config", "units", "errors", "progress", "faults",
-          "files", "filling", "results", "problems",
-          "interval_limits", "model_io", "monotone", "scratch", "ahead", "pasting", "drawing", "writing",
-          "version", "unforeseen"}  # fmt: skip
+          "files", "filling", "results", "problems", "interval_limits", "kernel_folder", "mesh_bounds",
+          "model_io", "monotone", "scratch", "ahead", "pasting", "drawing", "writing", "version",
+          "unforeseen"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
 ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},
@@ -79,6 +79,13 @@ def test_ground_floor_imports_nothing_above():
     for path in SOURCES:
         if room_of(path) in GROUND:
             assert {name.split(".")[0] for _, name in imports_of(path)} <= GROUND, path
+
+
+def test_the_list_for_newcomers_names_every_module_on_the_ground_floor():
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    modules = {path.stem for path in PACKAGE.glob("*.py") if not path.stem.startswith("__")}
+    assert modules == GROUND
+    assert not [name for name in modules if not name.startswith("case_") and f" {name}.py " not in text]
 
 
 def test_nothing_below_the_command_line_prints():

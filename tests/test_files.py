@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from limbcli import files
-from limbcli.files import atomic_file, atomic_folder, clear_partial, sha256
+from limbcli.errors import MeshError
+from limbcli.files import atomic_file, atomic_folder, atomic_set, clear_partial, sha256
 from limbcli.results import open_stage, read_result
 
 
@@ -40,6 +41,60 @@ def test_folder_is_replaced_whole(tmp_path: Path):
         with atomic_folder(tmp_path / "stage") as work:
             (work / name).write_text(name)
     assert os.listdir(tmp_path / "stage") == ["b"]
+
+
+@pytest.mark.parametrize(("umask", "file", "folder"), [(0o077, 0o600, 0o700), (0o002, 0o664, 0o775)])
+def test_what_is_made_has_the_rights_that_new_files_have(tmp_path: Path, umask: int, file: int, folder: int):
+    """A patient's results stay one's own under umask 077, and a group's under 002."""
+    before = os.umask(umask)
+    try:
+        with atomic_file(tmp_path / "rows.csv") as path:
+            path.write_text("a")
+        with atomic_folder(tmp_path / "stage") as work:
+            (work / "a").write_text("a")
+    finally:
+        os.umask(before)
+    found = [(tmp_path / name).stat().st_mode & 0o777 for name in ("rows.csv", "stage", "stage/a")]
+    assert found == [file, folder, file]
+
+
+def written_set(folder: Path, text: str) -> None:
+    with atomic_set(folder, last="b.json") as work:
+        (work / "b.json").write_text(text)
+        (work / "c.csv").write_text(text)
+        (work / "pictures").mkdir()
+        (work / "pictures" / text).write_text(text)
+
+
+def test_a_set_is_replaced_once_all_of_it_is_written(tmp_path: Path):
+    (tmp_path / "mine.txt").write_text("a user's own")
+    written_set(tmp_path, "first")
+    with pytest.raises(KeyboardInterrupt), atomic_set(tmp_path, last="b.json") as work:  # noqa: PT012
+        (work / "b.json").write_text("half")
+        raise KeyboardInterrupt
+    assert (tmp_path / "b.json").read_text() == "first"
+    written_set(tmp_path, "second")
+    assert (tmp_path / "c.csv").read_text() == (tmp_path / "b.json").read_text() == "second"
+    assert os.listdir(tmp_path / "pictures") == ["second"]
+    assert sorted(os.listdir(tmp_path)) == ["b.json", "c.csv", "mine.txt", "pictures"]
+
+
+def test_what_tells_of_a_set_is_replaced_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    order = []
+    monkeypatch.setattr(files, "_put_in_place", lambda _, target: order.append(target.name))
+    written_set(tmp_path, "first")
+    assert order == ["c.csv", "pictures", "b.json"]
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [("layers", "site p1, layers"), ("out/mesh/p1", "out/mesh/p1"), ("p11", "site p1, p11")],
+)
+def test_what_goes_wrong_at_a_site_names_it(tmp_path: Path, where: str, told: str):
+    with pytest.raises(MeshError) as caught, open_stage(tmp_path, "mesh", subject="S1", site="p1"):
+        raise MeshError("286 cells are inverted", where=where, fix="give thinner layers")
+    assert caught.value.where == told
+    assert f"where: {told}\n" in str(caught.value)
 
 
 def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path: Path):

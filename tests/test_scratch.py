@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -9,8 +10,13 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from limbcli import scratch
+from limbcli.errors import ToolError
+from limbcli.files import atomic_folder
+from limbcli.meshing import mesher_process
 from limbcli.scratch import PREFIX, scratch_folder
 
 MAKER = """
@@ -63,3 +69,39 @@ def test_what_a_killed_maker_leaves_goes_and_what_a_living_one_holds_stays(maker
     assert len(list(tmp_path.glob(f"{PREFIX}*"))) == 1
     with scratch_folder() as other:
         assert list(tmp_path.glob(f"{PREFIX}*")) == [other]
+
+
+@pytest.mark.parametrize(("is_full", "place"), [(True, ""), (False, "out/mesh")])
+def test_of_two_disks_the_full_one_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool, place: str
+):
+    """What numpy cannot write says nothing of where; the results lie on another disk than temporary files."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(scratch, "_is_full", lambda _: is_full)
+    with pytest.raises(ToolError, match="full") as caught, atomic_folder(tmp_path / "out/mesh"):  # noqa: SIM117
+        with scratch_folder():
+            raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.where == str(tmp_path / place)
+    assert ("TMPDIR" in caught.value.fix) == is_full
+
+
+def test_a_mesher_without_room_is_not_taken_for_one_that_refuses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """A full disk is no reason for another mesh."""
+    nodes, cells = np.zeros((4, 3)), np.zeros((1, 4), np.int64)
+    np.savez(tmp_path / "in.npz", points=nodes, faces=cells, options="{}")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(mesher_process.MESHERS, "any", lambda *_: (nodes, cells))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with monkeypatch.context() as patch:
+        patch.setattr(mesher_process.np, "savez", full)
+        with pytest.raises(SystemExit) as stop:
+            mesher_process.main("any", tmp_path)
+    monkeypatch.setattr(mesher_process, "_run", lambda *_: stop.value.code)
+    with pytest.raises(OSError, match="No space") as caught:
+        mesher_process.in_process("any", nodes, cells, {}, time_limit_s=1.0)
+    assert PREFIX in str(caught.value.filename)

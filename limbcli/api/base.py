@@ -32,9 +32,7 @@ class Result(Tabular):
         """Paths lead to the same place from any working folder."""
         home = replace(self.stage_result, folder=self.stage_result.folder.absolute())
         object.__setattr__(self, "stage_result", home)
-        for each in fields(self):
-            if isinstance(path := getattr(self, each.name), Path):
-                object.__setattr__(self, each.name, path.absolute())
+        whole_paths(self)
 
     @classmethod
     def of(cls, found: StageResult) -> Self:
@@ -104,6 +102,13 @@ class Result(Tabular):
         """The row, with whose it is in front."""
         site = {"site": self.site} if self.site else {}
         return {"subject": self.subject, **site, **plain(row)}
+
+
+def whole_paths(result: Any) -> None:
+    """Make the paths of a frozen dataclass lead to the same places from any working folder."""
+    for each in fields(result):
+        if isinstance(path := getattr(result, each.name), Path):
+            object.__setattr__(result, each.name, path.absolute())
 
 
 def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:

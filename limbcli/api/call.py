@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeAlias, TypeVar
 
 from limbcli.case import Case
-from limbcli.config import default_out
+from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
 from limbcli.faults import NO_MEMORY, in_words
 from limbcli.progress import SILENT, Listener, Progress
@@ -133,7 +133,7 @@ def listening(progress: Heard) -> Progress:
 
 
 def folder_of(path: PathLike, name: str = "out") -> Path:
-    """A path that the caller gave.
+    """A path that the caller gave; `~` is the home folder.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def folder_of(path: PathLike, name: str = "out") -> Path:
         If it is none.
     """
     if isinstance(path, str | os.PathLike):
-        return Path(path)
+        return at_home(Path(path))
     what = f"{name} is {reprlib.repr(path)}, not a path"
     raise CaseError(what, where=name, fix="give a path, as str or pathlib.Path")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
-from limbcli.api.base import Result
+from limbcli.api.base import Result, whole_paths
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -69,10 +69,19 @@ class CaseResult(Tabular):
     expected: tuple[str, ...] = ()
     report: Path | None = None
 
+    def __post_init__(self) -> None:
+        whole_paths(self)
+
     @property
     def ok(self) -> bool:
         """Whether nothing failed."""
         return not self.failures
+
+    def __str__(self) -> str:
+        if self.ok:
+            return f"{self.case}: done, {self.report or 'without a report'}"
+        lines = (f"{each.stage} {each.site or ''}".strip() + f": {each.error}" for each in self.failures)
+        return "\n  ".join([f"{self.case}: failed", *"\n".join(lines).splitlines()])
 
     def rows(self) -> list[dict[str, Any]]:
         words = "; ".join(
@@ -101,10 +110,16 @@ class BatchResult(Tabular):
     cases: tuple[CaseResult, ...]
     index: Path | None = None
 
+    def __post_init__(self) -> None:
+        whole_paths(self)
+
     @property
     def ok(self) -> bool:
         """Whether nothing failed."""
         return all(each.ok for each in self.cases)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.cases))
 
     def __iter__(self) -> Iterator[CaseResult]:
         return iter(self.cases)

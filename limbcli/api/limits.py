@@ -8,11 +8,12 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from limbcli.errors import CaseError
+from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 
 Bounds: TypeAlias = tuple[float, float]
 
 # (lowest, largest); infinite where an option has no such end. A test holds them against the options.
-_SIZES: dict[str, Bounds] = {"size_mm": (0.8, 10), "far_size_mm": (0.8, 25), "margin_mm": (5, 150)}
+_SIZES: dict[str, Bounds] = {"size_mm": SIZE_MM, "far_size_mm": FAR_SIZE_MM, "margin_mm": MARGIN_MM}
 _TISSUE: dict[str, Bounds] = {"c_kpa": (0.1, 200), "f_kappa": (0.01, 1000), "m": (1, 100)}
 _MEASURING: dict[str, Bounds] = {
     "noise": (0, 20), "step_n": (0.1, 20), "max_force_n": (1, 80), "max_strain": (0.05, 0.6),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from limbcli.api.base import Result, SiteResults, by_site
+from limbcli.api.base import Result, SiteResults, by_site, whole_paths
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -40,10 +40,20 @@ class CheckResult(Tabular):
     looked_at: tuple[str, ...]
     problems: tuple[Problem, ...]
 
+    def __post_init__(self) -> None:
+        whole_paths(self)
+
     @property
     def ok(self) -> bool:
         """Whether nothing stops the work."""
         return all(each.severity != "error" for each in self.problems)
+
+    def __str__(self) -> str:
+        told = (
+            f"{each.severity}: {each.what}\n  where: {each.where}\n  fix:   {each.fix}"
+            for each in self.problems
+        )
+        return "\n".join(told) or f"{self.folder}: the case is complete"
 
     def rows(self) -> list[dict[str, Any]]:
         """A row a problem: severity, what, where, fix."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,6 +100,10 @@ class Tabular:
             If pandas is not installed.
         """
         return to_frame(self.table())
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the findings with their warnings, as `print` gives them."""
+        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def read_columns(path: Path) -> Table:

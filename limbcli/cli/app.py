@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import json
 import math
@@ -9,6 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -16,6 +18,7 @@ import typer
 from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
+from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
 from limbcli.faults import NO_MEMORY, in_words
 from limbcli.version import __version__
@@ -25,6 +28,7 @@ app = typer.Typer(
     help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
     no_args_is_help=True,
     add_completion=True,
+    rich_markup_mode=None,  # tables of Rich cut the names of options off on a terminal of 80 columns
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
@@ -73,13 +77,16 @@ def _root(
 
 
 for _name, _module in COMMANDS.items():
-    app.command(_name, epilog=f"Example: {EXAMPLES[_name]}")(import_module(f"limbcli.cli.{_module}").command)
+    _command = import_module(f"limbcli.cli.{_module}").command
+    _first = inspect.getdoc(_command).partition("\n\n")[0]  # type: ignore[union-attr]
+    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {EXAMPLES[_name]}")(_command)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run; every foreseen error becomes a message and its family's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
+        arguments = list(map(_from_home, arguments))
         _refuse_no_numbers(arguments)
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
@@ -109,6 +116,16 @@ def command_options() -> dict[str, frozenset[str]]:
 def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
     report_error(for_command_line(error, arguments, command_options()), as_json="--json" in arguments)
     sys.exit(error.exit_code)
+
+
+def _from_home(text: str) -> str:
+    """An argument, or the value of `--option=value`, that begins with `~`: a shell leaves the latter.
+
+    >>> _from_home("--out=~/results") == f"--out={os.path.expanduser('~/results')}", _from_home("--out=a~")
+    (True, '--out=a~')
+    """
+    option, equals, value = text.partition("=") if text.startswith("--") else ("", "", text)
+    return f"{option}{equals}{at_home(Path(value))}" if value.startswith("~") else text
 
 
 def _refuse_no_numbers(arguments: Sequence[str]) -> None:

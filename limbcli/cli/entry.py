@@ -5,6 +5,7 @@ Nothing heavy is imported before the handlers are set.
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -16,6 +17,12 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 def main() -> None:
     """`limbcli`, as installed."""
     _answer_with(_leave)
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # what a terminal has no letter for, such as a Greek one, is spelt
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         from limbcli.cli.app import main as run
 

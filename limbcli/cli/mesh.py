@@ -8,20 +8,25 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
+from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.writing import one_writer
 
 SizeOpt = Annotated[
     float | None,
     typer.Option(
-        "--size-mm", min=0.8, max=10, help="Edge length under the probe; default 2.5.", show_default=False
+        "--size-mm",
+        min=SIZE_MM[0],
+        max=SIZE_MM[1],
+        help="Edge length under the probe; default 2.5.",
+        show_default=False,
     ),
 ]
 FarSizeOpt = Annotated[
     float | None,
     typer.Option(
         "--far-size-mm",
-        min=0.8,
-        max=25,
+        min=FAR_SIZE_MM[0],
+        max=FAR_SIZE_MM[1],
         help="Edge length far from it; default 8, or --size-mm.",
         show_default=False,
     ),
@@ -33,8 +38,8 @@ MarginOpt = Annotated[
     float | None,
     typer.Option(
         "--margin-mm",
-        min=5,
-        max=150,
+        min=MARGIN_MM[0],
+        max=MARGIN_MM[1],
         help="Tissue kept beyond the probe; default: the case's.",
         show_default=False,
     ),

@@ -21,32 +21,31 @@ LayersOpt = Annotated[
     bool,
     typer.Option("--with-layers", help="Read skin, fat and muscle too, as thick as the geometry tells them."),
 ]
-_STATES = "True stretch of the states"
 StretchAlongOpt = Annotated[
     list[str] | None,
     typer.Option(
-        "--stretch-along", metavar="STATE=STRETCH", show_default=False, rich_help_panel=_STATES,
+        "--stretch-along", metavar="STATE=STRETCH", show_default=False,
         help="Of a state whose stretch the case does not know, over unloaded tissue (may be repeated).",
     ),
 ]  # fmt: skip
 StretchAroundOpt = Annotated[
     list[str] | None,
     typer.Option(
-        "--stretch-around", metavar="STATE=STRETCH", show_default=False, rich_help_panel=_STATES,
+        "--stretch-around", metavar="STATE=STRETCH", show_default=False,
         help="The same around the limb.",
     ),
 ]  # fmt: skip
 UnloadedAlongOpt = Annotated[
     float | None,
     typer.Option(
-        "--unloaded-stretch-along", min=0.5, max=2.0, show_default=False, rich_help_panel=_STATES,
+        "--unloaded-stretch-along", min=0.5, max=2.0, show_default=False,
         help="Stretch, as the case counts, at which the tissue is unloaded.",
     ),
 ]  # fmt: skip
 UnloadedAroundOpt = Annotated[
     float | None,
     typer.Option(
-        "--unloaded-stretch-around", min=0.5, max=2.0, show_default=False, rich_help_panel=_STATES,
+        "--unloaded-stretch-around", min=0.5, max=2.0, show_default=False,
         help="The same around the limb.",
     ),
 ]  # fmt: skip

@@ -12,21 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
+
 if TYPE_CHECKING:
     from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
-_TISSUE = "Known tissue"
-_MEASURING = "Measuring it"
-_MESH = "Mesh simulated on"
 
 CStiffOpt = Annotated[
-    float, typer.Option("--c-kpa", min=0.1, max=200.0, help="c = 2 mu.", rich_help_panel=_TISSUE)
+    float, typer.Option("--c-kpa", min=0.1, max=200.0, help="c = 2 mu of the known tissue.")
 ]
 FKappaOpt = Annotated[
-    float, typer.Option("--f-kappa", min=0.01, max=1000.0, help="kappa' / c.", rich_help_panel=_TISSUE)
+    float, typer.Option("--f-kappa", min=0.01, max=1000.0, help="kappa' / c of the known tissue.")
 ]
 MOpt = Annotated[
-    float, typer.Option("--m", min=1.0, max=100.0, help="Exponent of the law.", rich_help_panel=_TISSUE)
+    float, typer.Option("--m", min=1.0, max=100.0, help="Exponent of the law, of the known tissue.")
 ]
 EffectOpt = Annotated[
     list[str] | None,
@@ -35,21 +34,16 @@ EffectOpt = Annotated[
         metavar="ID[=SIZE]",
         help="Hide this effect in the data (may be repeated).",
         show_default=False,
-        rich_help_panel=_TISSUE,
     ),
 ]
 NoiseOpt = Annotated[
     float,
-    typer.Option(
-        "--noise", min=0.0, max=20.0, help="Factor on the stated noise; 0: none.", rich_help_panel=_MEASURING
-    ),
+    typer.Option("--noise", min=0.0, max=20.0, help="Factor on the stated noise; 0: none."),
 ]
-StepOpt = Annotated[
-    float, typer.Option("--step-n", min=0.1, max=20.0, help="Force step, N.", rich_help_panel=_MEASURING)
-]
+StepOpt = Annotated[float, typer.Option("--step-n", min=0.1, max=20.0, help="Force step, N.")]
 MaxForceOpt = Annotated[
     float,
-    typer.Option("--max-force-n", min=1.0, max=80.0, help="Largest force, N.", rich_help_panel=_MEASURING),
+    typer.Option("--max-force-n", min=1.0, max=80.0, help="Largest force, N."),
 ]
 MaxStrainOpt = Annotated[
     float,
@@ -58,37 +52,45 @@ MaxStrainOpt = Annotated[
         min=0.05,
         max=0.6,
         help="Largest depth over skin-bone distance.",
-        rich_help_panel=_MEASURING,
     ),
 ]
 SynthElementOpt = Annotated[
     str | None,
     typer.Option(
-        "--element", help="tet10 | tet4; default: the case's.", rich_help_panel=_MESH, show_default=False
+        "--element", help="Of the mesh simulated on: tet10 | tet4; default: the case's.", show_default=False
     ),
 ]
 SynthSizeOpt = Annotated[
     float,
-    typer.Option("--size-mm", min=0.8, max=10, help="Edge length under the probe.", rich_help_panel=_MESH),
+    typer.Option(
+        "--size-mm",
+        min=SIZE_MM[0],
+        max=SIZE_MM[1],
+        help="Edge length under the probe, of the mesh simulated on.",
+    ),
 ]
 SynthFarSizeOpt = Annotated[
     float,
-    typer.Option("--far-size-mm", min=0.8, max=25, help="Edge length far from it.", rich_help_panel=_MESH),
+    typer.Option(
+        "--far-size-mm",
+        min=FAR_SIZE_MM[0],
+        max=FAR_SIZE_MM[1],
+        help="Edge length far from it, of the mesh simulated on.",
+    ),
 ]
 SynthMarginOpt = Annotated[
     float | None,
     typer.Option(
         "--margin-mm",
-        min=5,
-        max=150,
+        min=MARGIN_MM[0],
+        max=MARGIN_MM[1],
         help="Tissue kept beyond the probe; default: the case's.",
-        rich_help_panel=_MESH,
         show_default=False,
     ),
 ]
 SameMeshOpt = Annotated[
     bool,
-    typer.Option("--same-mesh", help="Simulate on the very mesh that is fitted.", rich_help_panel=_MESH),
+    typer.Option("--same-mesh", help="Simulate on the very mesh that is fitted."),
 ]
 ContactPenaltyOpt = Annotated[
     float | None,
@@ -97,7 +99,6 @@ ContactPenaltyOpt = Annotated[
         min=1.0,
         max=1000.0,
         help="Times the skin's stiffness at rest; default: 20. With more the probe sinks in less.",
-        rich_help_panel=_MESH,
         show_default=False,
     ),
 ]

@@ -125,7 +125,7 @@ def _describe(kind: str, facts: dict[str, Any]) -> tuple[str, bool]:
         case "note":
             return f"  {facts['text']}", False
         case "compile":
-            return f"  compiling {facts['what']} (the first time on this machine only)", False
+            return f"  compiling {facts['what']}", False
         case "alive":
             end = f" of {facts['end_time']:g}" if facts.get("end_time") else ""
             text = f"  {facts['name']} has run for {facts['seconds']:.0f} s, at time {facts['time']:.3g}{end}"

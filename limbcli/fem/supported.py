@@ -98,7 +98,7 @@ def warm_up(progress: Progress) -> None:
     Where other processes are at it already, this waits for them.
     """
     if not are_there() or ahead.at_work():
-        progress.event("compile", what="the reference solver's kernels (about a minute, once)")
+        progress.event("compile", what="the reference solver's kernels: about a minute, once on this machine")
     ahead.wait()
 
 

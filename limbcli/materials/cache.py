@@ -1,7 +1,8 @@
 """Compiled kernels on disk: dropped when the source of a law or of an element loop has changed.
 
 numba looks only at the file of a kernel itself, not at those of the functions that it calls, so a
-changed law would go on being served from an old cache.
+changed law would go on being served from an old cache. Kernels that do not lie beside their sources are
+`kernel_folder`'s.
 
 What is compiled is what a fresh machine waits for. numba makes a kernel anew, with all that it calls, for
 every constant it is called with: `np.int64(0)` or `np.bool_(True)` instead of 0 or True shares the one there
@@ -10,9 +11,10 @@ is. A slice that is assigned to a slice compiles as much as a law; a loop does n
 
 from __future__ import annotations
 
-import hashlib
 from contextlib import suppress
 from pathlib import Path
+
+from limbcli.kernel_folder import digest
 
 _STAMP = "kernels.stamp"
 
@@ -25,16 +27,11 @@ def drop_stale_kernels() -> bool:
     here = Path(__file__).parent
     fem = here.parent / "fem"
     folders = (here, fem, *sorted(each.parent for each in fem.rglob("__init__.py") if each.parent != fem))
-    sources = [path for folder in folders for path in sorted(folder.glob("*.py"))]
-    texts = [
-        text
-        for text in (path.read_bytes() for path in sources)
-        if any(word in text for word in (b"njit", b"intrinsic", b"llvmlite"))
-    ]
-    digest = hashlib.sha256(b"".join(texts)).hexdigest()
+    sources = [path for folder in folders for path in folder.glob("*.py")]
+    now = digest(sources)
     stamp = here / "__pycache__" / _STAMP
     with suppress(OSError):
-        if stamp.is_file() and stamp.read_text() == digest:
+        if stamp.is_file() and stamp.read_text() == now:
             return False
     dropped = False
     with suppress(OSError):
@@ -44,5 +41,5 @@ def drop_stale_kernels() -> bool:
                     path.unlink(missing_ok=True)
                     dropped = True
         stamp.parent.mkdir(exist_ok=True)
-        stamp.write_text(digest)
+        stamp.write_text(now)
     return dropped

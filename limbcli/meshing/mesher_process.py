@@ -6,6 +6,7 @@ leaves FOLDER/out.npz, or FOLDER/error.txt; it is killed when PARENT, who starte
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
 import os
@@ -22,6 +23,7 @@ from limbcli.errors import MeshError, ToolError
 from limbcli.model import Array, IntArray
 from limbcli.scratch import end_with_parent, scratch_folder
 
+_NO_ROOM = 75  # exit status of the process where the disk is full: no mesher's own
 _FIX = "ask for another size (--size-mm), or mend the surfaces"
 
 
@@ -36,6 +38,8 @@ def in_process(
         If the mesher refuses the surface, crashes, or runs out of time.
     ToolError
         If the mesher is not installed.
+    OSError
+        If the temporary folder is full.
     """
     with scratch_folder() as folder:
         np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))
@@ -51,6 +55,8 @@ def in_process(
                     f"{mesher} is not installed ({text})", where="volume mesh", fix=f"pip install {mesher}"
                 )
             raise MeshError(f"{mesher} refuses the surface: {text}", where="volume mesh", fix=_FIX)
+        if status == _NO_ROOM:  # as above: another way would need more of it, or be another mesh
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         if status or not (folder / "out.npz").is_file():
             raise MeshError(f"{mesher} crashed (status {status})", where="volume mesh", fix=_FIX)
         with np.load(folder / "out.npz") as out:
@@ -124,7 +130,10 @@ def main(mesher: str, folder: Path) -> None:
     except (RuntimeError, ValueError, MemoryError) as error:
         (folder / "error.txt").write_text(f"{type(error).__name__}\n{error}")
     else:
-        np.savez(folder / "out.npz", nodes=nodes, cells=cells)
+        try:
+            np.savez(folder / "out.npz", nodes=nodes, cells=cells)
+        except OSError as error:
+            sys.exit(_NO_ROOM if error.errno in (errno.ENOSPC, errno.EDQUOT) else 1)
 
 
 if __name__ == "__main__":

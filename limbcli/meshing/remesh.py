@@ -8,7 +8,7 @@ size field and keep every edge between two labels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,11 @@ class Sizes:
     reach: float = 2.0  # mm round the face that keep the fine size
     bends: float = 2.5  # the shortest edges that bent surfaces ask for
     thin: float = 0.0  # ... and that thin tissue, thin bone and clefts ask for, where facets do not meet
+
+    def __post_init__(self) -> None:
+        """Whole numbers, as Python gives them, are lengths: arrays made of them hold no fractions."""
+        for each in fields(self):
+            object.__setattr__(self, each.name, float(getattr(self, each.name)))
 
     def finer(self, factor: float) -> Sizes:
         return Sizes(
@@ -116,7 +121,7 @@ def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Arr
     assert domain.bone is not None
     h = domain.skin.grid.spacing
     tissue = np.minimum(-domain.skin.values, domain.bone.values)
-    out = np.full(tissue.shape, far)
+    out = np.full(tissue.shape, far, dtype=np.float64)
     for depth in (tissue, -domain.bone.values):
         slope = np.sqrt(sum(each**2 for each in np.gradient(depth, h)))
         middle = (depth > 0.3 * h) & (depth < far / share) & (slope < 0.75)

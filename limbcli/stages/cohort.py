@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.files import atomic_file, sha256
+from limbcli.files import atomic_set, sha256
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
 from limbcli.problems import Problem, checked, raise_errors
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, plain, provenance
+from limbcli.results import UNLIKE_OURS, StageResult, plain, provenance
 from limbcli.stages.cohorts.compliance import compliance_left_out
 from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
 from limbcli.stages.cohorts.page import PICTURES, cohort_page, is_ours
@@ -36,6 +36,7 @@ from limbcli.stages.cohorts.result import (
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
+_TOLD_OF = (ROWS, PAGE)  # whose hashes the result holds: what one run left belongs together
 _ROWS_BEGIN = b"subject,location,line,"  # the header line of rows.csv
 FEWEST_PEOPLE = 5  # of a site, for a population
 FEWEST_DRAWS = 30  # effective ones behind an interval that can be relied on
@@ -186,13 +187,15 @@ def _written(
     content = plain(
         {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
     )
-    cohort_page(content, out, PAGE, templates=templates)
-    with atomic_file(out / ROWS) as path, path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(content["rows"])
-    with atomic_file(out / RESULT) as path:
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with atomic_set(out, last=RESULT) as work:
+        cohort_page(content, work, PAGE, templates=templates)
+        with (work / ROWS).open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(content["rows"])
+        content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _TOLD_OF}
+        text = json.dumps(content, indent=1, allow_nan=False)
+        (work / RESULT).write_text(text + "\n", encoding="utf-8")
     return _result(out, content)
 
 
@@ -215,7 +218,7 @@ def read_cohort(out: Path) -> StageResult:
     Raises
     ------
     CaseError
-        If there is none, or it cannot be read.
+        If there is none, it cannot be read, or table and page are not of the same run as the result.
     """
     path = out / RESULT
     if not path.is_file():
@@ -225,10 +228,19 @@ def read_cohort(out: Path) -> StageResult:
             fix=f"run `limbcli cohort TABLE --out {out}` first",
         )
     try:
-        return _result(out, json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError) as error:
+        found = _result(out, json.loads(path.read_text(encoding="utf-8")))
+        told = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
+    except UNLIKE_OURS as error:
         raise CaseError(
             f"the result of `cohort` cannot be read ({error})",
             where=str(path),
             fix=f"run `limbcli cohort TABLE --out {out}` again",
         ) from error
+    for name, digest in told.items():
+        if not (out / name).is_file() or sha256(out / name) != digest:
+            raise CaseError(
+                f"{name} is not what `cohort` left together with {RESULT}",
+                where=str(out / name),
+                fix=f"run `limbcli cohort TABLE --out {out}` again: a run may have been cut off at its end",
+            )
+    return found

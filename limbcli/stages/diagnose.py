@@ -24,7 +24,7 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.errors import CaseError, LimbError
+from limbcli.errors import CaseError, LimbError, tell_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.stages.diagnosis.bones.evidence import Stand, compared
@@ -104,8 +104,13 @@ def diagnose(
     check_earlier(case, out, case.selected(sites))
     for group in places(case, case.selected(sites), out=out, separate=options.separate):
         progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
-        with one_blas_thread():
-            results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
+        try:
+            with one_blas_thread():
+                results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
+        except LimbError as error:
+            if not any(site.name in error.where for site in group):
+                tell_site(error, " + ".join(site.name for site in group))
+            raise
     return results
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
+from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
@@ -106,11 +107,11 @@ def mesh_options(
     """The case's options with those of this run on top."""
     usual = Sizes()
     sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
-    margin = case.model.margin if margin is None else margin
+    margin = case.model.margin if margin is None else float(margin)
     for name, value, low, high in (
-        ("--size-mm", sizes.under_probe, 0.8, 10.0),
-        ("--far-size-mm", sizes.far, sizes.under_probe, 25.0),
-        ("--margin-mm", margin, 5.0, 150.0),
+        ("--size-mm", sizes.under_probe, *SIZE_MM),
+        ("--far-size-mm", sizes.far, sizes.under_probe, FAR_SIZE_MM[1]),
+        ("--margin-mm", margin, *MARGIN_MM),
     ):
         if not low <= value <= high:
             raise CaseError(f"{name} is {value:g}", where=case.subject, fix=f"give {low:g} to {high:g} mm")

@@ -54,6 +54,27 @@ def test_one_case_that_fails_is_told_and_stops_nobody(quick: None, tmp_path: Pat
     assert "fit p2" in again.fresh
 
 
+def test_paths_of_a_batch_are_whole_and_a_notebook_shows_why_a_case_failed(
+    quick: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    two_sites(tmp_path / "good")
+    (two_sites(tmp_path / "a<b") / "fail-mesh-p2").touch()
+    good, bad = found = limbcli.batch(["good", "a<b"], out="out", jobs=1)
+    monkeypatch.chdir("/")
+    assert good.report is not None
+    assert found.index is not None
+    assert all(
+        each.is_absolute() and each.exists() for each in (good.case, good.out, good.report, found.index)
+    )
+    assert str(found).splitlines()[0] == f"{tmp_path}/good: done, {good.report}"
+    assert "mesh p2: no skin under the probe" in str(bad)
+    assert "a&lt;b: failed" in found._repr_html_()
+    checked = limbcli.check(tmp_path / "a<b")
+    assert checked.folder.is_absolute()
+    assert "fix: " in str(checked)
+
+
 def test_what_is_expected_and_does_not_hold_is_a_failure(quick: None, tmp_path: Path):
     case = two_sites(tmp_path / "a")
     (case / "expected.toml").write_text('[site.p1]\nthreads = { is = "many" }\n')

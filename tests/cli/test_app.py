@@ -54,6 +54,23 @@ def test_every_command_has_help_json_quiet_and_verbose(capsys, name: str):
         assert option in text, f"{name} lacks {option}"
 
 
+def test_the_list_of_commands_says_of_each_what_it_does_to_the_end(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, shown, _ = in_this_process(capsys, "--help")
+    assert "..." not in shown.partition("Commands:")[2]
+    assert "versions, libraries, solvers with a self test, memory." in " ".join(shown.split())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_names_every_option_whole_on_a_narrow_terminal(capsys, monkeypatch, name: str):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, shown, _ = in_this_process(capsys, name, "--help")
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+    for each in typer.main.get_command(app).commands[name].params:  # type: ignore[attr-defined]
+        assert all(text in shown for text in (*each.opts, *each.secondary_opts) if text.startswith("--"))
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_example_below_the_help_is_one_that_the_command_takes(capsys, name: str):
     program, *words = shlex.split(EXAMPLES[name])

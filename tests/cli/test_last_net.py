@@ -34,6 +34,16 @@ def faulty(*arguments: str, temporary: Path) -> subprocess.CompletedProcess[str]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
 
 
+def test_a_terminal_without_greek_letters_gets_them_spelt():
+    """As with the locale de_DE.ISO-8859-1 of an old cluster."""
+    code = (
+        "import limbcli.cli.app as a, limbcli.cli.entry as e; a.main = lambda: print('f_\\u03ba'); e.main()"
+    )
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, env=environment)
+    assert (found.returncode, found.stdout) == (0, b"f_\\u03ba\n"), found.stderr
+
+
 @pytest.mark.parametrize("there", [True, False], ids=["output folder", "no output folder"])
 def test_what_nobody_foresaw_is_a_message_with_a_file_to_send_in(tmp_path: Path, there: bool):
     write_case(tmp_path / "case")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
 import shlex
 import subprocess
@@ -12,6 +14,7 @@ from pathlib import Path
 import pytest
 import typer
 
+import limbcli
 from limbcli import case_schema
 from limbcli.case import read_case
 from limbcli.cli.app import COMMANDS, app
@@ -40,7 +43,7 @@ def command_lines() -> list[tuple[str, str]]:
         (page.relative_to(REPOSITORY).as_posix(), line)
         for page in PAGES
         for block in blocks(page, "console")
-        for line in re.findall(r"^\$ limbcli (.+?)(?:\s+#.*)?$", block, flags=re.MULTILINE)
+        for line in re.findall(r"^\w*\$ limbcli (.+?)(?:\s+#.*)?$", block, flags=re.MULTILINE)
     ]
 
 
@@ -61,6 +64,21 @@ def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
     file = tmp_path / "slip.py"
     file.write_text(blocks(EXAMPLES[2], "python")[0])
     assert load_effect(file).name == "slip"
+
+
+@pytest.mark.parametrize("page", [REPOSITORY / "README.md", DOCS / "api.md"], ids=lambda page: page.stem)
+def test_the_python_that_is_printed_calls_what_there_is(page: Path):
+    """Names that are imported are there, and every call of one has arguments that it takes."""
+    for block in blocks(page, "python"):
+        names: dict[str, object] = {}
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module == "limbcli":
+                names |= {each.name: getattr(limbcli, each.name) for each in node.names}
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
+                given = {each.arg: None for each in node.keywords if each.arg}
+                inspect.signature(names[node.func.id]).bind(*node.args, **given)  # type: ignore[arg-type]
+    assert any("from limbcli import" in block for block in blocks(page, "python"))
 
 
 @pytest.mark.parametrize(("page", "line"), command_lines())

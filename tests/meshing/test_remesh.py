@@ -27,6 +27,14 @@ def made(leg):
     return domain, fine, field, remesh(fine, domain, field)
 
 
+def test_whole_numbers_ask_for_the_same_edges(made):
+    """`far_size_mm=9` from Python and `--far-size-mm 9`, which is read as 9.0."""
+    domain, _, field, _ = made
+    whole = size_field(domain, PROBE, Sizes(3, 9))  # type: ignore[arg-type]
+    assert (whole.bend.values % 1 > 0.01).any(), "edges between whole lengths are asked for"
+    np.testing.assert_array_equal(whole.bend.values, field.bend.values)
+
+
 def test_volume_is_kept(made):
     _, fine, _, graded = made
     assert graded.surface.volume == pytest.approx(fine.volume, rel=0.01)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.measurement.cohort_checks import checked_cohort
-from limbcli.stages.cohort import _refuse_foreign, cohort
+from limbcli.stages.cohort import _refuse_foreign, cohort, read_cohort
 from limbcli.stages.cohorts.compliance import _person_share
 from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
@@ -175,6 +176,17 @@ def test_files_of_ones_own_are_not_replaced(tmp_path, own):
 def test_what_a_cohort_left_may_be_replaced(twelve):
     _, out, _ = twelve
     _refuse_foreign(out, out.parent / "people.csv")
+
+
+@pytest.mark.parametrize("name", ["rows.csv", "cohort.html"])
+def test_a_set_of_two_runs_is_refused(twelve, tmp_path, name):
+    """As a kill between two files leaves it."""
+    out = shutil.copytree(twelve[1], tmp_path / "out")
+    assert read_cohort(out).data["n_rows"] == 12
+    (out / name).write_text((out / name).read_text() + " ")
+    with pytest.raises(CaseError, match=f"{name} is not what `cohort` left together") as caught:
+        read_cohort(out)
+    assert caught.value.where == str(out / name)
 
 
 def solves(mesh: str):

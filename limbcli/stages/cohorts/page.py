@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from limbcli.files import atomic_file, atomic_folder
 from limbcli.reporting.cohort_view import cohort_reportlets
 from limbcli.reporting.page import embed, render, save_pictures
 
@@ -17,10 +16,10 @@ _ENDINGS = (".png", ".svg", "-data.csv")
 
 
 def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None) -> Path:
-    """Write `<out>/<name>` and `<out>/pictures/`; the page holds its pictures and needs no other file."""
+    """Write `<out>/<name>` and `<out>/pictures/`, in a new folder; the page needs no other file."""
     reportlets = cohort_reportlets(data)
-    with atomic_folder(out / PICTURES) as folder:
-        shown = embed(reportlets, save_pictures(reportlets, folder))
+    (out / PICTURES).mkdir()
+    shown = embed(reportlets, save_pictures(reportlets, out / PICTURES))
     own = data["provenance"]
     facts = {
         "data": data,
@@ -30,8 +29,7 @@ def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Pat
         "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
     }
     html = render(TEMPLATE, facts, templates=templates)
-    with atomic_file(out / name) as path:
-        path.write_text(html, encoding="utf-8")
+    (out / name).write_text(html, encoding="utf-8")
     return out / name
 
 
