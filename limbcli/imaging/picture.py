@@ -47,10 +47,11 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
         axes.set_ylim(extent[2], extent[3])
         height_mm = grey.to_patient(np.array([[*(n / 2 for n in grey.shape[:2]), k]]))[0, 2]
         axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
-        axes.tick_params(labelsize=6)
-        if number > len(chosen) - _COLUMNS:
+        is_lowest, is_first = number > len(chosen) - _COLUMNS, number % _COLUMNS == 1
+        axes.tick_params(labelsize=6, labelbottom=is_lowest, labelleft=is_first)
+        if is_lowest:
             axes.set_xlabel("mm along i", fontsize=7)
-        if number % _COLUMNS == 1:
+        if is_first:
             axes.set_ylabel("mm along j", fontsize=7)
     figure.suptitle(title, fontsize=12)
     save_picture(figure, path, dpi=80)

@@ -67,7 +67,7 @@ def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple
     corners = skin.corners[seen][:, :, [across[0], 2]]
     grey = 0.35 + 0.6 * facing[seen]
     colours = np.clip(np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1), 0, 1)
-    axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", rasterized=True))
+    axes.add_collection(PolyCollection(corners, facecolors=colours, edgecolors="none", rasterized=True))
     low, high = skin.points.min(axis=0) - 12, skin.points.max(axis=0) + 12
     axes.set_xlim(low[across[0]], high[across[0]])
     axes.set_ylim(low[2], high[2])
@@ -89,14 +89,19 @@ def _draw_points(
         aside, front = point - middle, towards[1] * (point - middle)[towards[0]]
         return bool(front > 0.35 * np.hypot(aside[0], aside[1]))
 
-    for each in grid:
-        if visible(each.point):
-            colour = "#c25a00" if each.skin_bone < _NEAR else "#1b3a1b"
-            axes.plot(each.point[across[0]], each.point[2], ".", color=colour, markersize=4)
-            axes.annotate(
-                each.name, (each.point[across[0]], each.point[2]), xytext=(0, 3), color=colour,
+    seen = [each for each in grid if visible(each.point)]
+    for colour, shown in (
+        ("#c25a00", [each for each in seen if each.skin_bone < _NEAR]),
+        ("#1b3a1b", [each for each in seen if not each.skin_bone < _NEAR]),
+    ):
+        places = np.array([each.point[[across[0], 2]] for each in shown]).reshape(-1, 2)
+        axes.plot(*places.T, ".", color=colour, markersize=4)
+        for each, place in zip(shown, places, strict=True):
+            name = axes.annotate(
+                each.name, place, xytext=(0, 3), color=colour,
                 textcoords="offset points", fontsize=8, ha="center",
             )  # fmt: skip
+            name.set_in_layout(False)  # it stands within its view, and looking at each takes time
     for points, mark, colour, word in ((markers, "D", "#c000c0", "marker "), (sites, "X", "#0050d0", "")):
         for name, point in points.items():
             if visible(point):
