@@ -18,6 +18,7 @@ from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
+from limbcli.solvers.session_models import check_same_set_up
 from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
 from limbcli.solvers.session_watch import Rows, Watch, is_asked, key_of
 from limbcli.version import __version__
@@ -129,7 +130,7 @@ class ReferenceSession:
         afresh: bool = False,
         led_by: Solved | None = None,
     ) -> SessionResult:
-        """Solve the model, or `model2`: the same mesh and load with other material parameters.
+        """Solve the model, or `model2`: the same mesh, contact and supports with other materials and curves.
 
         Parameters
         ----------
@@ -153,12 +154,15 @@ class ReferenceSession:
 
         Raises
         ------
+        CaseError
+            If `model2` differs in more.
         SolveError
             If a level is not reached; the session can be used further.
         """
         from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
+        check_same_set_up(self.model, model)
         if wrt and path_dependent(model):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
