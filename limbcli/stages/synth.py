@@ -30,7 +30,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.scratch import scratch_folder
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.simulated_subjects.hidden_effects import in_order
+from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
 from limbcli.stages.simulated_subjects.known_stretches import (
     check_stretches,
@@ -44,7 +44,7 @@ from limbcli.stages.simulated_subjects.synth_case import (
 from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
-from limbcli.stages.site_model.site_layers import MRI
+from limbcli.stages.site_model.site_layers import MRI, held_layers
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
@@ -167,6 +167,7 @@ def _measure_site(
     penalty = options.contact_penalty
     contact = None if penalty is None else partial(with_penalty, penalty=penalty)
     hidden = in_order(options.hidden)
+    check_beside_layers(hidden, held_layers(model))
     for_waves = [contact, *(each.for_waves or each.in_model for each in hidden)]
     protocol = replace(options.protocol, first=sum(each.preload for each in hidden))
     law = noise_law(site.noise).times(options.noise)

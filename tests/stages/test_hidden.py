@@ -12,7 +12,7 @@ from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
-from limbcli.stages.simulated_subjects.hidden_effects import hide, in_order
+from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
 from tests.diagnostics.reduced import block_model
 from tests.effects.test_together import ground
 
@@ -123,6 +123,15 @@ def test_stiffer_and_softer_places_are_hidden_beside_any_other_effect():
         for each in in_order([hide(name) for name in names]):
             model = each.in_model(model)
         assert ground(model) == pytest.approx(alone)
+
+
+def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
+    """All cells of the tissue lie deeper than a skin of 1.2 mm: nothing would be hidden."""
+    hidden = [hide("contraction"), hide("skin-layer")]
+    check_beside_layers(hidden, ())
+    check_beside_layers(hidden[:1], ("fat",))
+    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has fat"):
+        check_beside_layers(hidden, ("fat",))
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,26 @@ def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
     return tuple(sorted(hidden, key=place))
 
 
+def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None:
+    """Refuse skin and fat as effects in a tissue that begins below `layers` of its mesh.
+
+    Raises
+    ------
+    CaseError
+        They are told by the depth below the skin, where the tissue is not.
+    """
+    found = [each.name for each in hidden if each.name in _BELOW_SKIN]
+    if layers and found:
+        raise CaseError(
+            f"{' and '.join(found)} cannot be hidden where the mesh has {' and '.join(layers)} of its own",
+            where="--effect",
+            fix="leave the effect out, or take [site.layers] out of the case",
+        )
+
+
+_BELOW_SKIN = ("skin-layer", "adipose-layer")
+
+
 def _number(size: str, found: Effect) -> float:
     first = found.parameters[0]
     try:
