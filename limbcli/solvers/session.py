@@ -55,7 +55,8 @@ class SessionResult:
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     levels : the states at the levels, which other solves may start from
     differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, friction, augmented contact)
+        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is told
+        from the end of the one before)
     """
 
     simulation: Simulation
@@ -374,7 +375,8 @@ def _table_differences(
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
     viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
-    return viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
+    by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
+    return by_the_way or model.goes_on_from_steps
 
 
 def _contact_body(model: LimbModel) -> str:
