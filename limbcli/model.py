@@ -259,6 +259,14 @@ class LimbModel:
         """Whether a contact has friction, with which the answer depends on the steps it is reached by."""
         return any(each.friction for each in self.contacts)
 
+    @property
+    def goes_on_from_steps(self) -> bool:
+        """Whether a step after the first holds or moves something from where the step before has left it."""
+        later = self.steps[1:]
+        return any(each.relative for step in later for each in step.supports) or any(
+            each.relative or each.kind == "fixed" for step in later for each in step.drives
+        )
+
     def with_material(self, name: str, material: Material) -> LimbModel:
         """The same model with one material replaced."""
         if name not in self.materials:

@@ -58,7 +58,8 @@ class Reading:
 
     force_zero N, force_gain : shown = gain * true + zero
     depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown
-    preload N : force already on the probe when force and depth were set to zero
+    preload N : force already on the probe when force and depth were set to zero, and what relaxes had (of
+        draining tissue, before it drained)
     compliance mm/N : of limb and bone support, seen in the probe's travel only
     log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
     guided : 1e4 Hz^2 / f^2 of the shear waves, guided by probe and bone
@@ -95,10 +96,7 @@ def read(
     array([1., 9.])
     """
     depth = true_depth(curves, protocol.depth, reading)
-    elastic = force_at(curves, depth)
-    force = relaxed(elastic, depth, protocol, reading)
-    if reading.preload:
-        force = force - reading.preload
+    force = relaxed(curves, depth, protocol, reading) - borne_at_zero(curves, reading)
     if with_speeds:
         speed = _speeds(curves, depth, reading)
     else:
@@ -115,15 +113,37 @@ def read(
     return shown
 
 
-def relaxed(elastic: Array, depth: Array, protocol: Protocol, reading: Reading) -> Array:
+def relaxed(curves: Curves, depth: Array, protocol: Protocol, reading: Reading) -> Array:
     """N borne at the end of each hold (n_levels,), by what the tissue bears when all has relaxed but nothing
-    has drained; depth (n_levels,) mm: of the probe since first touch."""
-    force = elastic if not reading.prony else _relaxed(elastic, protocol, reading.prony)
-    pressed = np.maximum(depth, 0.0)
+    has drained; depth (n_levels,) mm: of the probe since first touch. A preload had come to rest before."""
+    elastic = force_at(curves, depth)
+    force = elastic
+    for share, tau in reading.prony:  # F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1)
+        force = force + share * remembered(elastic, protocol, tau, rest=reading.preload)
+    if not reading.draining:
+        return force
+    pressed, rest = np.maximum(depth, 0.0), _depth_at_zero(curves, reading)
     for drainage, rate in reading.draining:
-        memory = [remembered(pressed, protocol, tau) for tau in drainage.times(rate).tolist()]
+        memory = [remembered(pressed, protocol, tau, rest=rest) for tau in drainage.times(rate).tolist()]
         force = force * drainage.left(pressed, np.column_stack(memory), rate)
     return force
+
+
+def borne_at_zero(curves: Curves, reading: Reading) -> float:
+    """N on the probe when the force was set to zero: of a preload, what is left when the tissue has come to
+    rest under it."""
+    force = reading.preload
+    if not (force and reading.draining):
+        return force
+    rest = np.array([_depth_at_zero(curves, reading)])
+    for drainage, rate in reading.draining:
+        force *= float(drainage.left(rest, np.zeros((1, len(drainage.spread))), rate)[0])
+    return force
+
+
+def _depth_at_zero(curves: Curves, reading: Reading) -> float:
+    """mm since first touch where a preload holds the probe."""
+    return depth_of_force(curves, reading.preload) if reading.preload else 0.0
 
 
 def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
@@ -131,9 +151,7 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     depth = reading.depth_gain * (shown + reading.depth_zero)
     if reading.touches_at_zero:
         depth = np.where(shown == 0.0, 0.0, depth)
-    if reading.preload:
-        depth = depth + depth_of_force(curves, reading.preload)
-    return depth
+    return depth + _depth_at_zero(curves, reading)
 
 
 def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
@@ -171,25 +189,14 @@ def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
     return -0.5 * np.log1p(-np.minimum(ratio, 0.9))
 
 
-def _relaxed(elastic: Array, protocol: Protocol, prony: tuple[tuple[float, float], ...]) -> Array:
-    """Force at the end of each hold: the lasting one and what has not relaxed yet.
-
-    F(t) = F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1).
-    """
-    total = elastic.copy()
-    for share, tau in prony:
-        total += share * remembered(elastic, protocol, tau)
-    return total
-
-
-def remembered(values: Array, protocol: Protocol, tau: float) -> Array:
+def remembered(values: Array, protocol: Protocol, tau: float, *, rest: float = 0.0) -> Array:
     """int exp(-(t - s)/tau) dv/ds ds at the end of each hold (n_levels,), of values v (n_levels,).
 
-    Each step is a ramp of `ramp` seconds, linear in v, from 0 on, then its hold.
+    Each step is a ramp of `ramp` seconds, linear in v, from `rest` on, then its hold.
     """
     held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
     ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)
-    found, state, before = np.empty(len(values)), 0.0, 0.0
+    found, state, before = np.empty(len(values)), 0.0, rest
     for k, now in enumerate(values.tolist()):
         state = state * np.exp(-protocol.ramp / tau) + (now - before) * ramp_kept
         state *= np.exp(-held[k] / tau)

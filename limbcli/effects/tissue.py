@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
 
 TISSUE = "tissue"  # the name of its material
+WRAPPERS = ("prestrain", "biphasic", "viscoelastic")  # of a whole tissue, each around those after it
 # Barycentric places on a facet, in sixths.
 _SPREAD = (
     (6, 0, 0), (0, 6, 0), (0, 0, 6), (3, 3, 0), (0, 3, 3), (3, 0, 3), (2, 2, 2), (4, 1, 1), (1, 4, 1),
@@ -65,11 +67,21 @@ def with_core(model: LimbModel, changed: Material) -> LimbModel:
     return model.with_material(TISSUE, swap(model.materials[TISSUE]))
 
 
+def within(material: Material, laws: Sequence[str], change: Callable[[Material], Material]) -> Material:
+    """A material with what lies within wrappers of these laws changed; without any, all of it."""
+    if material.law not in laws:
+        return change(material)
+    return replace(material, parts=(within(material.parts[0], laws, change),))
+
+
 def with_part(model: LimbModel, part: Material) -> LimbModel:
-    """One more solid beside the tissue's: a mixture."""
-    tissue = model.materials[TISSUE]
-    solids = tissue.parts if tissue.law == "mixture" else (tissue,)
-    return model.with_material(TISSUE, Material("mixture", {}, (*solids, part), tissue.density))
+    """One more solid beside the tissue's: a mixture, within what wraps the tissue as a whole."""
+
+    def beside(tissue: Material) -> Material:
+        solids = tissue.parts if tissue.law == "mixture" else (tissue,)
+        return Material("mixture", {}, (*solids, part), tissue.density)
+
+    return model.with_material(TISSUE, within(model.materials[TISSUE], WRAPPERS, beside))
 
 
 def scaled(model: LimbModel, factor: Array) -> LimbModel:

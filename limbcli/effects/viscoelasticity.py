@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
-from limbcli.effects.tissue import TISSUE
+from limbcli.effects.tissue import TISSUE, WRAPPERS, within
 from limbcli.model import LimbModel, Material
 
 TAU = "relaxation_time_s"
@@ -27,9 +27,13 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     """The wrapper that FEBio needs; load and time stay as they are."""
     if theta[SHARE.name] == 0.0:
         return model
-    tissue = model.materials[TISSUE]
     prony = {"g0": 1.0, "g1": theta[SHARE.name], "t1": theta.get(TAU, 10.0)}
-    return model.with_material(TISSUE, Material("viscoelastic", prony, (tissue,), tissue.density))
+
+    def relaxing(solid: Material) -> Material:
+        return Material("viscoelastic", prony, (solid,), solid.density)
+
+    outer = WRAPPERS[: WRAPPERS.index("viscoelastic")]
+    return model.with_material(TISSUE, within(model.materials[TISSUE], outer, relaxing))
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:

@@ -17,6 +17,7 @@ class LoadingProtocol:
     """Force-controlled steps (N) up to a force or a strain, each held; the load cell's record.
 
     max_strain : largest depth as a share of the skin-bone distance under the probe
+    first : N at the first level
     """
 
     step: float = 2.0
@@ -25,15 +26,16 @@ class LoadingProtocol:
     hold: float = 6.0
     ramp: float = 1.0
     sampling_hz: float = 60.0
+    first: float = 0.0
 
     def forces(self, *, reached: float) -> Array:
-        """The levels' forces from 0 up, as far as a simulation reached.
+        """The levels' forces from the first up, as far as a simulation reached.
 
         >>> LoadingProtocol(step=2.0, max_force=20.0).forces(reached=7.0)
         array([0., 2., 4., 6.])
         """
-        top = min(self.max_force, reached) + 1e-9
-        return np.asarray(self.step * np.arange(int(top // self.step) + 1), dtype=float)
+        top = min(self.max_force, reached) + 1e-9 - self.first
+        return np.asarray(self.first + self.step * np.arange(int(top // self.step) + 1), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.materials.fiber import JUMP
+from limbcli.materials.fiber import A0, BAND, JUMP, LAM0
 from limbcli.materials.program import Compiled, Program, compile_material
 from limbcli.materials.stress import program_stress
 from limbcli.model import Array, Curved, IntArray, Material, Value
@@ -34,7 +34,8 @@ def acoustic_tensor(
 
     Load curves count as 1. A viscoelastic law answers as at once (its sum of g_i), a prestrained one with
     the share r of its prestrain that its ramp states. Fibres that begin to be stretched count as
-    stretched: a wave along them stretches them either way.
+    stretched, however wide the band over which a solver lets them come in: a wave along them stretches them
+    either way.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def acoustic_tensor(
     if compiled.prestrain is not None:
         F = F @ _prestrain(*compiled.prestrain)
     factor = J / np.linalg.det(F)
-    F = _past_the_jump(compiled, par, F)
+    par, F = _past_the_jump(compiled, par, F)
     S, CC = program_stress(Program(whole.ops, np.ascontiguousarray(par)), F)
     n = np.asarray(direction, dtype=float)
     N = np.einsum("nji,j->ni", F, n)
@@ -81,15 +82,17 @@ def _prestrain(F0: Array, ramp: Value) -> Array:
     return np.asarray((1.0 - r) * np.eye(3) + r * F0)
 
 
-def _past_the_jump(compiled: Compiled, par: Array, F: Array) -> Array:
-    """F, stretched by half a thousandth where a fibre stands on the beginning of its stretch."""
-    on = np.zeros(len(F), dtype=bool)
+def _past_the_jump(compiled: Compiled, par: Array, F: Array) -> tuple[Array, Array]:
+    """The law's numbers with the narrowest band for all fibres, and F, stretched by half a thousandth where a
+    fibre stands on the beginning of its stretch."""
+    par, on = par.copy(), np.zeros(len(F), dtype=bool)
     offset = 0
     for leaf in compiled.leaves:
-        end = offset + leaf.n_slots
         if leaf.name == "fiber_exp_pow":
-            direction, least = par[:, end - 3 : end], par[:, offset + 4] ** 2
+            par[:, offset + BAND] = JUMP
+            direction = par[:, offset + A0 : offset + A0 + 3]
+            least = par[:, offset + LAM0] ** 2
             square = np.sum(np.einsum("nij,nj->ni", F, np.broadcast_to(direction, (len(F), 3))) ** 2, axis=1)
             on |= (square >= least * (1 - 1e-9)) & (square <= least + JUMP)
-        offset = end
-    return np.asarray(np.where(on[:, None, None], np.sqrt(1 + 1.01 * JUMP) * F, F))
+        offset += leaf.n_slots
+    return par, np.asarray(np.where(on[:, None, None], np.sqrt(1 + 1.01 * JUMP) * F, F))

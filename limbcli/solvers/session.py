@@ -18,6 +18,7 @@ from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
+from limbcli.solvers.session_models import check_same_set_up
 from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
 from limbcli.solvers.session_watch import Rows, Watch, is_asked, key_of
 from limbcli.version import __version__
@@ -54,7 +55,8 @@ class SessionResult:
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     levels : the states at the levels, which other solves may start from
     differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, friction, augmented contact)
+        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is told
+        from the end of the one before)
     """
 
     simulation: Simulation
@@ -129,7 +131,7 @@ class ReferenceSession:
         afresh: bool = False,
         led_by: Solved | None = None,
     ) -> SessionResult:
-        """Solve the model, or `model2`: the same mesh and load with other material parameters.
+        """Solve the model, or `model2`: the same mesh, contact and supports with other materials and curves.
 
         Parameters
         ----------
@@ -153,12 +155,15 @@ class ReferenceSession:
 
         Raises
         ------
+        CaseError
+            If `model2` differs in more.
         SolveError
             If a level is not reached; the session can be used further.
         """
         from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
+        check_same_set_up(self.model, model)
         if wrt and path_dependent(model):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
@@ -370,7 +375,8 @@ def _table_differences(
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the way to a load, not on the load alone."""
     viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
-    return viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
+    by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
+    return by_the_way or model.goes_on_from_steps
 
 
 def _contact_body(model: LimbModel) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.scratch import scratch_folder
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
 from limbcli.stages.simulated_subjects.known_stretches import (
     check_stretches,
@@ -42,7 +44,7 @@ from limbcli.stages.simulated_subjects.synth_case import (
 from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
-from limbcli.stages.site_model.site_layers import MRI
+from limbcli.stages.site_model.site_layers import MRI, held_layers
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
@@ -164,7 +166,10 @@ def _measure_site(
         model = options.alter(model)
     penalty = options.contact_penalty
     contact = None if penalty is None else partial(with_penalty, penalty=penalty)
-    for_waves = [contact, *(each.for_waves or each.in_model for each in options.hidden)]
+    hidden = in_order(options.hidden)
+    check_beside_layers(hidden, held_layers(model))
+    for_waves = [contact, *(each.for_waves or each.in_model for each in hidden)]
+    protocol = replace(options.protocol, first=sum(each.preload for each in hidden))
     law = noise_law(site.noise).times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
@@ -175,12 +180,12 @@ def _measure_site(
         true = indent(
             model,
             options.tissue,
-            protocol=options.protocol,
+            protocol=protocol,
             window=options.window,
             density_kg_per_m3=site.density_kg_per_m3,
             tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
             progress=progress,
-            change=_change([contact, *(each.in_model for each in options.hidden)]),
+            change=_change([contact, *(each.in_model for each in hidden)]),
             change_for_waves=_change(for_waves),
             borders=borders,
             stretch=None if state is None else (state.along, state.around),
@@ -199,7 +204,7 @@ def read_off(
     """
     rng = np.random.default_rng([options.seed, 3, number, *([] if state is None else [state])])
     readings = measure(true, law, protocol=options.protocol, rng=rng)
-    for each in options.hidden:
+    for each in in_order(options.hidden):
         if each.in_readings is not None:
             readings = each.in_readings(readings, true)
     return readings

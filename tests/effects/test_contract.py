@@ -15,6 +15,7 @@ from limbcli.effects import EFFECTS, effect
 from limbcli.effects.base import Effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.depth_zero import TOUCHES
+from limbcli.effects.drainage import Drainage
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
@@ -207,6 +208,19 @@ def test_readings_by_hand(name, theta, force, speed):
     shown = read(_line(), _protocol(), effect(name).observe(Reading(), theta))
     assert shown.force == pytest.approx(force, abs=1e-6)
     assert np.exp(shown.log_speed[:, 0]) == pytest.approx(speed, abs=1e-3)
+
+
+def test_what_relaxes_and_drains_starts_from_a_preload_at_rest():
+    """Force and depth are 0 where both were set to zero, and a level's force is the sum of its parts by hand:
+    4 N on top of the preload, of which 0.3 remembers a ramp of 1 s and a hold of 2 s."""
+    drainage = Drainage(np.array([1.0, 8.0]), np.array([[0.2], [0.2]]), np.array([5.0]))
+    protocol = Protocol(np.zeros(2), np.array([0.0, 2.0]), np.array([2.0, 2.0]))
+    kept = 10.0 * -np.expm1(-0.1) * np.exp(-0.2)
+    relaxing = read(_line(), protocol, Reading(preload=2.0, prony=((0.3, 10.0),))).force
+    assert relaxing == pytest.approx([0.0, 4.0 * (1 + 0.3 * kept)], abs=1e-9)
+    slow = 100.0 * -np.expm1(-0.01) * np.exp(-0.02)  # of 5 mm^2 at 0.05 mm^2/s
+    draining = read(_line(), protocol, Reading(preload=2.0, draining=((drainage, 0.05),))).force
+    assert draining == pytest.approx([0.0, 6.0 * (1 - 0.2 * (1 - slow * 2 / 3)) - 2.0 * 0.8], abs=1e-9)
 
 
 def test_the_travel_is_the_way_that_the_probe_took_whatever_the_depth_reads():

@@ -10,7 +10,8 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.base import applied
 from limbcli.effects.tissue import TISSUE, core
-from limbcli.model import ElementMap
+from limbcli.materials import compile_material
+from limbcli.model import ElementMap, Material
 from tests.diagnostics.reduced import block_model
 
 FAT = (effect("adipose-layer"), {"log_fat_softness": 1.0, "fat_thickness_mm": 8.0})
@@ -57,3 +58,27 @@ def test_what_is_told_in_terms_of_c_is_of_the_tissues_c():
     tension = applied(model, [FAT, TENSED]).materials[TISSUE].parts[1].parameters["T0"].values
     assert tension.max() == pytest.approx(0.006)
     assert tension.min() == pytest.approx(0.006 / np.e, rel=0.02)
+
+
+RELAXING = (effect("viscoelasticity"), {"relaxing_share": 0.3, "relaxation_time_s": 10.0})
+FIBRES = (effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5, "fibre_exponent": 0.0})
+DRAINING = (effect("poroelasticity"), {"log_permeability_ratio": 5.5, "drained_f_kappa": 2.0})
+
+
+def tree(material: Material) -> str:
+    return f"{material.law}({' '.join(sorted(map(tree, material.parts)))})"
+
+
+@pytest.mark.parametrize("others", [(FIBRES,), (FIBRES, TENSED), (STEEPER, DRAINING), (FIBRES, DRAINING)])
+def test_all_of_the_tissue_relaxes_and_drains_in_whatever_order_effects_come(others):
+    """Fibres that came after relaxation had stood beside it: not relaxing, and in no law of our solver."""
+    orders = itertools.permutations((RELAXING, *others))
+    made = [applied(block_model(), order).materials[TISSUE] for order in orders]
+    assert len(set(map(tree, made))) == 1
+    found = made[0]
+    if DRAINING in others:
+        assert found.law == "biphasic"
+        (found,) = found.parts
+    assert found.law == "viscoelastic"
+    prony = compile_material(found, TISSUE).prony
+    assert prony == (1.0, ((0.3, 10.0),))

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from small_models import punch
 
+from limbcli.bodies import Drive
+from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.derivatives.sensitivity import (
     BodyMotion,
@@ -22,7 +24,7 @@ from limbcli.fem.derivatives.sensitivity import (
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.rigid import rotation_matrix
 from limbcli.materials import ogden_type
-from limbcli.model import Curved, ElementMap, LimbModel, Material
+from limbcli.model import Curved, ElementMap, LimbModel, Material, Support
 from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)
@@ -179,3 +181,29 @@ def test_a_session_knows_the_ramp_of_a_prestrain() -> None:
     _, _, exact = response(model, Prestrain("tissue"))
     assert result.force_gradient["tissue", "ramp"][-1] == pytest.approx(-exact.bodies[0, 2], rel=1e-6)
     assert not result.differenced
+
+
+@pytest.mark.parametrize("what", ["drive", "support"])
+def test_a_step_told_from_the_end_of_the_one_before_is_differenced(what: str) -> None:
+    """Where the first step ends moves with the law: as if held, the derivative had been twice as large."""
+    model = small()
+    first, second = (replace(model.steps[0], n_steps=1, step_size=0.5, must_points=()) for _ in range(2))
+    if what == "drive":
+        model = replace(model, drives=tuple(each for each in model.drives if each.dof != "z"))
+        first = replace(first, drives=(Drive("probe", "z", "force", -0.1, "ramp"),))
+        second = replace(second, drives=(Drive("probe", "z", "displacement", -0.3, "ramp", True),))
+    else:
+        second = replace(second, supports=(Support("x1", ("x",), 0.2, "ramp", True),))
+    model = replace(model, steps=(first, second))
+    with closing(ReferenceSession(model, threads=1, tolerance=1e-10)) as session:
+        found = session.solve(wrt=[("tissue", name) for name in ("c1", "c2", "kappa")])
+        assert found.differenced
+        total = sum(PLAIN.parameters[name] * each for (_, name), each in found.force_gradient.items())
+        stiffer = ogden_type(c=0.0052 * 1.001, f_kappa=7.3, m=3.1)
+        up = session.solve(model.with_material("tissue", stiffer)).must_points.forces
+    assert total == pytest.approx((up - found.must_points.forces) / 0.001, rel=5e-3, abs=1e-6)
+    analysis = Analysis(model, TIGHT)
+    end = analysis.run()[-1]
+    with pytest.raises(SolveError, match="told from the end of the one before"):
+        sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", "c1")])
+    analysis.close()

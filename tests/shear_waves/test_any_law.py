@@ -129,3 +129,16 @@ def test_a_constant_ramp_is_a_share_of_the_prestrain(rng, ramp):
     partly = (1 - ramp) * np.eye(3) + ramp * taut
     whole = Material("prestrain", {"F0": tuple(partly.ravel()), "ramp": 1.0}, (SOFT,))
     np.testing.assert_allclose(acoustic_tensor(law, F, X), acoustic_tensor(whole, F, X), rtol=1e-12)
+
+
+@pytest.mark.parametrize("squeezed", [1.0, 0.995, 0.98])
+def test_the_band_of_a_solver_is_nothing_to_a_wave(squeezed):
+    """At rest and soon after, a wave along fibres with a wide band had run as if there were hardly any."""
+    along = STRANDS.with_parameters(fiber=(1.0, 0.0, 0.0))
+    F = np.diag([squeezed**-0.5, squeezed**-0.5, squeezed])[None]
+    sharp, wide = (
+        acoustic_tensor(Material("mixture", {}, (SOFT, each)), F, X)[0, 2, 2]
+        for each in (along, along.with_parameters(band=0.05))
+    )
+    assert wide == pytest.approx(sharp, rel=1e-9)
+    assert sharp > 0.9 * (MU + 0.004 / 2)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from limbcli.errors import CaseError, SolveError
+from limbcli.model_io import save_model
+from limbcli.progress import SILENT
+from limbcli.results import open_stage
 from limbcli.stages.build_feb import TissueOptions, build_feb
+from limbcli.stages.diagnosis import written_model as written
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_run
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import Tying
+from limbcli.stages.diagnosis.prepare import Notes
 from limbcli.stages.run import run
+from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case as block
+from tests.stages.test_site_layers import layered_block
 
 C = 0.008
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
@@ -86,6 +96,31 @@ def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkey
     with pytest.raises(SolveError, match="several times the work"):
         own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
     book.close()
+
+
+def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
+    """Fat of 1.5 kPa had made the force 0.41 of the working mesh's, and the mesh wrong by as much."""
+    case, out = ran
+    site, layered = case.sites[0], tmp_path / "out"
+    shutil.copytree(out, layered)
+    with open_stage(layered, "mesh", subject=case.subject, site="p1") as writer:
+        writer.data.update(element="tet10", size_under_probe_mm=5.0, layers={"fat_mm": 5.3})
+        soft = with_layer_laws(layered_block(), {"fat": LayerLaw()})
+        save_model(soft, writer.file("model", "model.npz"))
+    notes, book = Notes(), _book(tmp_path)
+    tying = Tying(
+        site, DEPTHS, book, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
+    )  # fmt: skip
+    tie = tying.tie(freed={})
+    book.close()
+    assert not tie.log_force.any()
+    assert tie.mesh_error.max() < 0.2
+    assert "has layers (fat) beside the tissue" in notes.warnings[0]
+    with pytest.raises(CaseError, match="has fat beside the tissue"):
+        own_run(site, layered, c=C)
+    mine, told = SimpleNamespace(site=site), SimpleNamespace(warnings=[])
+    written.write_diagnosed(None, None, mine, told, out=layered, number=0)
+    assert "no .feb was written: the site's mesh has fat" in told.warnings[0]
 
 
 def _tie(several: list[float], force: list[float], speed: list[float]) -> Tie:

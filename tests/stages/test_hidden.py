@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.phantom.noise import Readings
-from limbcli.phantom.protocol import TrueLevels
-from limbcli.stages.simulated_subjects.hidden_effects import hide
+from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
+from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
+from tests.diagnostics.reduced import block_model
+from tests.effects.test_together import ground
 
 
 def _true() -> TrueLevels:
@@ -42,9 +47,6 @@ def test_force_and_depth_effects():
     late = shown("depth-zero=1.2")
     assert late.depth == pytest.approx([1.8, 3.8])
     assert late.force == pytest.approx([2.0, 4.0])
-    pressed = shown("preload=2")
-    assert pressed.force == pytest.approx([0.0, 2.0])
-    assert pressed.depth == pytest.approx([0.0, 2.0])
 
 
 def test_a_support_that_gives_way_shows_in_the_travel_alone():
@@ -78,7 +80,58 @@ def test_the_record_is_misread_as_the_levels_are():
     assert shown("force-zero=1.5").trace[:, 1] == pytest.approx(_trace()[:, 1] + 1.5)
     assert shown("depth-zero=1.2").trace[:, 2] == pytest.approx(_trace()[:, 2] - 1.2)
     assert shown("depth-gain=1.05").trace[:, 2] == pytest.approx(_trace()[:, 2] / 1.05)
-    assert shown("preload=2").trace[:, 1] == pytest.approx(_trace()[:, 1] - 2.0)
+
+
+@pytest.mark.parametrize("size", [0.7, 1.5])
+def test_a_preload_is_of_the_size_that_was_asked_for(size):
+    """The level nearest to it had been taken: none at all was hidden below half a step."""
+    hidden = hide(f"preload={size}")
+    forces = LoadingProtocol(max_force=6.0, first=hidden.preload).forces(reached=9.0)
+    assert forces == pytest.approx([size, size + 2.0, size + 4.0])
+    true = replace(_true(), force=forces, depth=np.array([1.0, 3.0, 5.0]))
+    trace = _trace() + np.array([0.0, size, 1.0, 0.0, 0.0, 0.0])
+    readings = replace(_readings(), force=true.force, depth=true.depth, trace=trace)
+    assert hidden.in_readings is not None
+    found = hidden.in_readings(readings, true)
+    assert found.force == pytest.approx([0.0, 2.0, 4.0])
+    assert found.depth == pytest.approx([0.0, 2.0, 4.0])
+    assert found.trace[:, 1] == pytest.approx(_trace()[:, 1])
+
+
+@pytest.mark.parametrize(
+    "names", list(itertools.permutations(["viscoelasticity", "depth-zero=1.2", "force-gain=1.1"]))
+)
+def test_readings_are_distorted_alike_in_whatever_order_it_is_asked_for(names):
+    """A level that the depth's zero leaves out is loaded all the same, and remembered by the tissue."""
+    readings = replace(_readings(), layers=np.array([[2.0, 6.0]] * 3))
+    for each in in_order([hide(name) for name in (*names, "support-motion", "force-zero=1")]):
+        assert each.in_readings is not None
+        readings = each.in_readings(readings, _true())
+    alone = shown("viscoelasticity").force[1:]
+    assert readings.force == pytest.approx(1.1 * alone + 1.0)
+    assert readings.depth == pytest.approx([1.8, 3.8])
+    assert readings.travel is not None
+    assert readings.layers is not None
+    assert len(readings.travel) == len(readings.layers) == 2
+
+
+def test_stiffer_and_softer_places_are_hidden_beside_any_other_effect():
+    """A second pair of exponents took the mean of c for that of every cell, had the fat come before it."""
+    alone = ground(hide("adipose-layer").in_model(block_model()))
+    for names in itertools.permutations(["adipose-layer", "nonlinearity", "contraction"]):
+        model = block_model()
+        for each in in_order([hide(name) for name in names]):
+            model = each.in_model(model)
+        assert ground(model) == pytest.approx(alone)
+
+
+def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
+    """All cells of the tissue lie deeper than a skin of 1.2 mm: nothing would be hidden."""
+    hidden = [hide("contraction"), hide("skin-layer")]
+    check_beside_layers(hidden, ())
+    check_beside_layers(hidden[:1], ("fat",))
+    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has fat"):
+        check_beside_layers(hidden, ("fat",))
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def sensitivities(
     Raises
     ------
     SolveError
-        Under friction, where the state is not a function of its load alone.
+        Where the state is not a function of its load alone.
     """
     system = newton.system
     if any(pair.contact.friction for pair in system.pairs):
@@ -73,9 +73,12 @@ def sensitivities(
             where="derivatives",
             fix="difference whole solves, as a session does",
         )
-    if any(pair.contact.augmented for pair in system.pairs) or any(h.any() for h in system.histories):
+    augmented = any(pair.contact.augmented for pair in system.pairs)
+    told_by_steps = system.start.time > 0.0 and system.model.goes_on_from_steps
+    if augmented or told_by_steps or any(h.any() for h in system.histories):
         raise SolveError(
-            "the response depends on the way to it (augmented contact, or steps of a viscoelastic law)",
+            "the response depends on the way to it (augmented contact, steps of a viscoelastic law, or a "
+            "step told from the end of the one before)",
             where="derivatives",
             fix="difference whole solves, as a session does",
         )

@@ -26,13 +26,15 @@ def step_times(
 
     >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)))
     [0.5, 1.0]
+    >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5, 0.5)))  # each time once
+    [0.5, 1.0]
     >>> step_times(Step(n_steps=4, step_size=0.1, must_points=(0.3,)), every=True)  # not 0.1 * 3
     [0.1, 0.2, 0.3, 0.4]
     >>> [round(t, 4) for t in step_times(Step(n_steps=10, step_size=0.1, dt_max=0.6))]
     [0.1, 0.3, 0.58, 0.924, 1.0]
     """
     end = step.n_steps * step.step_size
-    inner = sorted(t for t in step.must_points if 0 < t < end * (1 - _NEAR))
+    inner = sorted({t for t in step.must_points if 0 < t < end * (1 - _NEAR)})
     if step.must_points and not every:
         return [*inner, end]
     if not step.adaptive or (largest is None and (step.dt_max is None or step.dt_max <= step.step_size)):

@@ -17,7 +17,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
-from limbcli.errors import LimbError, MeasurementError, SolveError
+from limbcli.errors import CaseError, LimbError, MeasurementError, SolveError
 from limbcli.files import atomic_file, sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
@@ -41,7 +41,7 @@ from limbcli.stages.diagnosis.drainage.drained import NAME as POROELASTICITY
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics, depth_scatter
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie, own_layers
 from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.fibres import with_fibres
@@ -295,6 +295,13 @@ class _Preparation:
         """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
         own = self.out / "mesh" / self.site.name / "model.npz"
         if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
+            if layers := own_layers(self.site, self.out):
+                raise CaseError(
+                    f"the site's own mesh has {layers} beside the tissue, and there are no surfaces to make "
+                    "the diagnosis' own of",
+                    where=f"site {self.site.name}",
+                    fix=f"limbcli segment {self.case.folder}, or mesh the site without layers",
+                )
             self.work.mkdir(parents=True, exist_ok=True)
             self.notes.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
             return load_model(own)

@@ -17,7 +17,7 @@ from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.results import StageWriter, read_result
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty, own_layers
 from limbcli.stages.diagnosis.prepare import Prepared
 from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
@@ -37,6 +37,12 @@ def write_diagnosed(
     path = out / "mesh" / mine.site.name / "model.npz"
     if not path.is_file():
         writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
+        return
+    if layers := own_layers(mine.site, out):
+        writer.warnings.append(
+            f"no .feb was written: the site's mesh has {layers} beside the tissue, the diagnosis has not "
+            "(limbcli mesh without layers)"
+        )
         return
     fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
     curves, reading = forward_model.curves_of(fitted, number)

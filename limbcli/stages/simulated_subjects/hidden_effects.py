@@ -7,7 +7,7 @@ file, which no stage reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,13 +28,17 @@ from limbcli.problems import suggestion
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """One effect hidden: a change of the loaded model, of what its waves meet, of what is read off it."""
+    """One effect hidden: a change of the loaded model, of what its waves meet, of what is read off it.
+
+    preload : N on the probe at the first level
+    """
 
     name: str
     size: dict[str, float]
     in_model: Callable[[LimbModel], LimbModel] | None = None
     in_readings: Callable[[Readings, TrueLevels], Readings] | None = None
     for_waves: Callable[[LimbModel], LimbModel] | None = None
+    preload: float = 0.0
 
     def facts(self) -> dict[str, Any]:
         return {"effect": self.name, **self.size}
@@ -64,7 +68,42 @@ def hide(text: str) -> Hidden:
     return Hidden(
         name, theta, in_model, None if readings is None else (lambda r, t: readings(r, t, theta)),
         None if waves is None else (lambda m: waves(m, theta)),
+        theta.get("preload_n", 0.0),
     )  # fmt: skip
+
+
+def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
+    """Effects as one follows from the other, in whatever order they were asked for.
+
+    In the model factors on all stiffnesses come last, as in `effects.base.applied`; readings are distorted
+    from the tissue to the instruments' scales, in the order of `_READINGS`.
+    """
+    readings = list(_READINGS)
+
+    def place(each: Hidden) -> tuple[bool, int]:
+        return effect(each.name).stiffness is not None, readings.index(each.name) if each.in_readings else -1
+
+    return tuple(sorted(hidden, key=place))
+
+
+def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None:
+    """Refuse skin and fat as effects in a tissue that begins below `layers` of its mesh.
+
+    Raises
+    ------
+    CaseError
+        They are told by the depth below the skin, where the tissue is not.
+    """
+    found = [each.name for each in hidden if each.name in _BELOW_SKIN]
+    if layers and found:
+        raise CaseError(
+            f"{' and '.join(found)} cannot be hidden where the mesh has {' and '.join(layers)} of its own",
+            where="--effect",
+            fix="leave the effect out, or take [site.layers] out of the case",
+        )
+
+
+_BELOW_SKIN = ("skin-layer", "adipose-layer")
 
 
 def _number(size: str, found: Effect) -> float:
@@ -158,6 +197,7 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
         maps=tuple(readings.maps[k] for k in keep),
         skin_bone=None if readings.skin_bone is None else readings.skin_bone[keep],
         travel=None if readings.travel is None else readings.travel[keep],
+        layers=None if readings.layers is None else readings.layers[keep],
     )
 
 
@@ -167,12 +207,10 @@ def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """The first level is that at which the probe already pressed; force and depth start there."""
-    first = int(np.argmin(np.abs(true.force - theta["preload_n"])))
-    kept = _rows(readings, np.arange(first, len(readings.force)))
-    force, depth = kept.force[0], kept.depth[0]
+    """The probe already presses at the first level; force and depth are counted from there."""
+    force, depth = readings.force[0], readings.depth[0]
     record = _record(readings, lambda f: f - force, lambda d: d - depth)
-    return replace(kept, force=kept.force - force, depth=kept.depth - depth, trace=record)
+    return replace(readings, force=readings.force - force, depth=readings.depth - depth, trace=record)
 
 
 def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
@@ -215,7 +253,8 @@ def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 def _support(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Bone on a spring: the probe travels further than it presses; its travel is recorded."""
     noise = _TRAVEL_NOISE_MM * np.random.default_rng(len(true.force)).standard_normal(len(true.force))
-    travel = true.depth + theta["support_compliance_mm_per_n"] * true.force + noise
+    travel = true.depth + theta["support_compliance_mm_per_n"] * true.force
+    travel = travel - travel[0] + noise
     return replace(readings, travel=np.where(np.arange(len(travel)) == 0, 0.0, travel))
 
 
@@ -243,9 +282,10 @@ def _speeds(readings: Readings, change: Callable[[Array, Array, int], Array]) ->
 
 
 _MODELS: dict[str, Callable[[LimbModel, Theta], LimbModel]] = {"anisotropy": _fibres, "skin-layer": _skin}
+# In the order in which they come about: a level that a later one leaves out is still there for the earlier.
 _READINGS: dict[str, Callable[[Readings, TrueLevels, Theta], Readings]] = {
-    "force-zero": _force_zero, "force-gain": _force_gain, "depth-zero": _depth_zero,
-    "depth-gain": _depth_gain,
-    "preload": _preload, "viscoelasticity": _relaxing, "swe-time-scale": _time_scale,
-    "swe-depth-bias": _depth_bias, "swe-guided-wave": _guided, "support-motion": _support,
+    "viscoelasticity": _relaxing, "swe-time-scale": _time_scale, "swe-guided-wave": _guided,
+    "swe-depth-bias": _depth_bias, "support-motion": _support, "preload": _preload,
+    "force-gain": _force_gain, "force-zero": _force_zero, "depth-gain": _depth_gain,
+    "depth-zero": _depth_zero,
 }  # fmt: skip

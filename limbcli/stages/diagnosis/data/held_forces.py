@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from limbcli.diagnostics import thresholds
 from limbcli.effects.curves import Curves, force_at
-from limbcli.effects.reading import Reading, true_depth
+from limbcli.effects.reading import Reading, borne_at_zero, true_depth
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
 
@@ -73,7 +73,7 @@ class HeldForces:
         for drainage, rate in reading.draining:
             memory = [relaxing(pressed, tau) for tau in drainage.times(rate).tolist()]
             force = force * drainage.left(pressed, np.column_stack(memory), rate)
-        force = reading.force_gain * (force - reading.preload) + reading.force_zero
+        force = reading.force_gain * (force - borne_at_zero(curves, reading)) + reading.force_zero
         return fall(force, self.windows)
 
 

@@ -14,7 +14,7 @@ from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise
 from limbcli.effects.curves import Curves, depth_at, force_at
-from limbcli.effects.reading import Protocol, Reading, Readout, read, relaxed, true_depth
+from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
@@ -109,8 +109,9 @@ class SiteData:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
-        borne = relaxed(elastic, depth, self.protocol, reading)
-        wanted = (self.protocol.force - reading.force_zero) / reading.force_gain + reading.preload
+        borne = relaxed(curves, depth, self.protocol, reading)
+        wanted = (self.protocol.force - reading.force_zero) / reading.force_gain
+        wanted = wanted + borne_at_zero(curves, reading)
         known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
         if not known.any():
             return found

@@ -119,15 +119,33 @@ def own_curves(
         book.in_part |= {f"{words}, on the site's own mesh": depth for words, depth in own.in_part.items()}
 
 
+def own_layers(site: Site, out: Path) -> str:
+    """The layers that the site's own mesh has beside the tissue, in words; none where it is not meshed.
+
+    Such layers keep a stiffness of their own, while a diagnosis takes all for one tissue: what they do to
+    the force is nothing that a mesh does.
+    """
+    try:
+        layers = read_result(out, "mesh", site=site.name).data.get("layers") or {}
+    except LimbError:
+        return ""
+    return " and ".join(name.removesuffix("_mm") for name in layers)
+
+
 def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
     """The site's finished run, its forces scaled to the stiffness c (MPa).
 
     Raises
     ------
     CaseError
-        If there is none, or it was made with other start values.
+        If there is none, it was made with other start values, or has layers beside the tissue.
     """
     ran = read_result(out, "run", site=site.name)
+    if layers := own_layers(site, out):
+        raise CaseError(
+            f"the site's own run has {layers} beside the tissue, the diagnosis has not",
+            where=str(ran.folder), fix="mesh and run the site without layers to have the two compared",
+        )  # fmt: skip
     built = read_result(out, "build-feb", site=site.name)
     if built.data.get("f_kappa") != F_KAPPA or built.data.get("m") != START_M:
         raise CaseError(

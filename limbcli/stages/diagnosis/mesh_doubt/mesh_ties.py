@@ -18,7 +18,7 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.exponents import bend
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves
+from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_layers
 
 # Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
 # h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
@@ -89,6 +89,12 @@ class Tying:
             if meshed.data.get("element") != "tet10":
                 self.notes.warnings.append(
                     "the working mesh is not tied to the site's own, of linear elements"
+                )
+                return None
+            if layers := own_layers(self.site, self.out):
+                self.notes.warnings.append(
+                    f"the working mesh is not tied to the site's own, which has layers ({layers}) beside the "
+                    "tissue: the diagnosis takes all for one tissue, and a layer for an effect"
                 )
                 return None
             model = load_model(meshed.folder / "model.npz")

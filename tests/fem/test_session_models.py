@@ -1,0 +1,47 @@
+"""What a session solves beside its own model: other materials and load curves, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import punch
+
+from limbcli.errors import CaseError
+from limbcli.materials import ogden_type
+from limbcli.model import Curve, LimbModel, Support
+from limbcli.solvers.session import ReferenceSession
+
+
+def small(depth: float = 0.6) -> LimbModel:
+    return punch("tet4", (3, 2, 2), depth=depth, levels=1)
+
+
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("contacts", lambda m: replace(m, contacts=tuple(replace(c, friction=0.3) for c in m.contacts))),
+        ("contacts", lambda m: replace(m, contacts=tuple(replace(c, penalty=2.0) for c in m.contacts))),
+        ("mesh", lambda m: replace(m, mesh=replace(m.mesh, points=1.1 * m.mesh.points))),
+        ("drives", lambda m: replace(m, drives=small(0.9).drives)),
+        ("supports", lambda m: replace(m, supports=(*m.supports, Support("x0", ("x",))))),
+    ],
+)
+def test_another_set_up_is_refused(what: str, change: Callable[[LimbModel], LimbModel]) -> None:
+    """The first model's force had been given for it; the session goes on."""
+    with closing(ReferenceSession(small(), threads=1)) as session:
+        before = session.solve().must_points.forces
+        with pytest.raises(CaseError, match=f"differs in its {what}"):
+            session.solve(change(small()))
+        np.testing.assert_array_equal(session.solve().must_points.forces, before)
+
+
+def test_the_same_model_read_anew_with_other_materials_and_curves_is_solved() -> None:
+    stiffer = small().with_material("tissue", ogden_type(c=0.01, f_kappa=5.0, m=2.0))
+    late = replace(stiffer, curves={"ramp": Curve(((0.0, 0.0), (0.5, 0.0), (1.0, 1.0)))})
+    with closing(ReferenceSession(small(), threads=1)) as session:
+        forces = [session.solve(each).must_points.forces[-1] for each in (None, stiffer, late)]
+    assert forces[1:] == pytest.approx([2 * forces[0]] * 2, rel=1e-5)
