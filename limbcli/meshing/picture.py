@@ -75,7 +75,7 @@ def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape) -> None:
         corners = mesh.points[faces]
         up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
         shapes = PolyCollection(
-            corners[up][:, :, :2], facecolors=colour, edgecolors="#666666", linewidths=0.4
+            list(corners[up][:, :, :2]), facecolors=colour, edgecolors="#666666", linewidths=0.4
         )
         axes.add_collection(shapes)
     axes.add_collection(LineCollection([_outline(probe)], colors="#1f4e79", linewidths=1.8))

@@ -67,7 +67,7 @@ def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple
     corners = skin.corners[seen][:, :, [across[0], 2]]
     grey = 0.35 + 0.6 * facing[seen]
     colours = np.clip(np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1), 0, 1)
-    axes.add_collection(PolyCollection(corners, facecolors=colours, edgecolors="none", rasterized=True))
+    axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", rasterized=True))
     low, high = skin.points.min(axis=0) - 12, skin.points.max(axis=0) + 12
     axes.set_xlim(low[across[0]], high[across[0]])
     axes.set_ylim(low[2], high[2])
@@ -96,12 +96,12 @@ def _draw_points(
     ):
         places = np.array([each.point[[across[0], 2]] for each in shown]).reshape(-1, 2)
         axes.plot(*places.T, ".", color=colour, markersize=4)
-        for each, place in zip(shown, places, strict=True):
-            name = axes.annotate(
-                each.name, place, xytext=(0, 3), color=colour,
+        for each, (x, z) in zip(shown, places, strict=True):
+            label = axes.annotate(
+                each.name, (x, z), xytext=(0, 3), color=colour,
                 textcoords="offset points", fontsize=8, ha="center",
             )  # fmt: skip
-            name.set_in_layout(False)  # it stands within its view, and looking at each takes time
+            label.set_in_layout(False)  # it stands within its view, and looking at each takes time
     for points, mark, colour, word in ((markers, "D", "#c000c0", "marker "), (sites, "X", "#0050d0", "")):
         for name, point in points.items():
             if visible(point):
