@@ -61,7 +61,7 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
     if row is None or brightness < _LEAST_BRIGHTNESS or shade > _DARKEST_SHADE:
         raise MeasurementError(
             "no bone line is visible: nothing bright across the image with shadow below it",
-            where=str(image.path),
+            where=image.where,
             fix="state where it is with bone_mm (below the probe face), or choose a better frame",
             brightness=brightness,
             shade=shade,
@@ -140,7 +140,7 @@ def _check_inside(image: UltrasoundImage, bone: float) -> None:
     if not 0.0 < bone < deepest:
         raise MeasurementError(
             f"the bone is stated at {bone:g} mm; the image ends at {deepest:.1f} mm below the probe face",
-            where=str(image.path),
+            where=image.where,
             fix="correct bone_mm, or mm_per_pixel",
         )
 
@@ -164,7 +164,7 @@ def follow_line(
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
-            where=str(image.path),
+            where=image.where,
             fix=f"give every level the same depth setting, or measure this one by hand ({by_hand})",
         )
     shifts, correlations = [], []
@@ -176,7 +176,7 @@ def follow_line(
     if best < _WORST_CORRELATION:
         raise MeasurementError(
             f"the {name} is lost: the best match correlates {best:.2f} only",
-            where=str(image.path),
+            where=image.where,
             fix=f"measure this level by hand ({by_hand}), or leave the image out",
             correlation=best,
         )
@@ -195,7 +195,7 @@ def _strip(image: UltrasoundImage) -> tuple[Array, float]:
     strip = image.grey[region.top : region.bottom + 1, left : right + 1]
     if min(strip.shape) < 2 * _BANDS:
         what = f"the calibrated region is {strip.shape[1]} by {strip.shape[0]} pixels only"
-        raise MeasurementError(what, where=str(image.path), fix="export the frame in full resolution")
+        raise MeasurementError(what, where=image.where, fix="export the frame in full resolution")
     return strip, region.mm_per_pixel_y
 
 
