@@ -25,6 +25,9 @@ _BANDS = 5
 _TEMPLATE_HALF = 2.5  # mm above and below the line
 _WORST_CORRELATION = 0.3
 _SHADOW = 4.0  # mm of image there must be below the bone
+# mm behind the line in which it is to be dark. Deeper down a picture fades behind an aponeurosis too, and a
+# screen shot is black below it: over all that was below, two of 18 frames of calf muscle held a bone.
+_NEAR_BEHIND = 6.0
 _LEAST_BRIGHTNESS = 0.45  # of the weakest column of the line, relative to the brightest row
 _BY_HAND = 0.3  # mm: SD of a distance that someone read off the image
 _DARKEST_SHADE = 0.2  # brightness behind the line relative to the tissue in front
@@ -76,16 +79,16 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
 def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None, float, float]:
     """The best bone candidate: its row, its brightness across the strip, and how dark it is behind.
 
-    Brightness is relative to the brightest row, shade (behind over in front) to the tissue above.
+    Brightness is relative to the brightest row, shade (near behind over in front) to the tissue above.
     """
     profile, weakest = smooth.mean(axis=1), smooth.min(axis=1)
-    gap, shadow = round(1.5 / step), round(_SHADOW / step)
+    gap, shadow, near = round(1.5 / step), round(_SHADOW / step), round(_NEAR_BEHIND / step)
     best: tuple[int | None, float, float] = (None, 0.0, float("inf"))
     for row in range(first, len(profile) - shadow):
         if profile[row] < profile[max(0, row - gap) : row + gap].max():
             continue
         front = float(profile[first // 2 : max(first, row - gap)].mean())
-        behind = float(profile[row + gap :].mean())
+        behind = float(profile[row + gap : row + gap + near].mean())
         shade = behind / max(front, 1e-6)
         brightness = float(weakest[row] / max(profile.max(), 1e-6))
         if brightness >= _LEAST_BRIGHTNESS and shade < best[2]:
