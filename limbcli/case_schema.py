@@ -149,6 +149,14 @@ def lengths(low: float, high: float) -> Check:
     return check
 
 
+def frames(value: object) -> str | None:
+    """A frame's number in a file that holds several, from 1, or one for every level."""
+    one = whole(1, 100_000)
+    if isinstance(value, list) and value:
+        return next((wrong for each in value if (wrong := one(each))), None)
+    return one(value)
+
+
 def thickness(value: object) -> str | None:
     """A thickness in mm, or "mri" for what the images show."""
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
@@ -231,6 +239,7 @@ LOAD_CELL = {
 B_MODE = {
     "folder": Key("folder", text, required=True),
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
+    "frame": Key("number from 1, or a list of them", frames),
     "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "bone_mm": Key("mm, or a list of them", lengths(2.0, 120.0)),
     "skin_mm": Key("mm, or a list of them", lengths(0.2, 60.0)),
@@ -239,6 +248,7 @@ B_MODE = {
 SWE_IMAGES = {
     "folder": Key("folder", text, required=True),
     "mm_per_pixel": Key("mm", number(0.005, 1.0, "mm")),
+    "frame": Key("number from 1, or a list of them", frames),
     "image_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "box_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "bar_pixels": Key("[left, top, right, bottom]", numbers(4)),

@@ -1,6 +1,7 @@
 """Depth reads too large or too small by a factor: d_true = g d_shown.
 
 The scanner assumes 1540 m/s; fat has about 1450, muscle 1580: g 0.94 to 1.03.
+Every distance along the beam is misread alike, so that from skin to bone too.
 Tell-tale: stretches force and speed over depth alike.
 Source: Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue).
 """

@@ -57,7 +57,8 @@ class Reading:
     """How the truth is read. The defaults are a faithful reading.
 
     force_zero N, force_gain : shown = gain * true + zero
-    depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown
+    depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown.
+        The gain is of all distances along the beam, the thickness too; layers begin where they were shown
     preload N : force already on the probe when force and depth were set to zero, and what relaxes had (of
         draining tissue, before it drained)
     compliance mm/N : of limb and bone support, seen in the probe's travel only
@@ -105,7 +106,8 @@ def read(
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
         travel=travelled(curves, protocol, reading),
-        thickness=curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0),
+        thickness=(curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0))
+        / reading.depth_gain,
         layers=_layers_at(curves, depth),
     )
     for change in reading.after:

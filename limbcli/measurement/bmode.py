@@ -25,6 +25,9 @@ _BANDS = 5
 _TEMPLATE_HALF = 2.5  # mm above and below the line
 _WORST_CORRELATION = 0.3
 _SHADOW = 4.0  # mm of image there must be below the bone
+# mm behind the line in which it is to be dark. Deeper down a picture fades behind an aponeurosis too, and a
+# screen shot is black below it: over all that was below, two of 18 frames of calf muscle held a bone.
+_NEAR_BEHIND = 6.0
 _LEAST_BRIGHTNESS = 0.45  # of the weakest column of the line, relative to the brightest row
 _BY_HAND = 0.3  # mm: SD of a distance that someone read off the image
 _DARKEST_SHADE = 0.2  # brightness behind the line relative to the tissue in front
@@ -61,7 +64,7 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
     if row is None or brightness < _LEAST_BRIGHTNESS or shade > _DARKEST_SHADE:
         raise MeasurementError(
             "no bone line is visible: nothing bright across the image with shadow below it",
-            where=str(image.path),
+            where=image.where,
             fix="state where it is with bone_mm (below the probe face), or choose a better frame",
             brightness=brightness,
             shade=shade,
@@ -76,16 +79,16 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
 def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None, float, float]:
     """The best bone candidate: its row, its brightness across the strip, and how dark it is behind.
 
-    Brightness is relative to the brightest row, shade (behind over in front) to the tissue above.
+    Brightness is relative to the brightest row, shade (near behind over in front) to the tissue above.
     """
     profile, weakest = smooth.mean(axis=1), smooth.min(axis=1)
-    gap, shadow = round(1.5 / step), round(_SHADOW / step)
+    gap, shadow, near = round(1.5 / step), round(_SHADOW / step), round(_NEAR_BEHIND / step)
     best: tuple[int | None, float, float] = (None, 0.0, float("inf"))
     for row in range(first, len(profile) - shadow):
         if profile[row] < profile[max(0, row - gap) : row + gap].max():
             continue
         front = float(profile[first // 2 : max(first, row - gap)].mean())
-        behind = float(profile[row + gap :].mean())
+        behind = float(profile[row + gap : row + gap + near].mean())
         shade = behind / max(front, 1e-6)
         brightness = float(weakest[row] / max(profile.max(), 1e-6))
         if brightness >= _LEAST_BRIGHTNESS and shade < best[2]:
@@ -140,7 +143,7 @@ def _check_inside(image: UltrasoundImage, bone: float) -> None:
     if not 0.0 < bone < deepest:
         raise MeasurementError(
             f"the bone is stated at {bone:g} mm; the image ends at {deepest:.1f} mm below the probe face",
-            where=str(image.path),
+            where=image.where,
             fix="correct bone_mm, or mm_per_pixel",
         )
 
@@ -164,7 +167,7 @@ def follow_line(
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
-            where=str(image.path),
+            where=image.where,
             fix=f"give every level the same depth setting, or measure this one by hand ({by_hand})",
         )
     shifts, correlations = [], []
@@ -176,7 +179,7 @@ def follow_line(
     if best < _WORST_CORRELATION:
         raise MeasurementError(
             f"the {name} is lost: the best match correlates {best:.2f} only",
-            where=str(image.path),
+            where=image.where,
             fix=f"measure this level by hand ({by_hand}), or leave the image out",
             correlation=best,
         )
@@ -195,7 +198,7 @@ def _strip(image: UltrasoundImage) -> tuple[Array, float]:
     strip = image.grey[region.top : region.bottom + 1, left : right + 1]
     if min(strip.shape) < 2 * _BANDS:
         what = f"the calibrated region is {strip.shape[1]} by {strip.shape[0]} pixels only"
-        raise MeasurementError(what, where=str(image.path), fix="export the frame in full resolution")
+        raise MeasurementError(what, where=image.where, fix="export the frame in full resolution")
     return strip, region.mm_per_pixel_y
 
 

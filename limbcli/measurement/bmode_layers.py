@@ -86,6 +86,6 @@ def _check_order(
             raise MeasurementError(
                 f"the border of the {name} would be {line.distance:.1f} mm below the probe face, between "
                 f"{top:.1f} mm (what lies above) and the bone at {end.distance:.1f} mm: interfaces cross",
-                where=str(image.path),
+                where=image.where,
                 fix=f"check {name}_mm of level 0, or state it for every level as a list",
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,8 @@ _SUM_MM, _SUM_SHARE = 0.1, 0.005  # by how much layers may miss the whole: round
 _GROWTH_SIGMAS, _LEAST_GROWTH = 6.0, 0.5  # noise deviations, mm: beyond them a layer grew
 _FACE = (20.0, 10_000.0)  # mm2
 _WHOLE = (1.0, 400.0)  # mm
+# mm, the median of a table: 752 rows of arms and legs (Neumann et al. 2018) have 1.4, and none less than 0.6
+_THINNEST_SKIN = 0.4
 _FORCE = (0.05, 500.0)  # N
 _SLOPE_OFF = 5.0  # times the pressure over the depth: beyond it the slope's unit is wrong
 
@@ -44,6 +47,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
         return None, problems
     columns, lines = raw.numbers, np.array(raw.lines)
     complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
+    complete &= np.any([np.isfinite(columns[name]) for name in (FACE, PRESSURE) if name in columns], axis=0)
     problems += _without_skin(raw, complete, path)
     n_left = int((~complete).sum())
     if n_left:
@@ -57,7 +61,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    problems += _repeated(table)
+    problems += _repeated(table) + _alike(table) + _sexes(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
@@ -134,6 +138,11 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lambda k: f"thickness_mm is {whole[k]:g}: its unit looks wrong",
         "give millimetres",
     )
+    skin = columns["skin_mm"]
+    middle = float(np.median(skin[complete])) if np.isfinite(skin[complete]).all() else np.nan
+    if 0 < middle < _THINNEST_SKIN:
+        what = f"the skin is {middle:.2g} mm thick in the middle of all rows: the unit of lengths looks wrong"
+        found.append(problem(what, path, "give skin_mm and all other lengths in millimetres"))
     found += _listed(
         complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
         lines,
@@ -247,6 +256,42 @@ def _repeated(table: CohortTable) -> list[Problem]:
         else:
             first[key] = k
     return found[:_SHOWN]
+
+
+def _alike(table: CohortTable) -> list[Problem]:
+    """People and sites whose names differ by capitals, spaces or leading zeros only: one, written twice?"""
+    found = []
+    for noun, names in (("people", table.people), ("sites", table.sites)):
+        written: dict[str, list[str]] = {}
+        for name in names:
+            written.setdefault(_plain(name), []).append(name)
+        twice = [each for each in written.values() if len(each) > 1]
+        if twice:
+            listed = "; ".join(" and ".join(map(repr, each)) for each in twice[:_SHOWN])
+            more = " and others" if len(twice) > _SHOWN else ""
+            words = f"{noun} whose names hardly differ are taken as different: {listed}{more}"
+            fix = "write a name alike in all rows, if they are the same"
+            found.append(problem(words, table.path, fix, warning=True))
+    return found
+
+
+def _plain(name: str) -> str:
+    """A name without what slips in when it is written again.
+
+    >>> _plain("006") == _plain(" 6"), _plain("LL_P") == _plain("ll p"), _plain("1-2") == _plain("12")
+    (True, True, False)
+    """
+    words = re.sub(r"[\W_]+", " ", name.casefold()).strip()
+    return re.sub(r"(?<!\d)0+(?=\d)", "", words)
+
+
+def _sexes(table: CohortTable) -> list[Problem]:
+    """More than two words, of which a prediction could make no column."""
+    words = sorted({each for each in table.sex.tolist() if each})
+    if len(words) <= 2:
+        return []
+    what = f"sex holds {len(words)} words ({', '.join(map(repr, words[:_SHOWN]))}), so it is not used"
+    return [problem(what, table.path, "write one word for each of two, alike in all rows", warning=True)]
 
 
 def _grown(table: CohortTable, noise: EdgeNoise) -> list[Problem]:

@@ -46,7 +46,7 @@ def find_bar(image: UltrasoundImage) -> Box:
         places = "; ".join(str(list(box)) for _, box in found)
         raise MeasurementError(
             f"{len(found)} strips look like a colour bar ({places})" if found else "no colour bar was found",
-            where=str(image.path),
+            where=image.where,
             fix="state bar_pixels = [left, top, right, bottom] of the elastography bar",
         )
     return found[0][1]
@@ -86,7 +86,7 @@ def find_box(image: UltrasoundImage, bar: Box) -> Box:
     if not count or sizes.max() < _SMALLEST_BOX:
         raise MeasurementError(
             "no coloured box was found",
-            where=str(image.path),
+            where=image.where,
             fix="state box_pixels = [left, top, right, bottom] of the elastography box",
         )
     own = coloured & (marks == 1 + int(np.argmax(sizes)))

@@ -65,7 +65,7 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
     first = region.top + round(max(top, 0.0) / region.mm_per_pixel_y)
     last = min(region.top + round(bottom / region.mm_per_pixel_y), region.bottom + 1)
     height = (last - first) * region.mm_per_pixel_y
-    where = str(image.path)
+    where = image.where
     if height < 2 * TILE or width < 2 * TILE:
         what = f"{max(height, 0.0):.1f} mm of muscle by {width:.1f} mm are too little to tell fibres in"
         raise MeasurementError(what, where=where, fix="tell the angle by hand ([[site.pennation]])")

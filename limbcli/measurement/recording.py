@@ -200,6 +200,8 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
             values[k] = float(cell.replace(decimal, "."))
         except ValueError:
             fix = 'remove the row, or say the decimal mark with decimal = ","'
+            if ":" in cell:
+                fix = "write seconds: a time of day or a date is not read as time"
             where = f"{path}, row {k + 1} below the header"
             raise MeasurementError(f"{name} is {cell!r}, not a number", where=where, fix=fix) from None
     return values

@@ -90,7 +90,7 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
         raise MeasurementError(
             f"no pixel of the box could be read ({int((~coloured).sum())} without colour, "
             f"{int(unlike.sum())} unlike the bar, {int(ambiguous.sum())} ambiguous)",
-            where=str(image.path),
+            where=image.where,
             fix="correct box_pixels, bar_pixels and opacity (1 is opaque)",
         )
     kept = np.flatnonzero(coloured)[good]
@@ -120,7 +120,7 @@ def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]
     if (np.ptp(line, axis=1) >= _LEAST_COLOUR).mean() < 0.5:
         raise MeasurementError(
             "the colour bar is mostly grey",
-            where=f"{image.path}, bar_pixels {list(overlay.bar_pixels)}",
+            where=f"{image.where}, bar_pixels {list(overlay.bar_pixels)}",
             fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, without its frame",
         )
     place = np.linspace(0, len(line) - 1, min(_BAR_COLOURS, len(line)))
@@ -172,6 +172,6 @@ def _check_box(image: UltrasoundImage, box: Box, name: str) -> None:
     if not (0 <= left < right < columns and 0 <= top < bottom < rows):
         raise MeasurementError(
             f"{name} = {list(box)} does not lie in the image of {columns} by {rows} pixels",
-            where=str(image.path),
+            where=image.where,
             fix=f"state {name} = [left, top, right, bottom] in pixels of this image",
         )

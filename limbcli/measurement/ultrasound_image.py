@@ -26,6 +26,7 @@ _DAMAGED = (
     OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
     RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
 )  # fmt: skip
+_WITH_PREVIEW = "MPO"  # a camera's JPEG: what follows the picture is the same one, smaller
 _OVER_EDGE = 2  # pixels by which a box may stand over the edge of its region
 _MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that a picture may lack; it is neglected
 
@@ -61,11 +62,20 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class UltrasoundImage:
-    """One frame: rgb (rows, columns, 3) of bytes, and its calibrated regions."""
+    """One frame: rgb (rows, columns, 3) of bytes, and its calibrated regions.
+
+    frame : its number in the file, from 1; None where it is the only one
+    """
 
     rgb: NDArray[np.uint8]
     regions: tuple[Region, ...]
     path: Path
+    frame: int | None = None
+
+    @property
+    def where(self) -> str:
+        """The file, and which frame of it, for messages."""
+        return str(self.path) if self.frame is None else f"{self.path}, frame {self.frame}"
 
     @property
     def grey(self) -> NDArray[np.float64]:
@@ -93,7 +103,7 @@ class UltrasoundImage:
         if not self.regions:
             raise MeasurementError(
                 "the image has no calibrated region",
-                where=str(self.path),
+                where=self.where,
                 fix="state mm_per_pixel (read it off the depth scale), or export DICOM with regions",
             )
         return self.regions
@@ -103,7 +113,7 @@ class UltrasoundImage:
             raise MeasurementError(
                 f"the picture begins {region.cut_off:.1f} mm below the probe face (Reference Pixel Y0, "
                 "0018,6022): depths cannot be counted from its top",
-                where=str(self.path),
+                where=self.where,
                 fix="export the frame without zoom; if the face is in the picture, say where: its box "
                 "(box_pixels of [site.b_mode], image_pixels of [site.swe_images]), whose top is the face",
             )
@@ -125,7 +135,7 @@ class UltrasoundImage:
             places = ", ".join(str([r.left, r.top, r.right, r.bottom]) for r in self.regions)
             raise MeasurementError(
                 f"the box {list(box)} lies in none of the image's calibrated regions ({places})",
-                where=str(self.path),
+                where=self.where,
                 fix="correct box_pixels, or state the picture that it lies in: image_pixels = [left, top, "
                 "right, bottom], its top the probe face",
             )
@@ -137,28 +147,54 @@ def _area(region: Region) -> int:
 
 
 def read_image(
-    path: Path, *, mm_per_pixel: float | None = None, box_pixels: tuple[int, int, int, int] | None = None
+    path: Path,
+    *,
+    mm_per_pixel: float | None = None,
+    box_pixels: tuple[int, int, int, int] | None = None,
+    frame: int | None = None,
 ) -> UltrasoundImage:
-    """Read one frame (of a multi-frame file the first).
+    """Read one frame.
 
     mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
         image stays as the file tells it, else the whole image is taken.
     box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
         its top is the probe face.
+    frame : which one of a file that holds several (a cine loop), from 1
 
     Raises
     ------
     MeasurementError
-        If the file is no image, or a scale is neither in it nor given.
+        If the file is no image, it holds several frames and nobody says which, or a scale is neither in it
+        nor given.
     """
-    rgb, regions = _read_dicom(path) if is_dicom(path) else (_read_picture(path), ())
+    rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
     if mm_per_pixel is not None:
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
         regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (_whole(rgb),))
-    image = UltrasoundImage(rgb, regions, path)
+    image = UltrasoundImage(rgb, regions, path, number)
     return image if box_pixels is None else _within(image, box_pixels)
+
+
+def _frame_of(path: Path, count: int, wanted: int | None) -> int | None:
+    """The number of the frame that is meant, from 1; None in a file of one."""
+    if count > 1 and wanted is None:
+        raise MeasurementError(
+            f"the file holds {count} frames, and nothing says which one shows the level",
+            where=str(path),
+            fix="state it in the table that names the folder: frame = 12 (counted from 1) for every file, or "
+            "a list, one a level (all of one file where it is the only one); or export still frames",
+            n_frames=count,
+        )
+    if wanted is not None and not 1 <= wanted <= count:
+        raise MeasurementError(
+            f"frame {wanted} is asked for; the file holds {count}",
+            where=str(path),
+            fix="correct frame, counted from 1",
+            n_frames=count,
+        )
+    return wanted if count > 1 else None
 
 
 def _whole(rgb: NDArray[np.uint8]) -> Region:
@@ -177,7 +213,7 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
     if not (0 <= left < right < columns and 0 <= top < bottom < rows):
         raise MeasurementError(
             f"the box {list(box)} does not lie in the image of {columns} by {rows} pixels",
-            where=str(image.path),
+            where=image.where,
             fix="state box_pixels = [left, top, right, bottom]",
         )
     main = max(image.calibrated(), key=lambda each: (each.shared(box), _area(each)))
@@ -194,23 +230,29 @@ def is_dicom(path: Path) -> bool:
     return head[128:] == b"DICM" or path.suffix.lower() in {".dcm", ".dicom"}
 
 
-def _read_picture(path: Path) -> NDArray[np.uint8]:
+_Frame = tuple[NDArray[np.uint8], tuple[Region, ...], int | None]
+
+
+def _read_picture(path: Path, frame: int | None) -> _Frame:
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+            count = 1 if picture.format == _WITH_PREVIEW else getattr(picture, "n_frames", 1)
+            number = _frame_of(path, count, frame)
+            picture.seek((number or 1) - 1)
+            return np.asarray(picture.convert("RGB"), dtype=np.uint8), (), number
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *_DAMAGED) as error:
         fix = "export the frame as DICOM, PNG or BMP"
         raise MeasurementError(f"the image cannot be read ({error})", where=str(path), fix=fix) from error
 
 
-def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
+def _read_dicom(path: Path, frame: int | None) -> _Frame:
     """Pixels and regions; the error of a damaged file tells no value of it, which may be the patient's."""
     from pydicom.errors import BytesLengthException, InvalidDicomError
 
     try:
-        return _dicom_frame(path)
+        return _dicom_frame(path, frame)
     except (*_DAMAGED, BytesLengthException, InvalidDicomError) as error:
         raise MeasurementError(
             f"the DICOM image cannot be read ({type(error).__name__})",
@@ -219,18 +261,18 @@ def _read_dicom(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
         ) from error
 
 
-def _dicom_frame(path: Path) -> tuple[NDArray[np.uint8], tuple[Region, ...]]:
+def _dicom_frame(path: Path, frame: int | None) -> _Frame:
     import pydicom
-    from pydicom.pixels import apply_color_lut
+    from pydicom.pixels import apply_color_lut, pixel_array
 
     dataset = pydicom.dcmread(path)
-    pixels = dataset.pixel_array  # RGB already where the file holds luminance and two colour differences
-    if int(dataset.get("NumberOfFrames", 1) or 1) > 1:
-        pixels = pixels[0]
+    number = _frame_of(path, int(dataset.get("NumberOfFrames", 1) or 1), frame)
+    # RGB already where the file holds luminance and two colour differences
+    pixels = pixel_array(dataset, index=(number or 1) - 1)
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if kind == "PALETTE COLOR":
         pixels = apply_color_lut(pixels, dataset)
-    return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset)
+    return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset), number
 
 
 def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sized
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError
 from limbcli.problems import Problem
+
+if TYPE_CHECKING:
+    from limbcli.measurement.holds import Hold
 
 
 def instrument_problems(case: Case) -> list[Problem]:
@@ -26,7 +30,10 @@ def _of_site(site: Site, file: str) -> list[Problem]:
         if severity == "warning" and table["path"] == site.trace:
             continue  # a trace beside its levels is read as one
         try:
-            counts[kind] = len(_levels(kind, table))
+            levels = _levels(kind, table)
+            counts[kind] = len(levels)
+            if kind == "load_cell":
+                found += _of_holds(levels, table, site.name, severity)
         except LimbError as error:
             found.append(Problem(error.what, error.where, error.fix, severity, "measurement"))
     if len(set(counts.values())) > 1:
@@ -37,7 +44,16 @@ def _of_site(site: Site, file: str) -> list[Problem]:
     return found
 
 
-def _levels(kind: str, table: Any) -> Sized:
+def _of_holds(holds: Sequence[Hold], table: Any, site: str, severity: Any) -> list[Problem]:
+    """What no level can have, among a record's holds."""
+    from limbcli.stages.measuring.holds import column_problems, columns_of
+
+    columns = columns_of(holds, float(table["step_n"]))
+    problems = column_problems(columns, site=site, place=table["path"])
+    return [replace(each, severity=severity) for each in problems]
+
+
+def _levels(kind: str, table: Any) -> Sequence[Any]:
     """The holds of a record, or the images of a folder. Raises as `limbcli measure`."""
     from limbcli.stages.measuring.holds import holds_of
     from limbcli.stages.measuring.images import box_of, images_of

@@ -22,7 +22,6 @@ from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.indentation import (
     Levels,
     check_levels,
-    check_values,
     doubts_about_levels,
     read_levels,
 )
@@ -31,14 +30,13 @@ from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.measuring.fibres import leave_pennation
-from limbcli.stages.measuring.holds import Columns, force_columns
+from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measuring.layers import layer_columns, read_borders
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.site_model.site_levels import layer_noise
 
 STAGE = "measure"
-_FEWEST_LEVELS = 3
 
 
 def measure(
@@ -99,8 +97,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
         columns |= measured_speeds(instruments["swe_images"], tissue, writer, progress)
     _check_lengths(columns, site)
     place = instruments["load_cell"]["path"] if "load_cell" in instruments else site.levels
-    raise_errors(check_values(_numbers(columns), place), MeasurementError)
-    _check_count(columns, site)
+    raise_errors(column_problems(columns, site=site.name, place=place), MeasurementError)
     _check_agreement(columns, known, writer)
     text = _as_csv(columns)
     path = writer.file("levels", "levels.csv")
@@ -114,18 +111,6 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
     return text
-
-
-def _check_count(columns: Mapping[str, Sequence[Any]], site: Site) -> None:
-    n = len(next(iter(columns.values())))
-    if n < _FEWEST_LEVELS:
-        raise MeasurementError(
-            "there is one level only" if n == 1 else f"there are {n} levels only",
-            where=f"site {site.name}",
-            fix="measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n; "
-            f"forces go up to {max(columns.get('force_n', [np.nan])):.3g} N: if that is another unit, say it "
-            "(force_unit)",
-        )
 
 
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
@@ -176,10 +161,6 @@ def _check_agreement(columns: Mapping[str, Sequence[Any]], known: Levels | None,
             writer.data[f"largest_difference_{name}"] = worst
             if worst > tolerance:
                 writer.warnings.append(f"{name} differs from the existing levels.csv by up to {worst:.2f}")
-
-
-def _numbers(columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[float]]:
-    return {name: values for name, values in columns.items() if name != "phase"}
 
 
 def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:

@@ -244,6 +244,17 @@ def test_so_it_does_where_the_reading_is_distorted(reading):
     assert left == pytest.approx(-site.slope * error[at], rel=0.02, abs=0.03)
 
 
+@pytest.mark.parametrize(("as_shown", "expected"), [(False, 24.0 / 1.04), (True, 24.0)])
+def test_a_wrong_speed_of_sound_shows_in_the_distance_to_a_bone_that_was_imaged_otherwise(as_shown, expected):
+    """Where the bone was put as the ultrasound showed it, model and reading are off alike."""
+    z = np.linspace(0.0, 10.0, 11)
+    curves = Curves(z, 2.0 * z, np.zeros((11, 0)), np.zeros(0), 24.0)
+    bone = np.r_[24.0, np.full(N - 1, np.nan)]
+    site = site_data("p1", levels(skin_bone=bone), StatedNoise(), windows=Windows(), bone_as_shown=as_shown)
+    at = [row.channel for row in site.rows].index("skin-bone")
+    assert site.predict(curves, Reading(depth_gain=1.04))[at] == pytest.approx(expected)
+
+
 def test_slopes_of_a_steep_curve_are_not_flattened_by_errors_of_depth():
     rng, found = np.random.default_rng(3), []
     for _ in range(40):

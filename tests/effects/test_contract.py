@@ -236,6 +236,13 @@ def test_the_travel_is_the_way_that_the_probe_took_whatever_the_depth_reads():
         assert shown.travel == pytest.approx(travel)
 
 
+@pytest.mark.parametrize(("depth_zero", "first"), [(0.0, 30.0), (1.0, 28.95)])
+def test_a_wrong_speed_of_sound_scales_the_distance_to_the_bone_as_it_scales_the_depth(depth_zero, first):
+    """30 mm of which the probe has pressed 1.05 * zero; the image shows 1/1.05 of it."""
+    shown = read(_line(), _protocol(), Reading(depth_gain=1.05, depth_zero=depth_zero))
+    assert shown.thickness == pytest.approx(first / 1.05)
+
+
 def test_guided_waves_gain_most_where_the_tissue_is_thin():
     reading = effect("swe-guided-wave").observe(Reading(), {"guided_1e4_per_hz2": 0.25})
     gain = read(_line(), _protocol(), reading).log_speed - read(_line(), _protocol(), Reading()).log_speed

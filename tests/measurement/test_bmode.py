@@ -96,6 +96,22 @@ def test_real_muscle_images_hold_no_bone(shared):
             find_bone(read_image(path, mm_per_pixel=0.1, box_pixels=box))
 
 
+@pytest.mark.parametrize("mm_per_pixel", [0.05, 0.0885, 0.13])
+def test_the_black_of_a_screen_below_a_real_muscle_is_no_shadow_of_a_bone(shared, mm_per_pixel):
+    files = [p for p in sorted((shared / "data" / "b-mode").rglob("*")) if p.suffix in (".bmp", ".jpg")]
+    assert len(files) == 6
+    for path in files:
+        with pytest.raises(MeasurementError, match="no bone line is visible"):
+            find_bone(read_image(path, mm_per_pixel=mm_per_pixel))
+
+
+def test_a_bone_is_found_however_far_the_screen_goes_on_below_it(rng):
+    seen = frame(rng, 300.0, speckle(rng))
+    rows = np.vstack([seen.rgb, np.zeros((200, COLUMNS, 3), np.uint8)])
+    longer = UltrasoundImage(rows, (Region(0, 0, COLUMNS - 1, ROWS + 199, 0.1, 0.1),), seen.path)
+    assert find_bone(longer).distance == pytest.approx(find_bone(seen).distance, abs=0.01)
+
+
 def test_real_dicom_regions_are_read_and_uncalibrated_ones_are_not(shared):
     folder = shared / "data" / "us-dicom"
     assert read_image(folder / "gdcm-US-ALOKA-16.dcm").regions[0].mm_per_pixel_y == pytest.approx(

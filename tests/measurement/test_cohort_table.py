@@ -127,6 +127,37 @@ def test_a_missing_face(tmp_path):
     assert "the probe's face is not known" in reported(tmp_path, rows)
 
 
+def test_a_row_without_a_face_is_left_out_and_counted_as_others_without_a_reading(tmp_path):
+    table, problems = checked_cohort(written(tmp_path / "t.csv", changed(good(), face_mm2="")))
+    assert table is not None
+    assert len(table) == 11
+    (told,) = problems
+    assert (told.severity, told.what) == ("warning", "1 of 12 rows lack a reading and are left out (lines 5)")
+    rows = [{**each, "face_mm2": ""} for each in good()]
+    assert "no row is complete" in reported(tmp_path, rows)
+
+
+def test_lengths_that_are_all_in_centimetres(tmp_path):
+    rows = good()
+    for name in ("thickness_mm", "skin_mm", "fat_mm", "muscle_mm"):
+        scaled(rows, name, 0.1)
+    scaled(rows, "stiffness_mpa_per_mm", 10.0)
+    assert "the skin is 0.15 mm thick in the middle of all rows" in reported(tmp_path, rows)
+
+
+def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
+    rows = [{**each, "sex": ("F", "M", "female")[k % 3]} for k, each in enumerate(good())]
+    rows[1]["subject"], rows[3]["location"] = "p1", "ll p"
+    rows[5]["subject"] = "P1"
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    assert table is not None
+    assert [each.what for each in problems if each.severity == "warning"] == [
+        "people whose names hardly differ are taken as different: 'P1' and 'p1'",
+        "sites whose names hardly differ are taken as different: 'LL_P' and 'll p'",
+        "sex holds 3 words ('F', 'M', 'female'), so it is not used",
+    ]
+
+
 @pytest.mark.parametrize(
     ("name", "factor", "words"),
     [

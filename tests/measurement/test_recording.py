@@ -107,3 +107,11 @@ def test_wrong_record_is_refused_with_a_fix(tmp_path, text, form, expected):
         read_recording(path, form)
     assert expected in str(caught.value)
     assert "fix:" in str(caught.value)
+
+
+def test_a_time_of_day_is_refused_with_what_to_write_instead(tmp_path):
+    path = tmp_path / "cell.csv"
+    path.write_text("time_s,force_n\n14:59:50.0,0.1\n14:59:50.1,0.2\n")
+    with pytest.raises(MeasurementError) as found:
+        read_recording(path)
+    assert found.value.fix == "write seconds: a time of day or a date is not read as time"

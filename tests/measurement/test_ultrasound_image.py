@@ -26,8 +26,10 @@ def screen() -> np.ndarray:
     return rgb
 
 
-def stored(path: Path, pixels: bytes, *, kind: str = "RGB", packed: bool = False, **region: object) -> Path:
-    """An ultrasound DICOM of one frame, whose one region is the whole image at 0.1 mm a pixel."""
+def stored(
+    path: Path, pixels: bytes, *, kind: str = "RGB", packed: bool = False, n_frames: int = 1, **region: object
+) -> Path:
+    """An ultrasound DICOM, of one frame or several, whose one region is the whole image at 0.1 mm a pixel."""
     meta = FileMetaDataset()
     meta.TransferSyntaxUID = JPEGBaseline8Bit if packed else ExplicitVRLittleEndian
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = UltrasoundImageStorage, generate_uid()
@@ -45,6 +47,8 @@ def stored(path: Path, pixels: bytes, *, kind: str = "RGB", packed: bool = False
     for keyword, value in region.items():
         setattr(item, keyword, value)
     dataset.SequenceOfUltrasoundRegions = [item]
+    if n_frames > 1:
+        dataset.NumberOfFrames = n_frames
     dataset.PixelData = encapsulate([pixels]) if packed else pixels
     dataset["PixelData"].is_undefined_length = packed
     dataset.save_as(path, enforce_file_format=True)
@@ -104,3 +108,32 @@ def test_a_scale_that_is_stated_leaves_the_picture_where_the_file_has_it(tmp_pat
     picture = read_image(tmp_path / "a.png", mm_per_pixel=0.2)
     assert picture.is_whole
     assert picture.main_region().bottom == ROWS - 1
+
+
+def loop(path: Path, n_frames: int = 4) -> Path:
+    """A file of frames of one grey each: 10, 20, ... of 255."""
+    greys = [np.full((ROWS, COLUMNS, 3), 10 * (k + 1), np.uint8) for k in range(n_frames)]
+    if path.suffix == ".dcm":
+        return stored(path, np.stack(greys).tobytes(), n_frames=n_frames)
+    first, *others = (Image.fromarray(each) for each in greys)
+    first.save(path, save_all=True, append_images=others)
+    return path
+
+
+@pytest.mark.parametrize("name", ["cine.dcm", "cine.tif"])
+def test_of_a_loop_the_frame_is_read_that_is_told_and_none_that_is_not(tmp_path, name):
+    path = loop(tmp_path / name)
+    with pytest.raises(MeasurementError, match="holds 4 frames, and nothing says which") as found:
+        read_image(path, mm_per_pixel=0.1)
+    assert "frame = 12" in found.value.fix
+    image = read_image(path, mm_per_pixel=0.1, frame=3)
+    assert (int(image.rgb[0, 0, 0]), image.where) == (30, f"{path}, frame 3")
+    with pytest.raises(MeasurementError, match="frame 5 is asked for; the file holds 4"):
+        read_image(path, mm_per_pixel=0.1, frame=5)
+
+
+def test_a_still_image_is_its_own_first_frame(tmp_path):
+    path = stored(tmp_path / "a.dcm", screen().tobytes())
+    assert read_image(path, frame=1).where == str(path)
+    with pytest.raises(MeasurementError, match="frame 2 is asked for; the file holds 1"):
+        read_image(path, frame=2)

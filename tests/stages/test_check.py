@@ -124,6 +124,21 @@ def test_as_many_images_as_holds_are_asked_for(folder: Path):
     assert "the instruments of site p1 do not have as many levels: load_cell 4, b_mode 1" in whats
 
 
+@pytest.mark.parametrize(
+    ("seconds", "newtons", "told"),
+    [(1, -2, "force_n is -4; possible is -3 to 150 (level 2)"), (1000, 2, "hold_s is"), (1, 0, "one level")],
+)
+def test_a_record_that_measure_would_refuse_is_not_complete(folder: Path, seconds, newtons, told):
+    """A sign that is turned, milliseconds, and no load at all."""
+    (folder / "levels.csv").unlink()
+    rows = (f"{k * seconds / 10},{newtons * (k // 100)}\n" for k in range(400))
+    (folder / "cell.csv").write_text("time_s,force_n\n" + "".join(rows))
+    (folder / "case.toml").write_text(ONE_SITE + '[site.load_cell]\nfile = "cell.csv"\nhold_s = 5\n')
+    found = [each for each in check(folder).problems if told in each.what]
+    assert found
+    assert {each.severity for each in found} == {"error"}
+
+
 def test_a_distance_to_the_bone_that_the_levels_contradict_is_told(folder: Path):
     (folder / "levels.csv").write_text("force_n,depth_mm,skin_bone_mm\n0,0,48\n2,1,47\n4,2,46\n6,3,45\n")
     for stated, told in ((20, True), (47, False)):

@@ -32,7 +32,8 @@ def _trace() -> np.ndarray:
 
 def _readings() -> Readings:
     true = _true()
-    return Readings(true.force, true.depth, true.maps, 30.0 - true.depth, 6.0, _trace())
+    layers = np.array([[1.5, 5.0]] * 3)
+    return Readings(true.force, true.depth, true.maps, 30.0 - true.depth, 6.0, _trace(), layers=layers)
 
 
 def shown(text: str) -> Readings:
@@ -43,7 +44,10 @@ def shown(text: str) -> Readings:
 
 def test_force_and_depth_effects():
     assert shown("force-zero=1.5").force == pytest.approx([1.5, 3.5, 5.5])
-    assert shown("depth-gain=1.05").depth == pytest.approx(np.array([0, 3, 5]) / 1.05)
+    scaled = shown("depth-gain=1.05")
+    assert scaled.depth == pytest.approx(np.array([0, 3, 5]) / 1.05)
+    assert scaled.skin_bone == pytest.approx(np.array([30, 27, 25]) / 1.05)
+    assert scaled.layers == pytest.approx(np.array([[1.5, 5.0]] * 3) / 1.05)
     late = shown("depth-zero=1.2")
     assert late.depth == pytest.approx([1.8, 3.8])
     assert late.force == pytest.approx([2.0, 4.0])

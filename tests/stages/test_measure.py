@@ -19,7 +19,7 @@ from limbcli.stages.measuring.images import images_of
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
 from tests.measurement.test_swe_image import BAR, BOX, ramp, render
-from tests.measurement.test_ultrasound_image import screen, stored
+from tests.measurement.test_ultrasound_image import loop, screen, stored
 from tests.test_case_text import HEAD, SITE
 
 FORCES = (0.0, 2.0, 4.0, 6.0)
@@ -75,6 +75,22 @@ def test_dicom_images_need_no_ending(tmp_path: Path):
         stored(tmp_path / f"IM_{k}", screen().tobytes())
     (tmp_path / "notes").write_text("as measured")
     assert len(images_of({"path": tmp_path, "mm_per_pixel": None})) == 3
+
+
+def test_frames_of_one_loop_or_of_a_loop_a_level_are_the_levels_images(tmp_path: Path):
+    def greys(frame: object) -> list[int]:
+        found = images_of({"path": tmp_path, "mm_per_pixel": 0.1, "frame": frame})
+        return [int(each.rgb[0, 0, 0]) for each in found]
+
+    loop(tmp_path / "a.dcm")
+    assert greys([1, 4, 2]) == [10, 40, 20]
+    loop(tmp_path / "b.dcm")
+    assert greys(3) == [30, 30]
+    assert greys([2, 4]) == [20, 40]
+    with pytest.raises(MeasurementError, match="frame lists 3 frames, the folder holds 2 images"):
+        greys([1, 2, 3])
+    with pytest.raises(MeasurementError, match="nothing says which"):
+        greys(None)
 
 
 def test_levels_are_those_the_instruments_saw(folder: Path, tmp_path: Path):

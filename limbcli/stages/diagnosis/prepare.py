@@ -354,6 +354,7 @@ class _Preparation:
             model_error=errors.all(tie, interventions), held=held, extras=extras,
             usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
             map_slopes=errors.map_slopes(), layers=self.layers,
+            bone_as_shown=bool(self.case.imaging.assumed),
         )  # fmt: skip
 
     def _drained(self, draining: DrainageSolver, data: SiteData, book: CurveBook) -> Drained:

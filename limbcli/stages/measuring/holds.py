@@ -10,12 +10,15 @@ import numpy as np
 
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
+from limbcli.measurement.indentation import check_values
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.measurement.trace import Trace
+from limbcli.problems import Problem
 from limbcli.results import StageWriter
 
 _FEW_LOST = 0.01  # of the samples
 _SMALL_FORCE = 4.0  # N, of a whole indentation
+_FEWEST_LEVELS = 3
 _TURN = 0.5  # of the protocol's step: what the force goes back by where it turns
 
 Columns = dict[str, Sequence[Any]]
@@ -36,23 +39,47 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
     trace, holds = holds_of(table)
     draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))
     step = float(table["step_n"])
-    cycle, phase = cycles_of_holds([each.force for each in holds], turn=_TURN * step)
+    columns = columns_of(holds, step)
+    phase = columns.get("phase", ["load"] * len(holds))
     _say_holds(holds, phase, trace, step, writer)
+    if "cycle" in columns:
+        last = writer.data["cycles"] = columns["cycle"][-1]
+        n_unloading = list(phase).count("unload")
+        writer.summary.append(
+            f"{last} cycle{'s' if last > 1 else ''} found, {n_unloading} holds on the way back"
+        )
+    return columns
+
+
+def columns_of(holds: Sequence[Hold], step: float) -> Columns:
+    """Columns of levels.csv by name; step : N, of the protocol."""
+    cycle, phase = cycles_of_holds([each.force for each in holds], turn=_TURN * step)
     columns: Columns = {
         "force_n": [each.force for each in holds],
         "hold_s": [each.duration_s for each in holds],
     }
     if "unload" in phase or cycle[-1] > 1:
         columns |= {"cycle": cycle, "phase": phase}
-        writer.data["cycles"] = cycle[-1]
-        n_unloading = phase.count("unload")
-        writer.summary.append(
-            f"{cycle[-1]} cycle{'s' if cycle[-1] > 1 else ''} found, {n_unloading} holds on the way back"
-        )
     if all(each.depth is not None for each in holds):
         first = holds[0].depth or 0.0
         columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
     return columns
+
+
+def column_problems(columns: Mapping[str, Sequence[Any]], *, site: str, place: Path) -> list[Problem]:
+    """What no level can have, or too few levels, in columns of levels.csv as the instruments gave them."""
+    numbers = {name: values for name, values in columns.items() if name != "phase"}
+    found = check_values(numbers, place)
+    n = len(next(iter(columns.values())))
+    if not found and n < _FEWEST_LEVELS:
+        what = "there is one level only" if n == 1 else f"there are {n} levels only"
+        fix = (
+            "measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n; "
+            f"forces go up to {max(columns.get('force_n', [np.nan])):.3g} N: if that is another unit, say it "
+            "(force_unit)"
+        )
+        found.append(Problem(what, f"site {site}", fix, family="measurement"))
+    return found
 
 
 def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:

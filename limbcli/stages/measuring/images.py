@@ -62,13 +62,28 @@ def tissue_between(
 
 
 def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
-    """One image a level, in the order of their names; numbers in them count as numbers (9 before 10)."""
+    """One image a level, in the order of their names; numbers in them count as numbers (9 before 10).
+
+    Of files that hold several frames, those that `frame` tells: a list takes all from the only file.
+    """
     folder: Path = table["path"]
     paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))
     if not paths:
         fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
         raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
-    return [read_image(each, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels) for each in paths]
+    frame = table.get("frame")
+    frames = list(frame) if isinstance(frame, list) else [frame] * len(paths)
+    files = paths * len(frames) if len(paths) == 1 else paths
+    if len(frames) != len(files):
+        raise MeasurementError(
+            f"frame lists {len(frames)} frames, the folder holds {len(files)} images",
+            where=str(folder),
+            fix="state one an image, or keep the one file there that all frames are of",
+        )
+    return [
+        read_image(path, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels, frame=number)
+        for path, number in zip(files, frames, strict=True)
+    ]
 
 
 def _is_image(path: Path) -> bool:

@@ -202,8 +202,19 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
 
 
 def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
+    """All that the images show along the beam, by one factor."""
     gain = theta["depth_gain"]
-    return replace(readings, depth=readings.depth / gain, trace=_record(readings, depth=lambda d: d / gain))
+
+    def shown(values: Array | None) -> Array | None:
+        return None if values is None else values / gain
+
+    return replace(
+        readings,
+        depth=readings.depth / gain,
+        trace=_record(readings, depth=lambda d: d / gain),
+        skin_bone=shown(readings.skin_bone),
+        layers=shown(readings.layers),
+    )
 
 
 def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:

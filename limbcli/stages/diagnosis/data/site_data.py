@@ -55,6 +55,7 @@ class SiteData:
     """What was measured at one site, and how a prediction is laid out beside it.
 
     travel_from : the level from which the probe's travel counts
+    bone_as_shown : the models' bone was put where the image showed it: a wrong speed of sound misplaces both
     """
 
     name: str
@@ -68,6 +69,7 @@ class SiteData:
     slope: Array = field(default_factory=lambda: np.zeros(0))
     depth_error: float = 0.0
     travel_from: int = 0
+    bone_as_shown: bool = False
 
     def with_share(self, name: str, share: float) -> SiteData:
         """With so much of what was assumed of the noise part `name`."""
@@ -123,7 +125,7 @@ class SiteData:
     def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
         seen: dict[str, Array] = {
             "force": shown.force, "travel": shown.travel - shown.travel[self.travel_from],
-            "skin-bone": np.array([shown.thickness]),
+            "skin-bone": np.array([shown.thickness * (reading.depth_gain if self.bone_as_shown else 1.0)]),
         }  # fmt: skip
         if self.held is not None:
             seen["hold"] = self.held.predict(curves, reading)
@@ -155,7 +157,7 @@ def site_data(
     model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
     extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None,
     thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
-    map_slopes: Array | None = None, layers: LayerReadings | None = None,
+    map_slopes: Array | None = None, layers: LayerReadings | None = None, bone_as_shown: bool = False,
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
@@ -163,7 +165,7 @@ def site_data(
     usable : parts (n_parts,) of a map that the model shows at every level; None: all
     thickness : mm, skin to bone; map_share : of the usual error of a model's maps
     map_slopes : 1/mm (n_levels, n_parts), of a model's ln speeds over depth
-    layers : that the models' curves follow
+    layers : that the models' curves follow; bone_as_shown : see `SiteData`
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
@@ -211,6 +213,7 @@ def site_data(
         slope,
         noise.depth,
         travel_zero(levels, keep),
+        bone_as_shown,
     )
 
 
