@@ -80,6 +80,7 @@ def test_without_a_home_they_lie_in_a_temporary_folder_that_is_nobody_elses(
     assert keep_kernels(package) not in (None, first)
 
 
+@pytest.mark.slow
 def test_a_changed_function_in_another_file_is_not_served_from_a_named_folder(tmp_path: Path):
     (tmp_path / "caller.py").write_text(CALLER)
     answers = []

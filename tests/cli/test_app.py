@@ -96,6 +96,7 @@ def test_missing_case_is_a_message_with_a_fix_and_exit_code_2(capsys, tmp_path: 
     assert "Traceback" not in error_text
 
 
+@pytest.mark.slow
 def test_error_is_json_where_json_was_asked_for(tmp_path: Path):
     result = limbcli("segment", str(tmp_path / "nowhere"), "--json")
     content = json.loads(result.stdout)
@@ -139,6 +140,7 @@ def default_signals() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
     code = (

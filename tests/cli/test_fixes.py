@@ -32,6 +32,7 @@ def advised() -> list[tuple[str, str, str]]:
     return found
 
 
+@pytest.mark.slow
 def test_options_of_every_advised_command_exist():
     named = [(file, name, rest) for file, name, rest in advised() if name in COMMANDS]
     assert len(named) > 40

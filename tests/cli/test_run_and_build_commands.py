@@ -78,6 +78,7 @@ def test_a_case_is_built_and_run_by_its_commands(
     assert "the sites are: p1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_models_whose_names_differ_after_a_dot_have_folders_of_their_own(
     febio: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ def test_c_and_m_of_several_that_fit_are_those_of_any(rng, monkeypatch):
     assert last.intervals["toe"] == (0.0, 1.0)  # a size is its own explanation's
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", [{"offset": 6.0, "wave": 6.0}, {"offset": 14.0, "guided": 60.0}])
 def test_two_effects_are_found_together(rng, pair):
     """The pair is named, in two data sets of two, with nothing mocked. A share of 70 % would pass all
@@ -104,6 +105,7 @@ def test_a_prior_that_hardly_holds_changes_nothing(rng):
     assert held.shrink[-1].chi2_per_nu == pytest.approx(free.shrink[-1].chi2_per_nu, rel=0.02)
 
 
+@pytest.mark.slow
 def test_an_effect_outside_the_library_is_not_named(rng):
     found = run(toy.make(rng, outside=6.0))
     assert found.verdict in ("unexplained", "untestable")

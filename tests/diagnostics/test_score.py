@@ -125,6 +125,7 @@ def test_where_a_p_is_near_what_decides_more_errors_are_drawn(rng, relative):
     assert found.tests[0].p == pytest.approx(rough, abs=0.15)
 
 
+@pytest.mark.slow
 def test_more_draws_lessen_what_a_p_owes_to_them(rng, monkeypatch):
     """Over seeds, p of 16 times as many draws scatters a quarter as much."""
     monkeypatch.setattr(thresholds, "CLEAR_SD", 1e9)

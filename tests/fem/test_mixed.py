@@ -86,6 +86,7 @@ def iterations(model: LimbModel, *, mixed: bool) -> tuple[int, float]:
         analysis.close()
 
 
+@pytest.mark.slow
 def test_pressures_of_their_own_save_iterations_and_change_no_answer() -> None:
     with_them, force = iterations(deep(), mixed=True)
     try:

@@ -119,6 +119,7 @@ def test_a_run_ends_with_the_first_level_that_bears_enough():
     assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_what_iterations_no_longer_lessen_will_do_where_it_may_and_else_fails(monkeypatch):
     monkeypatch.setattr("limbcli.fem.equilibrium.newton._ROUND_OFF", 0.0)
     exact = ReferenceSession(punch(), threads=1, tolerance=1e-8)

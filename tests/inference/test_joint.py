@@ -196,6 +196,7 @@ def test_problem_counts_its_freedom(simulated):
     assert problem.n_freedom == 11 + 12 - 3
 
 
+@pytest.mark.slow
 def test_depths_are_weighed_by_the_slopes_of_the_fit(simulated, monkeypatch):
     """Where the noise is that of force, a start that is twice as stiff would weigh first depths fourfold."""
     force = simulated.force
@@ -272,6 +273,7 @@ def test_one_site_beside_layers_and_one_without_share_c(simulated):
     assert [len(each.solved[-1][0]) for each in both.curves] == [3, 2]
 
 
+@pytest.mark.slow
 def test_beside_layers_c_is_simulated_where_it_is_fitted():
     made = beside_layers_task()
     problem, found = joint_fit(made, STARTS, max_solves=6)

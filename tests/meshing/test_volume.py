@@ -73,6 +73,7 @@ needs_ftetwild = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @needs_ftetwild
 def test_ftetwild_fills_what_tetgen_refuses(make_ball):
     """Two balls that pierce each other: the volume of their union."""

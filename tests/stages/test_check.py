@@ -176,6 +176,7 @@ def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: P
     assert CaseCheck(folder, (), (warning,)).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_bone_elsewhere_and_sites_off_the_skin_are_told(tmp_path: Path):
     from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 

@@ -120,6 +120,7 @@ def test_marker_that_was_not_found_is_an_error(folder, out):
     assert "position_mm" in caught.value.fix
 
 
+@pytest.mark.slow
 def test_a_long_axis_far_out_of_the_skin_is_told(folder, tmp_path):
     shutil.copytree(folder, tmp_path / "rough")
     text = CASE.replace('long_axis = "transverse"', "long_axis = [1.0, 0.5, 0.0]")

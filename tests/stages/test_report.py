@@ -651,6 +651,7 @@ def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     assert "--objective joint" in page.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_a_users_own_report_is_not_replaced(tmp_path, kind):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
@@ -681,6 +682,7 @@ def add_diagnosis(out: Path, *, subject: str = "S1") -> None:
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_on_the_page_of_its_own_subject_only(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
@@ -696,6 +698,7 @@ def test_a_diagnosis_is_on_the_page_of_its_own_subject_only(tmp_path):
     assert "the result is of S2, the case of S1" in page
 
 
+@pytest.mark.slow
 def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_diagnosis(out)
