@@ -17,12 +17,9 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 def main() -> None:
     """`limbcli`, as installed."""
     _answer_with(_leave)
-    for stream in (
-        sys.stdout,
-        sys.stderr,
-    ):  # what a terminal has no letter for, such as a Greek one, is spelt
+    for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="backslashreplace")  # letters that a terminal lacks are spelt
     try:
         from limbcli.cli.app import main as run
 
