@@ -9,6 +9,13 @@ import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+# Files whose one test takes half a minute and more: at the end of a run all would wait for it.
+LONGEST = {"test_walkthrough.py", "test_wheel.py", "test_killed.py", "test_diagnose_bones.py"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first; all others stay in their order."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 def shared_folder() -> Path | None:
