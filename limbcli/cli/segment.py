@@ -34,7 +34,10 @@ ThresholdOpt = Annotated[
 LimbOpt = Annotated[
     str | None,
     typer.Option(
-        "--limb", metavar="left|right", help="Which limb, where two are in view.", show_default=False
+        "--limb",
+        metavar="left|right",
+        help="Which limb, where two are in view; default: the case's.",
+        show_default=False,
     ),
 ]
 FreshOpt = Annotated[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from limbcli.imaging.volume import Volume
@@ -13,18 +15,33 @@ _JOINT = 0.35  # overlap of heights up to this (of the shorter) is that of bones
 
 
 def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
+    """tibia, fibula, femur, patella where size and place tell; else numbers (see `names_by_size_and_place`).
+
+    bones : Volumes of bool, largest first, k along the limb towards proximal
+    """
+    return names_by_size_and_place(
+        np.array([bone.values.sum() for bone in bones], float),
+        [_span(bone) for bone in bones],
+        lambda small, large: _in_front(bones[small], bones[large]),
+    )
+
+
+def names_by_size_and_place(
+    sizes: Array, spans: Sequence[tuple[float, float]], in_front: Callable[[int, int], bool]
+) -> tuple[str, ...]:
     """tibia, fibula, femur, patella where size and place tell; else numbers.
 
     Side by side along the limb are tibia (the larger) and fibula; a large bone above
     them (towards proximal) is the femur, a small one in front of the joint the patella. A
     bone alone, or a set that fits none of this, is numbered.
 
-    bones : Volumes of bool, largest first, k along the limb towards proximal
+    sizes : (n,) volumes in any unit, largest first
+    spans : n heights along the limb, from distal to proximal, in any unit
+    in_front : whether the bone of the first number lies anterior of that of the second
     """
-    if len(bones) < 2:
-        return _numbers(bones)
-    sizes = np.array([bone.values.sum() for bone in bones], float)
-    spans = [_span(bone) for bone in bones]
+    numbers = tuple(f"{n + 1}" for n in range(len(sizes)))
+    if len(sizes) < 2:
+        return numbers
     names: dict[int, str] = {}
     lower, femur = _shank_and_thigh(sizes, spans)
     if femur is not None:
@@ -33,17 +50,13 @@ def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
         names[lower[0]] = "tibia"
     if len(lower) > 1:
         names[lower[1]] = "fibula"
-    rest = [n for n in range(len(bones)) if n not in names]
-    if femur is not None and len(rest) == 1 and _in_front(bones[rest[0]], bones[femur]):
+    rest = [n for n in range(len(sizes)) if n not in names]
+    if femur is not None and len(rest) == 1 and in_front(rest[0], femur):
         names[rest[0]] = "patella"
         rest = []
     if rest or not lower:
-        return _numbers(bones)
-    return tuple(names[n] for n in range(len(bones)))
-
-
-def _numbers(bones: tuple[Volume, ...]) -> tuple[str, ...]:
-    return tuple(str(number) for number in range(1, len(bones) + 1))
+        return numbers
+    return tuple(names[n] for n in range(len(sizes)))
 
 
 def _span(bone: Volume) -> tuple[int, int]:
@@ -51,13 +64,13 @@ def _span(bone: Volume) -> tuple[int, int]:
     return int(filled[0]), int(filled[-1]) + 1
 
 
-def _overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
+def _overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Common height over the shorter's."""
     common = min(a[1], b[1]) - max(a[0], b[0])
     return max(common, 0) / min(a[1] - a[0], b[1] - b[0])
 
 
-def _shank_and_thigh(sizes: Array, spans: list[tuple[int, int]]) -> tuple[list[int], int | None]:
+def _shank_and_thigh(sizes: Array, spans: Sequence[tuple[float, float]]) -> tuple[list[int], int | None]:
     """(tibia, fibula) and femur among the bones, by number; fewer where they are not in view."""
     large = [n for n in range(len(sizes)) if sizes[n] > 0.25 * sizes[0]]
     femur = None

@@ -20,13 +20,21 @@ from pydicom.errors import InvalidDicomError
 
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom_identity import one_body, public_name
-from limbcli.imaging.frames import DICOM_DAMAGED, Slice, damaged, should_be_image, slices_of, turned_over
+from limbcli.imaging.frames import (
+    DICOM_DAMAGED,
+    FLOAT_PIXELS,
+    Slice,
+    damaged,
+    should_be_image,
+    slices_of,
+    turned_over,
+)
 from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
+_PIXELS = ("PixelData", *FLOAT_PIXELS)
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place

@@ -19,6 +19,8 @@ DICOM_DAMAGED = (*DAMAGED, BytesLengthException, InvalidDicomError)
 _EXPORT = "export the series again with its geometry, or bring a label map or surfaces instead"
 _PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
 _STORAGE = ("Rows", "Columns", "BitsAllocated", "PixelRepresentation")
+FLOAT_PIXELS = ("FloatPixelData", "DoubleFloatPixelData")  # PS3.3 C.7.6.24: no sign, no bits stored
+_PADDING_OF = {"f4": "FloatPixelPadding", "f8": "DoubleFloatPixelPadding"}
 _USABLE = ("MR", "CT", "OT", "")
 
 
@@ -191,8 +193,9 @@ def damaged(where: str, error: BaseException) -> CaseError:
 
 def _complete(dataset: Dataset, name: str) -> None:
     """Tags that say how pixels are stored: the harmless ones filled in, the others must be there."""
+    in_floats = any(each in dataset for each in FLOAT_PIXELS)
     for keyword in _STORAGE:
-        if keyword not in dataset:
+        if keyword not in dataset and not (in_floats and keyword == "PixelRepresentation"):
             tag = pydicom.datadict.tag_for_keyword(keyword) or 0
             described = pydicom.datadict.dictionary_description(keyword)
             raise CaseError(
@@ -222,8 +225,7 @@ def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -
     """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over, padding is air."""
     pixels = _without_padding(pixels, header)
     if turned_over(header):
-        top = 2 ** int(header.get("BitsStored", 16)) - 1
-        pixels = (-1 if int(header.get("PixelRepresentation", 0)) else top) - pixels.astype(np.int64)
+        pixels = _negative(pixels, header)
     values = []
     for keyword, tag, default in (("RescaleSlope", "0028,1053", 1.0), ("RescaleIntercept", "0028,1052", 0.0)):
         try:
@@ -235,19 +237,38 @@ def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -
     return pixels.astype(np.float32) * np.float32(values[0]) + np.float32(values[1])
 
 
+def _negative(pixels: NDArray, header: Dataset) -> NDArray:
+    """Dark is high turned to dark is low; whole numbers stay within those that are stored."""
+    if np.issubdtype(pixels.dtype, np.floating):
+        return -pixels
+    top = 2 ** int(header.get("BitsStored", 16)) - 1
+    return (-1 if int(header.get("PixelRepresentation", 0)) else top) - pixels.astype(np.int64)
+
+
 def _without_padding(pixels: NDArray, header: Dataset) -> NDArray:
     """What stands where nothing was measured (Pixel Padding Value, PS3.3 C.7.5.1.1.2) is made the darkest.
 
     Padding among the values of the image itself stays: it is as dark as air, or it cannot be told apart.
     """
+    pixels = _darkened(pixels, ~np.isfinite(pixels), header)
+    kind = _PADDING_OF.get(pixels.dtype.kind + str(pixels.dtype.itemsize), "PixelPadding")
     try:
-        value = int(header.PixelPaddingValue)
-        ends = value, int(header.get("PixelPaddingRangeLimit", value))
-    except (AttributeError, TypeError, ValueError):
+        value = float(header[f"{kind}Value"].value)
+        ends = value, float(header[f"{kind}RangeLimit"].value if f"{kind}RangeLimit" in header else value)
+    except (KeyError, TypeError, ValueError):
         return pixels
     padding = (pixels >= min(ends)) & (pixels <= max(ends))
     measured = pixels[~padding]
-    if not padding.any() or not len(measured) or measured.min() < max(ends) < measured.max():
+    if len(measured) and measured.min() < max(ends) < measured.max():
         return pixels
-    dark = measured.max() if turned_over(header) else measured.min()
-    return np.where(padding, dark, pixels)
+    return _darkened(pixels, padding, header)
+
+
+def _darkened(pixels: NDArray, where: NDArray[np.bool_], header: Dataset) -> NDArray:
+    """Pixels `where` nothing was measured are as dark as the darkest of the others; all of them: 0."""
+    measured = pixels[~where]
+    if not where.any():
+        return pixels
+    if not len(measured):
+        return pixels if np.isfinite(pixels).all() else np.zeros_like(pixels)
+    return np.where(where, measured.max() if turned_over(header) else measured.min(), pixels)

@@ -59,7 +59,9 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
         raise CaseError(
             f"{len(limbs)} limbs are in view, at x = {places} mm",
             where="MRI series",
-            fix="say which one: limbcli segment CASE --limb left (or right)",
+            fix="say which one: limbcli segment CASE --limb left (or right)"
+            if len(limbs) == 2
+            else "crop the series to one limb, or bring a label map ([imaging] labels)",
             n_limbs=len(limbs),
         )
     order = np.argsort(to_the_left)  # LPS: x grows towards the patient's left

@@ -109,8 +109,10 @@ def segment_limb(
             f"a pixel of the limb's cross section is up to {coarsest:.1f} mm wide: look closely at thin bones"
         )
         notes = (*notes, text)
-    turned = one_limb(turned, wishes.side, threshold=wishes.threshold)
-    work, factors = supersampled(turned)
+    chosen = one_limb(turned, wishes.side, threshold=wishes.threshold)
+    if chosen is not turned:
+        notes = (*notes, f"two limbs are in view: the patient's {wishes.side} one was taken")
+    work, factors = supersampled(chosen)
     masks = (_on_ct if modality == "CT" else _on_mri)(work, wishes, progress)
     bones = _without_soft(masks.bones, work, wishes.soft_seeds)
     labels = np.where(masks.limb, SOFT_TISSUE, 0).astype(np.uint8)

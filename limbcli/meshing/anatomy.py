@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.meshing.distance import Heights
-from limbcli.meshing.mending import Plane, mend
+from limbcli.meshing.mending import Plane, mend, principal_axis
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.problems import Problem
@@ -27,6 +27,7 @@ _OUT_FAR_MM = 15.0
 _MINOR = 0.25  # of all bones' volume: without such a one (a fibula, a patella) the limb can still be modelled
 _TWICE = 0.5  # of a bone's points inside another: the same bone twice
 _ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
+_ELONGATED, _UPRIGHT = 1.5, 0.5  # length against width; cosine to +z below which a limb lies across
 _POINTS = 500  # of a bone that are looked at
 
 
@@ -51,7 +52,8 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
         outside = _outside(name, bone, above_skin, mended.ends, where)
         minor = abs(bone.volume) < _MINOR * whole
         found += [_left_out(each) if minor else each for each in outside]
-    return found + _twice(bones, where) + _side(bones, limb, where)
+    across = _across(mended.skin, bones, where)
+    return found + _twice(bones, where) + (across or _side(bones, limb, where))
 
 
 def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[str, ...]:
@@ -160,6 +162,21 @@ def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem
         f"the fibula lies {-lateral:.0f} mm medial of the tibia: that is a {other} leg, the case says {limb}"
     )
     fix = "correct [subject] limb, or the frame of the images or surfaces (LPS: +x is the patient's left)"
+    return [_problem(what, where, fix)]
+
+
+def _across(skin: Triangles, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
+    """A limb across the patient frame: which of its ends is the proximal one cannot be told."""
+    axes = [principal_axis(each) for each in (skin, *bones.values())]
+    axis, elongated = max(axes, key=lambda each: each[1])
+    if elongated < _ELONGATED or abs(axis[2]) > _UPRIGHT:
+        return []
+    along = "xyz"[int(np.abs(axis).argmax())]
+    what = (
+        f"the limb lies along {along}; in the patient frame it lies along z, with the head at +z, so that "
+        'which end is proximal is not known ("axial", "transverse" and images may be turned over)'
+    )
+    fix = "save the surfaces, or the label map, in patient LPS (x left, y posterior, z to the head), mm"
     return [_problem(what, where, fix)]
 
 

@@ -47,7 +47,11 @@ class SiteFrame:
 def proximal_direction(limb: Limb) -> Array:
     """Unit vector along the limb towards the head: the longest body's axis, turned to +z of LPS."""
     candidates = [principal_axis(each) for each in (limb.skin, *limb.bones)]
-    axis = max(candidates, key=lambda each: each[1])[0]
+    return toward_head(max(candidates, key=lambda each: each[1])[0])
+
+
+def toward_head(axis: Array) -> Array:
+    """The axis, turned over where it points away from the head (LPS: +z)."""
     return axis if axis @ _HEAD >= 0 else -axis
 
 

@@ -92,6 +92,7 @@ def _places(case: Case) -> dict[str, np.ndarray]:
 
 def _label_map(case: Case) -> list[Problem]:
     assert case.imaging.labels is not None
+    from limbcli.imaging.bones import name_bones
     from limbcli.imaging.image_files import read_image
     from limbcli.imaging.label_files import read_label_file
     from limbcli.imaging.label_frame import compare_frames
@@ -107,7 +108,7 @@ def _label_map(case: Case) -> list[Problem]:
     if case.imaging.mri is not None:
         found += compare_frames(labels, read_image(case.imaging.mri).volume, where=path).problems
     parts = segmentation_from(labels)
-    bones = {f"bone {number}": each for number, each in enumerate(parts.bones, 1)}
+    bones = {f"bone_{name}": each for name, each in zip(name_bones(parts.bones), parts.bones, strict=True)}
     surfaces = triangles_of(
         {name: surface_of(each, edge=_EDGE) for name, each in {SKIN: parts.skin, **bones}.items()}
     )

@@ -55,12 +55,14 @@ class _Options:
     def asked(self) -> dict[str, Any]:
         return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
-    def wishes(self) -> Wishes:
+    def wishes(self, limb: Side) -> Wishes:
+        """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
+
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
             return np.array(found) if found else None
 
-        return Wishes(self.threshold, points("bone"), points("soft"), self.limb)
+        return Wishes(self.threshold, points("bone"), points("soft"), self.limb or limb)
 
 
 def segment(
@@ -85,7 +87,7 @@ def segment(
         ("soft", (x, y, z)) says that what was taken for bone there is none
     smooth : standard deviation of the smoothing of the surfaces, mm
     threshold : signal between air and skin, image units (HU on CT)
-    limb : which of two limbs in view
+    limb : which of two limbs in view; None: the one that the case is of
     fresh : leave an edited label map aside and start anew
 
     Raises
@@ -173,7 +175,8 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.used("mri", path, role="imaging/mri")
     series = read_image(path, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
-    found = segment_limb(series.volume, modality=modality, wishes=options.wishes(), progress=progress)
+    wishes = options.wishes("left" if case.limb == "left" else "right")
+    found = segment_limb(series.volume, modality=modality, wishes=wishes, progress=progress)
     writer.data["source"] = "mri"
     writer.data["image"] = dict(series.facts)
     writer.warnings.extend((*series.notes, *found.notes))

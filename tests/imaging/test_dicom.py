@@ -215,6 +215,35 @@ def test_padding_beside_the_picture_is_as_dark_as_its_air(ramp, tmp_path, paddin
     assert (values[:, :2] == ramp.values[:, 2:].min(axis=(0, 1))).all()
 
 
+@pytest.mark.parametrize("kind", ["Float", "DoubleFloat"])
+def test_pixels_stored_as_floats_are_read_and_what_is_no_number_is_dark(ramp, tmp_path, kind):
+    def floats(dataset, _):
+        pixels = dataset.pixel_array.astype("<f4" if kind == "Float" else "<f8") + 0.25
+        pixels[:2], pixels[2:3] = np.nan, -1e30
+        for keyword in ("PixelData", "PixelRepresentation", "BitsStored", "HighBit"):
+            delattr(dataset, keyword)
+        dataset.BitsAllocated = 8 * pixels.itemsize
+        setattr(dataset, f"{kind}PixelData", pixels.tobytes())
+        setattr(dataset, f"{kind}PixelPaddingValue", -1e30)
+
+    write_dicom(tmp_path, ramp, change=floats)
+    values = read_series(tmp_path).volume.values
+    assert np.array_equal(values[:, 3:], ramp.values[:, 3:] + 0.25)
+    assert (values[:, :3] == values[:, 3:].min(axis=(0, 1))).all()
+
+
+def test_monochrome1_of_floats_turns_fractions_over_too(ramp, tmp_path):
+    def turned(dataset, _):
+        pixels = dataset.pixel_array.astype("<f4") / 512
+        for keyword in ("PixelData", "PixelRepresentation", "BitsStored", "HighBit"):
+            delattr(dataset, keyword)
+        dataset.BitsAllocated, dataset.FloatPixelData = 32, pixels.tobytes()
+        dataset.PhotometricInterpretation = "MONOCHROME1"
+
+    write_dicom(tmp_path, ramp, change=turned)
+    assert np.array_equal(read_series(tmp_path).volume.values, (ramp.values.max() - ramp.values) / 512)
+
+
 def test_monochrome1_of_ct_concerns_the_display_only(ramp, tmp_path):
     def turn(dataset, k):
         dataset.PhotometricInterpretation, dataset.Modality = "MONOCHROME1", "CT"

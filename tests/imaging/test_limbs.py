@@ -40,7 +40,9 @@ def test_two_limbs_need_a_word_which(pair):
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_the_wanted_limb_of_two_is_segmented(pair, side):
     image, truth = pair
-    labels = segment_limb(image, wishes=Wishes(side=side)).labels.values
+    found = segment_limb(image, wishes=Wishes(side=side))
+    assert any(f"the patient's {side} one" in note for note in found.notes)
+    labels = found.labels.values
     half = labels[104:] if side == "left" else labels[:104][::-1]
     assert dice(half > 0, truth > 0) > 0.97
     assert dice(half == 2, truth == 2) > 0.95

@@ -88,3 +88,13 @@ def test_sites_off_the_skin_are_told(surfaces):
         ("warning", "near"),
         ("error", "far"),
     ]
+
+
+def test_a_limb_across_the_patient_frame_is_told(surfaces):
+    """As saved by a program whose y points up: no side can be told then, as proximal and distal cannot."""
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    across = {name: Triangles(each.points @ turn.T, each.faces) for name, each in surfaces.items()}
+    for limb in ("left", "right"):
+        ((severity, what),) = found(across, limb)
+        assert severity == "warning"
+        assert "lies along y" in what

@@ -14,6 +14,7 @@ import pytest
 
 from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
+from limbcli.imaging.dicom import read_series
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.mri import acquire, tissue_fractions
@@ -68,6 +69,18 @@ def test_a_series_leaves_labels_surfaces_markers_and_a_sheet(segmented):
     assert [each["number"] for each in result.data["markers"]] == [1, 2]
     assert set(result.provenance["inputs_sha256"]) == {"mri"}
     assert result.path("contact_sheet").read_bytes().startswith(b"\x89PNG")
+
+
+def test_of_two_limbs_in_view_the_cases_own_is_taken(series, tmp_path):
+    image = read_series(series).volume
+    both = np.concatenate([image.values[::-1], image.values], axis=0)
+    to_ras = np.diag([-1.0, -1.0, 1.0, 1.0])
+    nib.save(nib.Nifti1Image(both, to_ras @ image.affine), tmp_path / "both.nii.gz")
+    case = replace(case_with(tmp_path, mri=tmp_path / "both.nii.gz"), limb="right")
+    result = segment(case, out=tmp_path / "out")
+    assert any("the patient's right one was taken" in each for each in result.warnings)
+    middle = image.affine[0, 3] + image.spacing[0] * len(image.values)  # LPS: +x is the patient's left
+    assert read_surface(result.path("skin")).points[:, 0].max() < middle
 
 
 def test_every_surface_is_closed_and_turned_outward(segmented):
@@ -167,7 +180,8 @@ def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
     assert "3 bodies" in result.summary[0]
     found, wanted = result.data["volume_cm3"], first.data["volume_cm3"]
     assert found["skin"] == pytest.approx(wanted["skin"], rel=1e-3)
-    assert found["bone_1"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
+    assert found["bone_tibia"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
+    assert found["bone_fibula"] == pytest.approx(wanted["bone_fibula"], rel=1e-3)
     with pytest.raises(CaseError, match="one body only"):
         segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
 

@@ -18,6 +18,7 @@ from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
+from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import tell_places
 
 # What follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's do so at its
@@ -97,10 +98,16 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
         If one cannot be read, is of another size than a body's in mm, or there is no bone.
     """
     assert case.imaging.skin is not None
-    paths = dict([("skin", case.imaging.skin), *zip(_bone_names(case), case.imaging.bones, strict=True)])
+    names = names_of_files(case.imaging.bones)
+    paths = {SKIN: case.imaging.skin, **dict(zip(names, case.imaging.bones, strict=True))}
     surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
     if not case.imaging.bones:
-        surfaces = _bodies(surfaces["skin"], case.imaging.skin)
+        return _bodies(surfaces[SKIN], case.imaging.skin), paths
+    if names == numbered(len(names)):  # no file says which bone it holds
+        triangles = triangles_of(surfaces)
+        told = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
+        surfaces = dict(zip(told, surfaces.values(), strict=True))
+        paths = dict(zip(told, paths.values(), strict=True))
     return surfaces, paths
 
 
@@ -113,18 +120,8 @@ def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
             where=str(path),
             fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
         )
-    named = {f"bone_{number}": each for number, each in enumerate(bones, 1)}
-    return {name: ClosedSurface(each.points, each.faces) for name, each in {"skin": skin, **named}.items()}
-
-
-def _bone_names(case: Case) -> list[str]:
-    """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
-    names: list[str] = []
-    for number, path in enumerate(case.imaging.bones, 1):
-        known = [each for each in ("tibia", "fibula", "femur", "patella") if each in path.stem.lower()]
-        name = f"bone_{known[0] if len(known) == 1 else number}"
-        names.append(name if name not in names else f"bone_{number}")
-    return names
+    named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
+    return {name: ClosedSurface(each.points, each.faces) for name, each in {SKIN: skin, **named}.items()}
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
