@@ -79,8 +79,8 @@ def test_of_two_limbs_in_view_the_cases_own_is_taken(series, tmp_path):
     case = replace(case_with(tmp_path, mri=tmp_path / "both.nii.gz"), limb="right")
     result = segment(case, out=tmp_path / "out")
     assert any("the patient's right one was taken" in each for each in result.warnings)
-    middle = image.affine[0, 3] + image.spacing[0] * len(image.values)  # LPS: +x is the patient's left
-    assert read_surface(result.path("skin")).points[:, 0].max() < middle
+    middle = image.to_patient(np.array([[len(image.values) - 0.5, *np.array(image.shape[1:]) / 2]]))[0]
+    assert read_surface(result.path("skin")).points[:, 0].mean() < middle[0]  # LPS: +x is the left
 
 
 def test_every_surface_is_closed_and_turned_outward(segmented):
