@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,8 @@ from limbcli.errors import CaseError
 
 # What an expression of a template can raise besides Jinja's own; a file that is not UTF-8 is a ValueError.
 _OF_EXPRESSIONS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+_TOLD_IN = ".md"  # a README beside the templates
 
 
 class TemplateFolders(jinja2.FileSystemLoader):
@@ -45,6 +48,33 @@ def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, A
             where=_place(error, environment, template),
             fix=f"compare it with limbcli's own {ours}, or leave --templates out",
         ) from error
+
+
+def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, below: str = "") -> None:
+    """A template of the user's that has no name of ours, and that no other asks for, is lost in silence.
+
+    environment : that the templates were filled in
+    folder, ours : the user's and limbcli's own of one kind
+    below : what stands before a template's name where it is asked for
+
+    Raises
+    ------
+    CaseError
+        For the first such file.
+    """
+    assert isinstance(environment.loader, TemplateFolders)
+    known = {path.name for path in ours.iterdir() if path.suffix != _TOLD_IN}
+    endings = {Path(name).suffix for name in known}
+    for path in sorted(each for each in folder.glob("*.*") if each.suffix in endings):
+        if path.name not in known and f"{below}{path.name}" not in environment.loader.asked:
+            near = difflib.get_close_matches(path.name, sorted(known), n=1)
+            raise CaseError(
+                f"the template {path.name} is used by nothing",
+                where=str(path),
+                fix=f"did you mean {near[0]}?"
+                if near
+                else f"include it, or call it one of {', '.join(sorted(known))}",
+            )
 
 
 def _place(error: Exception, environment: jinja2.Environment, template: str) -> str:

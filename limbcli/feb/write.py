@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import gzip
 import json
 from numbers import Real
@@ -28,7 +27,7 @@ from limbcli.feb.views import (
     surface_rows,
 )
 from limbcli.files import atomic_file
-from limbcli.filling import TemplateFolders, filled
+from limbcli.filling import TemplateFolders, filled, refuse_unused
 from limbcli.model import LimbModel
 from limbcli.results import plain
 
@@ -80,26 +79,10 @@ def render(model: LimbModel, *, templates: Path | None = None) -> str:
     environment = _environment(templates)
     text = filled(environment, MAIN_TEMPLATE, _context(model), ours="templates/feb")
     if templates is not None:
-        _refuse_unused(templates, environment)
+        refuse_unused(environment, templates / _FOLDER, templates_folder() / _FOLDER, below=f"{_FOLDER}/")
     for foreign, known in _ENTITIES.items():
         text = text.replace(foreign, known)
     return text
-
-
-def _refuse_unused(templates: Path, environment: jinja2.Environment) -> None:
-    """A file that has no name of ours, and that no other asks for, would be lost in silence."""
-    assert isinstance(environment.loader, TemplateFolders)
-    known = sorted(path.name for path in (templates_folder() / _FOLDER).glob("*.j2"))
-    for path in sorted((templates / _FOLDER).glob("*.j2")):
-        if path.name not in known and f"{_FOLDER}/{path.name}" not in environment.loader.asked:
-            near = difflib.get_close_matches(path.name, known, n=1)
-            raise CaseError(
-                f"the template {path.name} is used by nothing",
-                where=str(path),
-                fix=f"did you mean {near[0]}?"
-                if near
-                else f"include it, or call it one of {', '.join(known)}",
-            )
 
 
 def _environment(templates: Path | None) -> jinja2.Environment:

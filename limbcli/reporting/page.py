@@ -15,7 +15,7 @@ from markupsafe import Markup, escape
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
 from limbcli.faults import in_utf8
-from limbcli.filling import TemplateFolders, filled
+from limbcli.filling import TemplateFolders, filled, refuse_unused
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 
@@ -88,7 +88,7 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
     Raises
     ------
     CaseError
-        If a template of the user's is faulty or asks for what is not there.
+        If a template of the user's is faulty, asks for what is not there, or is used by nothing.
     ToolError
         If our templates are not found, or the user's folder does not exist.
     """
@@ -103,7 +103,10 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
         lstrip_blocks=True,
     )
     environment.filters["symbols"] = symbols
-    return in_utf8(filled(environment, template, facts, ours="templates/report"))
+    text = filled(environment, template, facts, ours="templates/report")
+    if templates is not None:
+        refuse_unused(environment, folders[0], folders[-1])
+    return in_utf8(text)
 
 
 def symbols(text: str) -> Markup:

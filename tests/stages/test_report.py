@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.reporting.page import render
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
@@ -587,6 +588,21 @@ def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_pat
         report(case, out=tmp_path / "out", templates=tmp_path / "mine")
     assert "mine" in caught.value.where
     assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_template_of_the_users_that_nothing_uses_is_refused(tmp_path):
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "README.md").write_text("what I changed")
+    (tmp_path / "report" / "failure.html.j2").write_text(
+        "as ours is called, though no page of this kind is made"
+    )
+    (tmp_path / "report" / "index.html.j2").write_text("{% include 'own.j2' %}")
+    (tmp_path / "report" / "own.j2").write_text("mine")
+    assert render("index.html.j2", {}, templates=tmp_path) == "mine"
+    (tmp_path / "report" / "styles.css").write_text("body { color: red }")
+    with pytest.raises(CaseError, match=r"styles\.css is used by nothing") as caught:
+        render("index.html.j2", {}, templates=tmp_path)
+    assert "did you mean style.css" in caught.value.fix
 
 
 def add_on_demand(out: Path) -> None:
