@@ -32,6 +32,7 @@ BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"
 _POLL_S = 0.1
 _GRACE_S = 3.0
+LINGERS_S = 10.0  # after the last line of a log that says how the run ended
 _VERSION_TIMEOUT_S = 5.0
 _VERSION_BYTES = 20_000
 _SCREEN_FILE = "febio-screen.txt"
@@ -227,12 +228,17 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float, *, given: bool) -> None:
-    """Follow the log until the process ends; a sign of life where the log is silent for long."""
+    """Follow the log until the process ends; a sign of life where the log is silent for long.
+
+    One whose log has said that it is at its end, and that does not end, is ended.
+    """
     start = last_sign = time.monotonic()
     while process.poll() is None:
         now = time.monotonic()
         if watcher.look():
             last_sign = now
+        elif watcher.reader.ending != "none" and now - last_sign > LINGERS_S:
+            _stop(process)
         elif now - last_sign > HEARTBEAT_S:
             watcher.alive(now - start, limit_s)
             last_sign = now

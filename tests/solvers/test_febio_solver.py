@@ -156,6 +156,15 @@ def started_child(feb: Path) -> int | None:
     return int(text) if text else None
 
 
+def test_a_febio_that_does_not_end_after_its_log_is_ended_and_its_run_counts(binary, feb, monkeypatch):
+    monkeypatch.setenv("FAKE_FEBIO", "lingers")
+    monkeypatch.setattr("limbcli.solvers.febio.LINGERS_S", 0.3)
+    start = time.monotonic()
+    FebioSolver(binary).run(feb, progress=SILENT, time_limit_s=60)
+    assert time.monotonic() - start < 30
+    assert FebioSolver(binary).read(feb).times[-1] == 1
+
+
 def test_the_time_limit_stops_febio_and_what_it_started(
     binary: Path, feb: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,9 +57,11 @@ def main() -> int:
     if mode == "no log":
         print("error while loading shared libraries: libmkl_rt.so")
         return 127
-    if mode in ("complete", "lies bad", "other run"):
+    if mode in ("complete", "lies bad", "other run", "lingers"):
         replay(log, "log-normal.txt", pause=0.02)
         records(model, n_times=4)
+        if mode == "lingers":
+            time.sleep(600)
         return 1 if mode == "lies bad" else 0
     if mode in ("failed", "lies good"):
         replay(log, "log-failed.txt")
