@@ -64,4 +64,3 @@ FORCE_UNITS_IN_N = {
     "lbf": 4.4482216152605,
 }
 LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
-SPEED_UNITS_IN_M_PER_S = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}

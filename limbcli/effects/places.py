@@ -34,16 +34,6 @@ class Places:
         distance, _ = skin_tree(self.model).query(self.at.reshape(-1, 3))
         return np.asarray(distance).reshape(self.at.shape[:-1])
 
-    @cached_property
-    def to_bone(self) -> Array:
-        """mm (...) to the nearest node of the bone; infinite without one."""
-        sets = self.model.mesh.node_sets
-        nodes = sets.get("bone", sets.get("fixed"))
-        if nodes is None or not len(nodes):
-            return np.full(self.at.shape[:-1], np.inf)
-        distance, _ = cKDTree(self.model.mesh.points[nodes]).query(self.at.reshape(-1, 3))
-        return np.asarray(distance).reshape(self.at.shape[:-1])
-
 
 Stiffness = Callable[[Places], Array]
 _TREES: WeakKeyDictionary[Mesh, cKDTree] = WeakKeyDictionary()

@@ -20,7 +20,6 @@ _LARGEST = 1e15  # of a total
 _TIME_TOLERANCE = 1e-6
 _VERSION = re.compile(r"^\s*version\s+(\d+(?:\.\d+)+)\s*$")
 _CONVERGED = re.compile(r"^-+ converged at time : (\S+)")
-_FAILED = re.compile(r"^-+ failed to converge at time : (\S+)")
 _BEGIN = re.compile(r"^=+ beginning time step (\d+) : (\S+) =+")
 _TOTAL = re.compile(r"^\s*(Number of|Total number of|Nr of|Total elapsed) ([a-z ]+?) \.* ?: (.+)$")
 _NORM = re.compile(r"^\s*(residual|energy|displacement)\s+(\S+)\s+(\S+)\s+(\S+)\s*$")

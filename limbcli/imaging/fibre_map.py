@@ -27,7 +27,6 @@ from limbcli.imaging.nifti import one_geometry
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
-FRAMES = ("ras", "lps", "fsl")
 REACH = 6.0  # mm beyond the map's directions within which the nearest one is taken
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 _TEMPLATES = {3: "Talairach space", 4: "MNI space", 5: "a template's space"}
